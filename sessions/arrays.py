@@ -34,10 +34,10 @@ class ArrayFiles:
         self.folder = folder
 
     def path(self, ref: str) -> Path:
-        """The file of ``ref``.
+        """Return the file of ``ref``.
 
         Raises:
-            StoreError: where ``ref`` is no reference.
+            StoreError: where ``ref`` is malformed.
         """
         if not _REF.fullmatch(ref):
             raise StoreError(f"{ref[:80]!r} is no reference of a stored array")
@@ -46,8 +46,7 @@ class ArrayFiles:
     def put(self, array: npt.NDArray[Any]) -> str:
         """Write ``array`` (numbers or booleans) and return its reference.
 
-        Durable when it returns; an array that is there already is not written again, unless its
-        file is damaged.
+        Durable when it returns; an existing array is written again only where its file is damaged.
 
         Raises:
             StoreError: where the folder can't be written, or for other kinds of arrays.
@@ -67,7 +66,7 @@ class ArrayFiles:
         return ref
 
     def get(self, ref: str) -> npt.NDArray[Any]:
-        """The array behind ``ref``, read-only.
+        """Return the array behind ``ref``, read-only.
 
         Raises:
             StoreError: naming the file, where it is missing or damaged.
@@ -150,7 +149,7 @@ def _pack(flat: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], str, int]:
 
 
 def _narrow(values: npt.NDArray[Any], highest: int) -> npt.NDArray[Any]:
-    """``values`` modulo 2^bits in the fewest bytes that hold ``highest``."""
+    """Return ``values`` modulo 2^bits in the fewest bytes that hold ``highest``."""
     for dtype in _UNSIGNED:
         if highest <= np.iinfo(dtype).max:
             return values.astype(dtype)

@@ -1,4 +1,4 @@
-"""What the fields of commands must look like."""
+"""Checks of the fields of commands."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ _ARRAY_REF = re.compile(r"[0-9a-f]{64}")
 
 
 def put_field(command: object, field: str, value: object) -> None:
-    """Set a field of a frozen dataclass while it is made."""
+    """Set a field of a frozen dataclass in its ``__post_init__``."""
     object.__setattr__(command, field, value)
 
 
 def clean_name(value: str | None, what: str) -> str | None:
-    """A short name, or None where nothing is left of it."""
+    """Return a clean short name, or None where it is empty."""
     return None if value is None else clean_text(value, NAME_LIMIT, what) or None
 
 
 def check_part(part: int) -> None:
-    """Refuse what is no part id."""
+    """Refuse an invalid part id."""
     if isinstance(part, bool) or not 0 <= part < MAX_PARTS:
         raise CommandError(f"part must be 0..{MAX_PARTS - 1}, got {part}")
 
 
 def check_ref(ref: str, what: str) -> None:
-    """Refuse what is no reference of a stored array."""
+    """Refuse an invalid reference of a stored array."""
     if not _ARRAY_REF.fullmatch(ref):
         raise CommandError(f"{what} must be the reference of a stored array, got {ref[:80]!r}")
 
@@ -53,7 +53,7 @@ def check_finite(values: Iterable[float], what: str) -> None:
 def check_pose(
     position: tuple[float, float, float], wxyz: tuple[float, float, float, float]
 ) -> None:
-    """Refuse what is no finite position with a unit quaternion."""
+    """Refuse a position that isn't finite, or a quaternion that isn't of unit length."""
     check_finite(position, "position")
     check_finite(wxyz, "wxyz")
     length = sum(v * v for v in wxyz)

@@ -1,7 +1,7 @@
 """Every edit as a small frozen value with a JSON form.
 
-A command says what a person decided (or what a job answered), never how the state changes; that is
-in :mod:`sessions.edits`. Written commands are kept for good: a kind or a field is never renamed,
+A command holds a decision of a person (or the result of a job), not its effect on the state, which
+is in :mod:`sessions.edits`. Stored commands are kept for good: a kind or a field is never renamed,
 and new fields have defaults.
 """
 
@@ -225,8 +225,8 @@ class Accept:
 
     Attributes:
         comment: for people.
-        note_problems: what was known to be doubtful and accepted all the same.
-        override: why it was accepted although the gate calls a joint broken, else "".
+        note_problems: the known warnings and errors.
+        override: reason for accepting it despite errors, else "".
         decided_at: when the decision about a whole scene was made that this carries out, else "".
     """
 

@@ -1,4 +1,4 @@
-"""The connection to the database, its tables, its format and its errors in plain words."""
+"""The connection to the database: tables, format, and errors in plain words."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ FORMAT = "0001"
 """Newest migration; the format that this version reads and writes."""
 
 _MIGRATION_LOCK = 0x41525449
-"""Any number, the same in all processes: a server has no lock on tables that aren't there yet."""
+"""Lock number of all processes; a server can't lock tables before they exist."""
 
 _MIGRATIONS = Path(__file__).resolve().parent / "migrations"
 
@@ -111,13 +111,13 @@ class Database:
 
     @contextmanager
     def reading(self) -> Iterator[Connection]:
-        """A transaction that only reads."""
+        """Open a transaction that only reads."""
         with self.translated(), self.engine.connect() as connection:
             yield connection
 
     @contextmanager
     def writing(self) -> Iterator[Connection]:
-        """A transaction that holds the right to write from its start; commits at the end."""
+        """Open a transaction that locks for writing from its start; it commits at the end."""
         with self.translated(), self._writer.begin() as connection:
             yield connection
 
@@ -127,7 +127,7 @@ class Database:
 
     @contextmanager
     def translated(self) -> Iterator[None]:
-        """Turn the driver's errors into ones that say what to do."""
+        """Turn the driver's errors into errors for people."""
         try:
             yield
         except (exc.DBAPIError, sqlite3.Error) as error:
@@ -149,7 +149,7 @@ class Database:
                 connection.execute(meta.insert().values(key="application", value="artiworld"))
 
     def _format(self, connection: Connection) -> str | None:
-        """Format of the database; None where it is empty."""
+        """Return the format of the database; None where it is empty."""
         tables = inspect(connection).get_table_names()
         if "alembic_version" not in tables:
             if tables:
@@ -173,7 +173,7 @@ class Database:
 
 
 def known_formats() -> tuple[str, ...]:
-    """All formats that can be read, oldest first."""
+    """Return all readable formats, oldest first."""
     return tuple(sorted(f.name[:4] for f in (_MIGRATIONS / "versions").glob("[0-9]*_*.py")))
 
 
@@ -188,7 +188,7 @@ def _upgrade(connection: Connection) -> None:
 
 
 def sqlite_file(path: Path) -> URL:
-    """The URL of an SQLite file, whatever characters its path has."""
+    """Return the URL of an SQLite file, whatever characters its path has."""
     return URL.create("sqlite", database=str(path))
 
 

@@ -1,4 +1,4 @@
-"""Commands in words."""
+"""Descriptions of commands for people."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from sessions.tool_commands import ApplyTool, CropOut, CutFaces, LeaveOut, Place
 
 
 def describe(command: Command) -> str:
-    """What the command does, in a few words for an undo button or a list of edits."""
+    """Return what the command does, in a few words for an undo button or a list of edits."""
     match command:
         case AddClick(click=click):
             return f"{'add' if click.positive else 'negative'} click, part {click.part}"

@@ -59,7 +59,7 @@ class Context:
     Attributes:
         who: the person.
         at: ISO 8601, UTC.
-        role: what the person may do.
+        role: the person's role.
     """
 
     who: str

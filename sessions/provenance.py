@@ -1,4 +1,4 @@
-"""Where an asset comes from: source, prompts, predictor, edits, who, when, versions."""
+"""The provenance of an asset: source, prompts, predictor, edits, people, times, versions."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _JOINT_EDITS = (SetJoint, SetRoot, ResetJoint, LockJoint)
 def provenance(
     state: SessionState, history: Iterable[Entry], source: Source | None
 ) -> dict[str, Any]:
-    """For the asset's ``provenance.json``.
+    """Return the provenance for the asset's ``provenance.json``.
 
     Args:
         state: the session.
@@ -46,7 +46,7 @@ def provenance(
 
     Returns:
         A dict that JSON can hold. ``edits`` lists the joint edits made on the last prediction that
-        are still in force; what was undone isn't there.
+        are still in force, without undone ones.
     """
     document = state.present
     kept = effective(history)
@@ -73,7 +73,7 @@ def provenance(
 
 
 def effective(history: Iterable[Entry]) -> list[Entry]:
-    """The entries that are in force: without what was undone, without undo and redo themselves."""
+    """Return the entries in force: without undone ones, without undo and redo themselves."""
     done: list[Entry] = []
     undone: list[Entry] = []
     amendments: list[Entry] = []

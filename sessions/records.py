@@ -1,4 +1,4 @@
-"""What the store tells about objects and their history."""
+"""Records of objects and their history."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ class ObjectRecord:
         id: in this workspace.
         path: the source, absolute.
         name: short, for people.
-        sha256: of the source when it was opened first, None where nobody read it yet.
+        sha256: of the source when it was opened first, None where it wasn't read yet.
         state: see :mod:`sessions.review`.
         prompts, parts: how many.
         category: what it is, or None.
-        who: who gave the last command, "" before the first.
+        who: author of the last command, "" before the first.
         updated, created: ISO 8601, UTC.
         assigned_to: the annotator whom a rejected object waits for, or None.
         seq: number of the last command.
-        changed: the source isn't any more what was annotated (only from ``open_object``).
+        changed: whether the source changed since it was annotated (only from ``open_object``).
     """
 
     id: int
@@ -53,7 +53,7 @@ class Entry:
         seq: 1 for the first command of an object.
         at: ISO 8601, UTC.
         who: the person.
-        command: what was decided.
+        command: the decision.
     """
 
     seq: int

@@ -1,4 +1,4 @@
-"""The way of an object through annotation and review: states, roles, allowed transitions."""
+"""Annotation and review of an object: states, roles, allowed transitions."""
 
 from __future__ import annotations
 
@@ -47,17 +47,17 @@ TRANSITIONS: Mapping[Action, Mapping[ReviewState, ReviewState]] = {
     },
     "reopen": {"accepted": "in_progress", "rejected": "in_progress"},
 }
-"""Action → state before → state after. What isn't here isn't allowed."""
+"""Action → state before → state after. All else is refused."""
 
 PERMITTED: Mapping[Role, frozenset[Action]] = {
     "annotator": frozenset({"annotate", "adjust", "predict"}),
     "reviewer": frozenset(ACTIONS),
 }
-"""What each role may do. A person who works alone is a reviewer."""
+"""The permitted actions of each role. A person who works alone is a reviewer."""
 
 
 def transition(state: ReviewState, action: Action, role: Role = "reviewer") -> ReviewState:
-    """The state after ``action``.
+    """Return the state after ``action``.
 
     Raises:
         CommandError: where the role may not do it, or the state doesn't allow it.

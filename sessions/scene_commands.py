@@ -1,7 +1,7 @@
-"""What a person decides about a scene as a whole; see :mod:`sessions.commands`.
+"""Decisions about a scene as a whole; see :mod:`sessions.commands`.
 
 The objects of a scene have sessions of their own, where they are annotated, accepted and rejected;
-a scene's session says which of them are articulated, and what was decided for several at once.
+a scene's session holds which of them are articulable, and the decisions about several at once.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ Quaternion = tuple[float, float, float, float]
 
 @dataclass(frozen=True)
 class SetArticulable:
-    """Whether an object of this scene is articulated, whatever the finder says.
+    """Decide whether an object of this scene is articulable, whatever the finder decided.
 
     Attributes:
         object: its id in the scene.
@@ -42,14 +42,14 @@ class SetArticulable:
 
 @dataclass(frozen=True)
 class DecideObjects:
-    """Accept or reject objects from the scene; taking it back takes each of them back.
+    """Accept or reject objects from the scene; undo reverts each of them.
 
     Attributes:
-        decision: what for all of them.
+        decision: "accept" or "reject".
         objects: ids of their sessions in the workspace.
-        above: the confidence, 0..1, above which all were taken; None where they were named.
-        reason: why they are rejected; of no meaning where they are accepted.
-        looked: whether the person was shown what the gate doubts, and accepts them as they are.
+        above: the confidence, 0..1, from which all were selected; None for single ones.
+        reason: why they are rejected; unused where they are accepted.
+        looked: whether the person was shown their warnings.
     """
 
     decision: Decided
@@ -71,14 +71,14 @@ class DecideObjects:
 
 @dataclass(frozen=True)
 class PickOut:
-    """A piece of an object of this scene becomes an object of its own, what is left stays.
+    """Make a piece of an object of this scene an object of its own; the rest stays.
 
     Attributes:
         object: the object's id in the scene.
         id: of the new object, which no other has.
         name: what it is, in people's words.
         path: file of the new object.
-        rest: file of what is left of the old one.
+        rest: file of the rest of the old one.
         count: elements of the new one, for people.
         position, wxyz: pose of the new file's origin in the scene; metres, a unit quaternion.
         rest_position, rest_wxyz: of the rest's.

@@ -1,7 +1,7 @@
 """Session states to JSON and back. The format carries its version.
 
-The past of a session shares nearly everything with its present, so a written state holds each
-value once, and each document says only how it differs from the one before.
+The documents of a session share most values, so a written state holds each value once, and of each
+document only its difference from the one before.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ _PLAIN = tuple(
 
 
 def state_to_json(state: SessionState) -> dict[str, Any]:
-    """``state`` with its past and future as a dict."""
+    """Return ``state`` with its past and future as a dict."""
     shared = _Shared()
     documents: list[dict[str, Any]] = []
     before = Document()
@@ -64,10 +64,10 @@ def state_to_json(state: SessionState) -> dict[str, Any]:
 
 
 def state_from_json(data: object) -> SessionState:
-    """The state that :func:`state_to_json` wrote.
+    """Return the state that :func:`state_to_json` wrote.
 
     Raises:
-        StoreError: naming what is wrong with it, or the newer version.
+        StoreError: where it is malformed, or of a newer version.
     """
     fields = _check_version(data)
     try:
@@ -107,7 +107,7 @@ class _Shared:
         self._index: dict[int, int] = {}
 
     def ref(self, value: Any) -> int | None:
-        """Its place in ``written``; None for None. The documents keep the objects alive."""
+        """Return its index in ``written``; None for None. The documents keep the objects alive."""
         if value is None:
             return None
         index = self._index.get(id(value))
@@ -137,7 +137,7 @@ def _difference(document: Document, before: Document, shared: _Shared) -> dict[s
 
 
 def _common(a: tuple[Any, ...], b: tuple[Any, ...]) -> int:
-    """Length of the common beginning."""
+    """Return the length of the common prefix."""
     shorter = min(len(a), len(b))
     if a[:shorter] == b[:shorter]:  # the usual case, far faster than a loop
         return shorter

@@ -33,7 +33,7 @@ class SessionState:
     """The present document, and the documents of undo and redo.
 
     Attributes:
-        present: what is decided now.
+        present: the present decisions.
         past: former documents, oldest first, at most ``MAX_UNDO``.
         future: documents taken back; the next one to redo is last.
         seq: number of the last command that is in it; 0 before the first.
@@ -70,7 +70,7 @@ class JobRequest:
     """Work that the state asks for.
 
     Attributes:
-        kind: what is to be done.
+        kind: the kind of work.
         prompts_key: the prompts that it is asked for; the answer carries it back.
     """
 

@@ -1,4 +1,4 @@
-"""Text that people type, made safe to keep and to show."""
+"""Cleaning text that people type."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _STRIPPED_CATEGORIES = frozenset({"Cc", "Cs", "Zl", "Zp"})
 
 
 def clean_text(text: str, limit: int, what: str, *, lines: bool = False) -> str:
-    """``text`` without control characters and outer blanks.
+    """Return ``text`` without control characters and outer blanks.
 
     Args:
         text: what a person typed.
@@ -34,7 +34,7 @@ def clean_text(text: str, limit: int, what: str, *, lines: bool = False) -> str:
 
 
 def clipped(text: str, limit: int) -> str:
-    """As :func:`clean_text` leaves it, cut where it is too long."""
+    """Return clean text, cut to ``limit`` characters."""
     kept = clean_text(text, len(text), "text")
     return kept if len(kept) <= limit else kept[: limit - 1].rstrip() + "…"
 

@@ -1,4 +1,4 @@
-"""What tools did, as values: the results stand in them, so replaying needs no segmenter."""
+"""Uses of tools with their results, so that replaying needs no segmenter."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from sessions.text import clean_text
 
 @dataclass(frozen=True)
 class ToolRegion:
-    """Elements that a tool gives to a part, or takes from it.
+    """Elements that a tool adds to a part, or removes from it.
 
     Attributes:
         part: the part; it is added where it isn't there.
@@ -51,11 +51,11 @@ class ToolRegion:
 
 @dataclass(frozen=True)
 class ApplyTool:
-    """All that one use of a tool changed, as one step.
+    """The changes of one use of a tool, as one step.
 
     Attributes:
         tool: which one, for people: cut, merge, split, mirror, same shape, …
-        regions: what the parts gained and lost, in order.
+        regions: gains and losses of the parts, in order.
         replaces: how many of the last prompts these regions take the place of.
         delete: parts that are gone after it.
     """
@@ -76,7 +76,7 @@ class ApplyTool:
 
 @dataclass(frozen=True)
 class FaceCut:
-    """Faces that are split along planes, so that a border can run where no edge does.
+    """Faces that are split along planes, so that a border needs no edges.
 
     Attributes:
         elements: reference of the stored (K,) int64 faces, as they are numbered before this cut.
@@ -95,13 +95,13 @@ class FaceCut:
 
 @dataclass(frozen=True)
 class CutFaces:
-    """A cut that splits faces. All faces have other numbers afterwards.
+    """A cut that splits faces, which renumbers all faces.
 
-    So the prompts give way to the parts as they are, each with its elements by the new numbers.
+    So regions of the present parts, by the new numbers, replace the prompts.
 
     Attributes:
         tool: which one, for people: cut, rectangle.
-        cut: what is split.
+        cut: the split faces.
         regions: what each part holds afterwards.
     """
 
@@ -115,9 +115,9 @@ class CutFaces:
 
 @dataclass(frozen=True)
 class LeaveOut:
-    """Which elements of the source are not looked at, such as a room's floor and walls.
+    """Leave out elements of the source, such as a room's floor and walls.
 
-    The rest is numbered anew, so the annotation starts afresh.
+    This renumbers the rest, so the annotation restarts.
 
     Attributes:
         elements: reference of the stored (K,) int64 elements of the whole source; None: nothing is
@@ -139,7 +139,7 @@ class LeaveOut:
 
 @dataclass(frozen=True)
 class CropOut:
-    """An object was cut out of this scan and became an object of its own.
+    """Record an object that was cut out of this scan.
 
     Attributes:
         name: of the new object.
@@ -167,7 +167,7 @@ class CropOut:
 
 @dataclass(frozen=True)
 class Placed:
-    """Where this object stood in the scan it was cut out of. No undo step.
+    """Record the place of this object in the scan that it was cut out of. No undo step.
 
     Attributes:
         scene: path of the scan.

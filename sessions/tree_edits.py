@@ -10,10 +10,10 @@ from model.core.tree import KinematicTree
 
 
 def replace_joint(tree: KinematicTree, joint: Joint) -> KinematicTree:
-    """The tree with the joint of ``joint.child`` replaced.
+    """Return the tree with the joint of ``joint.child`` replaced.
 
-    A new name goes into the joints that mimic it. Where the new parent hangs below the child, it
-    is lifted first to where the child hung: base → door → handle becomes base → handle → door.
+    Joints that mimic it follow a new name. A new parent below the child first takes the child's
+    place: base → door → handle becomes base → handle → door.
 
     Raises:
         KinematicsError: naming everything that is wrong.
@@ -36,10 +36,9 @@ def _renamed(follower: Joint, old: Joint, new: Joint) -> Joint:
 
 
 def reroot(tree: KinematicTree, link: str) -> KinematicTree:
-    """The same mechanism with ``link`` as its root.
+    """Return the same mechanism with ``link`` as its root.
 
-    The joints on the way turn round; at the same q all links stand in the same poses relative to
-    each other.
+    The joints on the path to it are reversed; at the same q all links keep their relative poses.
 
     Raises:
         KinematicsError: where there is no such link.
@@ -52,7 +51,7 @@ def reroot(tree: KinematicTree, link: str) -> KinematicTree:
 
 
 def path_to_root(tree: KinematicTree, link: str) -> tuple[str, ...]:
-    """``link`` and those above it, without the root."""
+    """Return ``link`` and its ancestors, without the root."""
     out: list[str] = []
     while link in tree.joint_of:
         out.append(link)
@@ -61,10 +60,10 @@ def path_to_root(tree: KinematicTree, link: str) -> tuple[str, ...]:
 
 
 def without_link(tree: KinematicTree, link: str) -> KinematicTree | None:
-    """The tree without ``link``; None where nothing is left.
+    """Return the tree without ``link``; None where it was the only one.
 
-    What hung on it hangs on its parent. Where it was the root, its first child takes its place.
-    Joints that mimicked the removed one move on their own.
+    Its children go to its parent; a root is replaced by its first child. Joints that mimicked the
+    removed one become independent.
     """
     if link not in tree.links:
         return tree

@@ -1,4 +1,4 @@
-"""What is written of an acceptance: the asset's folder and its ``provenance.json``."""
+"""The record of an acceptance: the asset's folder and its ``provenance.json``."""
 
 from __future__ import annotations
 

@@ -91,7 +91,7 @@ class AppState:
         return opened
 
     def _release_unused(self) -> None:
-        """Release the objects that nobody uses, except those that were used last."""
+        """Release unused objects, except those that were used last."""
         for i in list(self._open)[:-OPEN_KEPT]:
             if not self._open[i].in_use:
                 self._open.pop(i).release()
@@ -115,7 +115,7 @@ class AppState:
         return opened is not None and opened.validation.acceptance_waits
 
     def is_accepting(self, object_id: int) -> bool:
-        """Whether an object is being accepted here: nobody need do anything about it."""
+        """Whether an acceptance of an object is under way here."""
         return self.is_validating(object_id) or self.is_saving(object_id)
 
     def was_interrupted(self, record: ObjectRecord) -> bool:

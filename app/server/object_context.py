@@ -29,7 +29,7 @@ class ObjectContext(Observable):
 
     Attributes:
         live: the session with all commands.
-        asset: what was read; None until then.
+        asset: None until it is read.
         jobs: the jobs under way, by their kind.
     """
 

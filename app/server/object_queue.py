@@ -22,8 +22,7 @@ class ObjectQueue:
         pending: whether an object has a pending acceptance, by id.
 
     Attributes:
-        unreadable: objects whose file can't be opened whatever is in it, or couldn't be read when
-            somebody last opened them.
+        unreadable: objects whose file can't be opened, or couldn't be read at the last opening.
         removed: objects of this run that were removed from the queue, the last one last.
     """
 

@@ -1,4 +1,4 @@
-"""``prompts.json``: what a script clicks instead of a person.
+"""``prompts.json``: clicks and regions for scripts.
 
 Either an object::
 
@@ -31,22 +31,22 @@ from sessions.text import clean_text
 
 FORMAT = 1
 BESIDE = ".prompts.json"
-"""Behind the name of an asset's file: clicks that are kept beside it."""
+"""Suffix of a prompt file beside an asset."""
 MAX_BYTES = 64 * 2**20
 FAR_OF_DIAGONAL = 0.05
-"""A click further from the surface than this share of the object's diagonal is a mistake."""
+"""Largest distance of a click from the surface, as a share of the object's diagonal."""
 
 _EXAMPLE = 'as in {"clicks": [{"position": [0.1, 0.2, 0.3], "part": 1}]}'
 
 
 @dataclass(frozen=True)
 class PromptFile:
-    """What the file says.
+    """The content of a prompt file.
 
     Attributes:
         path: the file.
         prompts: clicks, then regions.
-        names: part id → what the part is.
+        names: part id → name.
         category: of the object, or None.
     """
 
@@ -57,7 +57,7 @@ class PromptFile:
 
 
 def beside(path: Path) -> Path | None:
-    """The clicks that are kept beside an asset's file, or None."""
+    """Return the prompt file beside an asset, or None."""
     kept = path.with_name(path.stem + BESIDE)
     return kept if path.is_file() and kept.is_file() else None
 
@@ -66,7 +66,7 @@ def read_prompts(path: str | Path) -> PromptFile:
     """Read and check a prompt file.
 
     Raises:
-        InputFileError: naming the first fault and its place in the file.
+        InputFileError: with the first error and its place in the file.
     """
     path = Path(path)
     try:
@@ -86,10 +86,10 @@ def read_prompts(path: str | Path) -> PromptFile:
 
 
 def check_prompts(file: PromptFile, asset: Asset) -> None:
-    """Compare the prompts with the object that they are for.
+    """Check the prompts against their object.
 
     Raises:
-        InputFileError: where a position is far off the surface or an element doesn't exist.
+        InputFileError: where a position is far from the surface or an element doesn't exist.
     """
     count, kind = asset.element_count, asset.element_kind
     for i, click in enumerate(file.prompts.clicks):
@@ -122,7 +122,7 @@ def check_prompts(file: PromptFile, asset: Asset) -> None:
 
 
 def distance_to_surface(asset: Asset, positions: np.ndarray) -> np.ndarray:
-    """(K,) metres from each of (K, 3) positions to the nearest face, or point of a cloud."""
+    """Return the (K,) metres from (K, 3) positions to the nearest face, or point of a cloud."""
     if asset.mesh is None:
         from scipy.spatial import KDTree
 
@@ -131,7 +131,7 @@ def distance_to_surface(asset: Asset, positions: np.ndarray) -> np.ndarray:
     import open3d as o3d
 
     scene = o3d.t.geometry.RaycastingScene()
-    middle = asset.bounds.mean(axis=0)  # Embree counts in float32: stay near the origin
+    middle = asset.bounds.mean(axis=0)  # Embree uses float32: stay near the origin
     tensor = o3d.core.Tensor.from_numpy
     scene.add_triangles(
         tensor((asset.mesh.vertices - middle).astype(np.float32)),
@@ -186,7 +186,7 @@ def _parse_part(value: Any, place: str) -> tuple[int, str]:
 
 
 def _name(value: Any, place: str) -> str:
-    """Text as the app takes it too: short, and nothing in it that can't be written."""
+    """Return a clean name of the length that the app allows."""
     if not isinstance(value, str):
         raise _Fault(place, f"needs text, got {_seen(value)}")
     text = clean_text(value, len(value), place)

@@ -1,4 +1,4 @@
-"""Saving accepted assets: what the worker for it does. See :mod:`app.server.tasks`.
+"""Jobs that write assets; see :mod:`app.server.tasks`.
 
 All but the record of an asset is written as a draft while the person still looks at the joints;
 accepting adds the record and moves it in place.

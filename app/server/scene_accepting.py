@@ -29,7 +29,7 @@ from sessions import commands as cmd
 from sessions.document import DecisionRecord, Document
 from sessions.state import Context, apply, review_problems
 
-Mark = Literal["", "judging", "held"]
+Mark = Literal["", "validating", "on_hold"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,8 +107,8 @@ class Accepting:
     def mark(self, work: Work) -> Mark:
         """Return whether the object is being validated, or on hold."""
         if work.id in self.waiting or self._is_accepting(work.id):
-            return "judging"
-        return "" if self.refusal(work) is None else "held"
+            return "validating"
+        return "" if self.refusal(work) is None else "on_hold"
 
     @property
     def waiting(self) -> frozenset[int]:
@@ -155,7 +155,7 @@ class Accepting:
         )
 
     def describe(self, record: DecisionRecord) -> str:
-        """Return what was decided, in a few words."""
+        """Describe a decision in a few words."""
         work = self._scene.works.get(record.objects[0])
         if len(record.objects) > 1 or work is None:
             return f"{record.decision} {len(record.objects)} objects"

@@ -20,10 +20,11 @@ from sessions.live import LiveSession
 Status = Literal["static", "todo", "predicted", "accepted", "rejected", "failed", "missing"]
 HELD = "on hold"
 """Label of an object whose acceptance was refused."""
-Shown = Status | Literal["judging", "held"]
+Shown = Status | Literal["validating", "on_hold"]
 """A status, or of an object to be accepted: being validated, or on hold."""
 SHOWN: tuple[Shown, ...] = (
-    "predicted", "held", "todo", "judging", "rejected", "accepted", "static", "failed", "missing",
+    "predicted", "on_hold", "todo", "validating", "rejected", "accepted", "static", "failed",
+    "missing",
 )  # fmt: skip
 """In the order of a reviewer's interest."""
 
@@ -106,14 +107,14 @@ class Row:
     Attributes:
         status: its state by the decisions.
         confidence: of the prediction's least confident joint; of the finder where there is none.
-        mark: "judging" while an acceptance is under way, "held" where it was refused; else "".
+        mark: "validating" while an acceptance is under way, "on_hold" after a refusal; else "".
     """
 
     id: str
     status: Status
     confidence: float
     work: int | None
-    mark: Literal["", "judging", "held"] = ""
+    mark: Literal["", "validating", "on_hold"] = ""
 
     @property
     def shown(self) -> Shown:
@@ -123,7 +124,7 @@ class Row:
     @property
     def undecided(self) -> bool:
         """Whether it waits for a person's decision."""
-        return self.mark != "judging" and self.status in ("predicted", "todo")
+        return self.mark != "validating" and self.status in ("predicted", "todo")
 
 
 def drawn_labels(work: Work) -> str | None:

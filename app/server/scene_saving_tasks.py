@@ -72,7 +72,7 @@ class Decided:
     Attributes:
         state: ``accepted``, ``predicted``, ``rejected`` or ``todo``; the last two are rigid.
         reason: why, for people.
-        by, at: who decided, and when; "" where nobody did.
+        by, at: author and time; "" without a decision.
     """
 
     state: str

@@ -22,7 +22,7 @@ class SceneState(Observable):
     """The scene as its saving, accepting and picking see it.
 
     Attributes:
-        scene: what was read; None until then.
+        scene: None until it is read.
         read: the objects of the scene's file.
         items: id → object, those that were picked out of others among them.
         shapes: asset → its geometry as drawn, or why there is none.

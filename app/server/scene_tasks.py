@@ -1,4 +1,4 @@
-"""What the worker processes do for a scene; see :mod:`app.server.tasks`.
+"""Jobs for scenes; see :mod:`app.server.tasks`.
 
 An object that is articulated gets a *working copy*: its asset at its size in the scene, as a folder
 of part meshes in the workspace. It is opened, annotated and saved like any other object, and stands

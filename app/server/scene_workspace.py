@@ -36,7 +36,7 @@ from sessions.scene_commands import DecideObjects, PickOut, SetArticulable
 from sessions.state import SessionState
 
 AUTHOR = "scene"
-"""Recorded as the author of what was found without a person."""
+"""Recorded as the author of automatic results."""
 MAX_SCENE_FACES = 900_000
 """Triangles of a whole scene that a browser draws smoothly."""
 MAX_ASSET_FACES = 60_000
@@ -120,7 +120,7 @@ class SceneWorkspace(SceneState):
             lambda why, report: self.accepting.hold(work, why, report),
         )
 
-    # --- what a person does
+    # --- decisions
 
     def do(self, command: cmd.Command, who: str, notice: Notice | None = None) -> None:
         """Carry out one decision about the scene; it is on disk when this returns.

@@ -1,4 +1,4 @@
-"""What the open objects and the scene of one server share."""
+"""The services that open objects and the scene share."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ REPORTS_KEPT = 16
 """Reports kept for undo and redo."""
 
 Revision = tuple[KinematicTree, str]
-"""What a report is about: the tree, and the reference of the labels."""
+"""The subject of a report: the tree, and the reference of the labels."""
 
 Confidences = tuple[tuple[str, float], ...]
 """Child link and confidence of each joint that no person edited."""

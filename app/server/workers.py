@@ -13,7 +13,7 @@ class Workers:
         segmentation: encodes assets and answers clicks.
         prediction: predicts joints and validates them.
         saving: writes accepted assets.
-        closing: whether the server ends: what is under way is cut off.
+        closing: whether the server ends and cuts jobs off.
     """
 
     def __init__(self) -> None:

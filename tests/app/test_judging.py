@@ -321,7 +321,10 @@ def test_what_was_said_while_the_joints_were_being_judged_is_kept(
         assert app_state.store.pending_acceptances() == {obj.record.id: kept}
         held.cancel()
         judged(obj)
-        wait(lambda: not obj.jobs and (refused or not app_state.store.pending_acceptances()), "it is decided")
+        wait(
+            lambda: not obj.jobs and (refused or not app_state.store.pending_acceptances()),
+            "it is decided",
+        )
         assert (obj.document.review.state == "accepted", bool(refused)) == (accepted, not accepted)
 
 
@@ -354,7 +357,9 @@ def test_what_the_gate_holds_back_after_a_person_went_on_waits_for_another_look(
     assert obj.document.review.state != "accepted" and not obj.interrupted
     assert not app_state.is_accepting(record.id) and "save" not in obj.jobs
     kept = PendingAcceptance(record.seq, "seen in person", "", why)
-    assert obj.pending_acceptance == kept and app_state.store.pending_acceptances() == {record.id: kept}
+    assert obj.pending_acceptance == kept and app_state.store.pending_acceptances() == {
+        record.id: kept
+    }
     app_state.sync_remote()
     assert app_state.on_hold(record) == why
     # The next server says so, too.

@@ -14,7 +14,7 @@ import trimesh
 from app.cli.commands import ServeCommand
 from app.cli.main import main
 from app.cli.serve import scene_to_open
-from app.server.display_tasks import open_asset
+from app.server import display_tasks
 from app.server.tasks import ReadOptions, stamp
 from app.server.uploads import keep_upload
 from model.core.errors import InputFileError
@@ -56,7 +56,7 @@ def zipped(folder: Path) -> bytes:
 
 def test_it_opens_with_its_parts_and_joints(mjcf: Path, tmp_path: Path) -> None:
     for path in (mjcf, mjcf.parent):
-        found = open_asset(path, tmp_path / "workspace", ReadOptions(None, 1.0))
+        found = display_tasks.open_asset(path, tmp_path / "workspace", ReadOptions(None, 1.0))
         assert found.part_names == ("body", "door")
         told = found.source_joints
         assert told is not None and told.file == "cupboard.xml"

@@ -54,6 +54,6 @@ def test_what_went_wrong_is_said_in_words(caplog: pytest.LogCaptureFixture):
     assert jobs.deliver("save", ended(state="failed", error=mistake), kept.append) is mistake
     assert not caplog.records
     fault = jobs.deliver("save", ended(state="done", value=3), lambda value: value / 0)
-    assert "division by zero (our fault" in str(fault)
+    assert "division by zero (a bug" in str(fault)
     assert "job save of the chest failed" in caplog.text
     assert kept == [3]

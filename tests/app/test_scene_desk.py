@@ -268,7 +268,7 @@ def test_what_the_gate_objects_to_waits_for_who_asked(
         desk.do(DecideObjects(decision, (work.id,), **more), "ann", lambda *n: mine.append(n[1]))
 
     decide("accept")
-    assert shown("small") == "judging" and not any(
+    assert shown("small") == "validating" and not any(
         r.id == "small" for r in desk.rows() if r.undecided
     )
     gate.answer("look")
@@ -277,7 +277,7 @@ def test_what_the_gate_objects_to_waits_for_who_asked(
         "small, door 1: Penetrates link_0 by 131 mm at 104°. Select it again: "
         "Y accepts it anyway, Enter shows it."
     ]
-    assert shown("small") == "held" and statuses(desk)["small"] == "predicted"
+    assert shown("small") == "on_hold" and statuses(desk)["small"] == "predicted"
     refusal = desk.accepting.refusal(small)
     assert refusal is not None and refusal.only_warnings
 
@@ -387,13 +387,13 @@ def test_what_was_asked_for_inside_is_held_back_in_the_scene(
     wait(lambda: obj.asset is not None and gate.asked, "it is open, and the gate is asked")
     accept(obj, "the hinge is bent", "ann", "2026-01-01T00:00:00+00:00", refused=refused.append)
     row = desk.row(small.item)
-    assert row.shown == "judging" and not row.undecided
+    assert row.shown == "validating" and not row.undecided
     gate.answer("look")
     wait(lambda: refused, "it is told")
     refusal = desk.accepting.refusal(small)
     assert refusal is not None and refusal.only_warnings
     assert refusal.why == "door 1: Penetrates link_0 by 131 mm at 104°."
-    assert desk.row(small.item).shown == "held" and statuses(desk)["small"] == "predicted"
+    assert desk.row(small.item).shown == "on_hold" and statuses(desk)["small"] == "predicted"
     assert (
         obj.pending_acceptance is not None and obj.pending_acceptance.comment == "the hinge is bent"
     )
@@ -498,7 +498,7 @@ def test_the_end_of_the_review_is_told() -> None:
         "**1** of 1 predicted objects: 80 % or more. 2 need annotation (✎)."
     )
     assert count_text(left, 1, 0.8, coming=1).endswith("1 to be predicted. 1 needs annotation (✎).")
-    held = [replace(left[0], mark="held"), replace(left[0], id="9", mark="judging")]
+    held = [replace(left[0], mark="on_hold"), replace(left[0], id="9", mark="validating")]
     assert order(held) == ["0"]
     assert count_text(held, 0, 0.8) == "1 checking. 1 on hold (⚠)."
     decided = rows("rejected", "accepted", "accepted")

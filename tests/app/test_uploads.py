@@ -85,9 +85,9 @@ def lying() -> bytes:
         (zipped(*((f"{i}.obj", b"") for i in range(5001))), "5,001 files"),
         (zipped(("notes.exe", b"MZ")), "nothing that can be opened"),
         (zipped(("x" * 300 + ".obj", OBJ)), "very long name"),
-        (zipped(("a.obj", OBJ))[:-30], "no zip"),
-        (b"PK\x03\x04 not really", "no zip"),
-        (lying(), "no zip"),
+        (zipped(("a.obj", OBJ))[:-30], "not a readable zip"),
+        (b"PK\x03\x04 not really", "not a readable zip"),
+        (lying(), "not a readable zip"),
     ],
 )
 def test_hostile_zips_are_refused_and_leave_nothing(

@@ -27,7 +27,7 @@ SAMPLES: dict[str, tuple[Any, ...]] = {
 NAMED_SAMPLES = {
     ("common", "job"): {"name": ("predict",)},
     ("scene", "job"): {"name": ("read",)},
-    ("scene", "state"): {"state": ("held",)},
+    ("scene", "state"): {"state": ("on_hold",)},
     ("joints", "tree_line"): {"confidence": ("", "87 %", "edited")},
 }
 OUR_OWN = re.compile(

@@ -32,10 +32,10 @@ def check_picture_of_the_chosen(tab: SceneTab) -> None:
     """It is seen from its front, at -y, and its parts look in the picture as in the table."""
     eye = tab.camera_at_rest()
     center = tab.scene.picture.bounds(["cabinet 1"]).mean(0)
-    pose = tab.desk.world_from_copy(tab.desk.items["cabinet 1"])
+    pose = tab.scene_workspace.world_from_copy(tab.scene_workspace.items["cabinet 1"])
     assert ((eye - center) @ pose[:3, :3])[1] < -0.5
     links = {k[3]: n for k, n in tab.scene.picture._nodes.items() if k[0] == "part"}
-    lines = joint_lines(tab.desk.work("cabinet 1").document)
+    lines = joint_lines(tab.scene_workspace.work("cabinet 1").document)
     assert len(lines) == 2
     for part in (1, 2):
         color = palette.part_color(part)
@@ -69,7 +69,9 @@ def test_open_choose_work_in_place_accept_and_save(
     server = start(scene=scene, assets=(assets,), predictor="geometric")
     tab = open_tab(server, kind=SceneTab)
     wait_until(lambda: tab.status("cabinet 1") == "predicted", "the cabinet is predicted")
-    wait_until(lambda: tab.desk.work("cabinet 1").drawn is not None, "its parts are drawn")
+    wait_until(
+        lambda: tab.scene_workspace.work("cabinet 1").drawn is not None, "its parts are drawn"
+    )
     assert tab.status("rock 2") == "static"
 
     # Click the static rock in the picture, say that it moves, take that back.
@@ -95,7 +97,7 @@ def test_open_choose_work_in_place_accept_and_save(
     wait_until(lambda: tab.object is not None and tab.app.drawing.drawn, "the cabinet is open")
     tab.wait_node("/scan")
     root = tab.app.tab.client.scene.get_handle_by_name("/world")
-    pose = tab.desk.world_from_copy(tab.desk.items["cabinet 1"])
+    pose = tab.scene_workspace.world_from_copy(tab.scene_workspace.items["cabinet 1"])
     np.testing.assert_allclose(root.position, np.linalg.inv(pose)[:3, 3], atol=1e-6)
     around = next(n for k, n in tab.scene.picture._nodes.items() if k[0] == "static")
     wait_until(
@@ -126,7 +128,7 @@ def test_open_choose_work_in_place_accept_and_save(
     tab.button("Accept (Y)").first.click()
     wait_until(lambda: tab.status("cabinet 1") == "accepted", "accepted")
     tab.button("Save scene").click()
-    saved = wait_until(lambda: tab.desk.document.saved, "saved")
+    saved = wait_until(lambda: tab.scene_workspace.document.saved, "saved")
     assert (Path(saved.folder) / "scene.xml").is_file()
 
 
@@ -156,13 +158,13 @@ def test_y_inside_needn_t_wait_for_the_gate(start: Any, open_tab: Any, tmp_path:
         lambda: tab.scene.edit.inside is None and tab.scene.choice.selected == "cabinet 2",
         "the next",
     )
-    row = tab.desk.row(tab.desk.items["cabinet 1"])
-    assert row.shown == "judging" and obj.validation.acceptance_waits
+    row = tab.scene_workspace.row(tab.scene_workspace.items["cabinet 1"])
+    assert row.shown == "validating" and obj.validation.acceptance_waits
     tab.page.wait_for_timeout(1500)
     tab.page.screenshot(path=str(tmp_path / "judged_later.png"))
     held.cancel()
     tab.page.get_by_text("cabinet 1: drawer 2 is broken", exact=False).first.wait_for()
-    assert tab.desk.row(tab.desk.items["cabinet 1"]).shown == "held"
+    assert tab.scene_workspace.row(tab.scene_workspace.items["cabinet 1"]).shown == "on_hold"
     assert tab.scene.choice.selected == "cabinet 2" and obj.document.review.state == "predicted"
     tab.scene.choice.choose("cabinet 1")
     tab.page.get_by_text("Not accepted: drawer 2", exact=False).first.wait_for()

@@ -23,8 +23,8 @@ from app.viewer.words.joints import confidence
 PAGE = 13
 _ICONS = {
     "predicted": viser.Icon.SPARKLES,
-    "held": viser.Icon.ALERT_TRIANGLE,
-    "judging": viser.Icon.HOURGLASS,
+    "on_hold": viser.Icon.ALERT_TRIANGLE,
+    "validating": viser.Icon.HOURGLASS,
     "todo": viser.Icon.PENCIL,
     "rejected": viser.Icon.CIRCLE_X,
     "accepted": viser.Icon.CIRCLE_CHECK,
@@ -40,7 +40,7 @@ class SceneList:
     def __init__(
         self,
         tab: Tab,
-        desk: SceneWorkspace,
+        workspace: SceneWorkspace,
         picture: ScenePicture,
         choose: Callable[[str], None],
         remember: Callable[[], None],
@@ -51,7 +51,12 @@ class SceneList:
             choose: gets the id of the object that was clicked.
             remember: is called once the user's name changed.
         """
-        self._tab, self._desk, self._picture, self._choose_object = tab, desk, picture, choose
+        self._tab, self._workspace, self._picture, self._choose_object = (
+            tab,
+            workspace,
+            picture,
+            choose,
+        )
         self._first = 0
         self._shown: Any = None
         self._followed: str | None = None
@@ -61,7 +66,7 @@ class SceneList:
         with panel.add_tab(words.TITLE, viser.Icon.HOME):
             self._title = gui.add_markdown("")
             self._legend = gui.add_html("")
-            self._own = gui.add_checkbox(
+            self._original = gui.add_checkbox(
                 words.ORIGINAL_COLORS, False, hint=words.ORIGINAL_COLORS_HINT
             )
             self._filter = gui.add_dropdown(
@@ -75,13 +80,13 @@ class SceneList:
         panel.set_width(250)
         for k, button in enumerate(self._buttons):
             button.on_click(lambda _, k=k: tab.act(lambda: self._choose(k)))
-        self._own.on_update(lambda _: tab.act(self._recolor))
+        self._original.on_update(lambda _: tab.act(self._recolor))
         self._filter.on_update(lambda _: self._turn(None))
         self._search.on_update(lambda _: self._turn(None))
         self._pages.on_click(lambda e: self._turn({"◀": -1, "▶": 1}.get(e.target.value, 0)))
 
     def _recolor(self) -> None:
-        self._picture.own = self._own.value
+        self._picture.original_colors = self._original.value
 
     def _choose(self, k: int) -> None:
         if k < len(self._ids):
@@ -102,14 +107,25 @@ class SceneList:
         self._first = min(max(self._first, 0), max(0, (len(chosen) - 1) // PAGE * PAGE))
         page = chosen[self._first : self._first + PAGE]
         counts = Counter(r.shown for r in rows)
-        own = self._picture.own
-        now = (tuple(page), current, len(chosen), self._first, tuple(counts.items()), own)
+        original_colors = self._picture.original_colors
+        now = (
+            tuple(page),
+            current,
+            len(chosen),
+            self._first,
+            tuple(counts.items()),
+            original_colors,
+        )
         if now == self._shown:
             return
         self._shown = now
-        name = self._desk.record.name if self._desk.scene is None else self._desk.scene.name
+        name = (
+            self._workspace.record.name
+            if self._workspace.scene is None
+            else self._workspace.scene.name
+        )
         put(self._title, "content", words.about(plain(name, 60), len(rows)))
-        put(self._legend, "content", legend(counts, own))
+        put(self._legend, "content", legend(counts, original_colors))
         self._ids = [r.id for r in page]
         put(self._pages, "visible", len(chosen) > PAGE)
         put(self._pages, "options", page_buttons(self._first // PAGE, -(-len(chosen) // PAGE)))
@@ -119,7 +135,7 @@ class SceneList:
                 self._show(button, page[k], page[k].id == current)
 
     def _fits(self, row: Row) -> bool:
-        item = self._desk.items[row.id]
+        item = self._workspace.items[row.id]
         text = f"{row.id} {item.obj.description} {item.category or ''}".lower()
         return (
             self._filter.value in (common.ALL, common.SCENE_STATES[row.shown])
@@ -140,12 +156,12 @@ def page_buttons(page: int, count: int) -> tuple[str, str, str]:
     return ("◀" if page > 0 else "·", f"{page + 1}/{count}", "▶" if page + 1 < count else "· ")
 
 
-def legend(counts: Counter[Any], own: bool) -> str:
+def legend(counts: Counter[Any], original_colors: bool) -> str:
     """Squares in the colours of those states that give their objects one, hollow ones for the
     others, with their counts; our own words and numbers only."""
 
     def square(state: Shown) -> str:
-        if own or state in ("static", "failed", "missing"):
+        if original_colors or state in ("static", "failed", "missing"):
             return "border:1.5px dashed #98a0a8"
         return f"background:rgb{palette.SCENE_COLORS[state]}"
 
@@ -156,7 +172,7 @@ def legend(counts: Counter[Any], own: bool) -> str:
         f"<span>{common.SCENE_STATES[s]}</span>"
         f'<b style="margin-left:auto;padding-right:10px">{counts[s]}</b></div>'
         for s in SHOWN
-        if s not in ("failed", "missing", "held", "judging") or counts[s]
+        if s not in ("failed", "missing", "on_hold", "validating") or counts[s]
     )
     return (
         '<div style="display:grid;grid-template-columns:1fr 1fr;gap:3px 4px;font-size:13px;'

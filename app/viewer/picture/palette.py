@@ -46,9 +46,9 @@ STATE_COLORS: Final[dict[str, Rgb]] = {
 
 SCENE_COLORS: Final[dict[str, Rgb]] = {
     "predicted": (128, 90, 213),
-    "held": (168, 92, 26),
+    "on_hold": (168, 92, 26),
     "todo": (237, 160, 40),
-    "judging": (150, 205, 110),
+    "validating": (150, 205, 110),
     "rejected": (224, 49, 49),
     "accepted": (47, 158, 68),
     "static": (196, 200, 206),

@@ -16,18 +16,18 @@ from app.viewer.words import scene as words
 from model.core.errors import CommandError
 
 
-def _at_the_end(desk: SceneWorkspace) -> tuple[str, str, str]:
+def _at_the_end(workspace: SceneWorkspace) -> tuple[str, str, str]:
     """Why nothing waits for a decision: title, text, color."""
-    if desk.scene is None:
-        if desk.problem:
-            return words.READ_NOTHING, desk.problem, "red"
+    if workspace.scene is None:
+        if workspace.problem:
+            return words.READ_NOTHING, workspace.problem, "red"
         return *words.STILL_READING, "gray"
-    rows = [r for r in desk.rows() if r.work is not None]
-    if not desk.items:
+    rows = [r for r in workspace.rows() if r.work is not None]
+    if not workspace.items:
         return words.READ_NOTHING, words.NO_OBJECTS, "yellow"
     if not rows:
         return *words.NOTHING_TO_DECIDE, "gray"
-    checking = sum(r.mark == "judging" for r in rows)
+    checking = sum(r.mark == "validating" for r in rows)
     if checking:
         return *words.still_checking(checking), "gray"
     return *words.done(decided_text(rows)), "green"
@@ -48,20 +48,20 @@ class SceneChoice:
     def __init__(
         self,
         tab: Tab,
-        desk: SceneWorkspace,
+        workspace: SceneWorkspace,
         picture: ScenePicture,
         leave_other: Callable[[str | None], None],
         remember: Callable[[], None],
     ) -> None:
-        self._tab, self._desk, self._picture = tab, desk, picture
+        self._tab, self._workspace, self._picture = tab, workspace, picture
         self._leave_other, self._remember = leave_other, remember
         self.selected: str | None = None
         self.rows: list[Row] = []
 
     def refresh(self) -> None:
         """Take in what changed in the scene."""
-        self.rows = self._desk.rows()
-        if self.selected not in self._desk.items:
+        self.rows = self._workspace.rows()
+        if self.selected not in self._workspace.items:
             self.selected = None
 
     def click(self, origin: Any, direction: Any) -> None:
@@ -73,14 +73,14 @@ class SceneChoice:
         self._leave_other(id)
         self.selected = id
         self._remember()
-        self._desk.prefer(id)
+        self._workspace.prefer(id)
         if look and id is not None and self._tab.selection.object is None:
             self._picture.frame([id], front=True)
         self._tab.invalidate()
 
     def step(self, by: int) -> None:
         """Choose the next object that wants a decision, or with -1 the one before."""
-        ids = order(self._desk.rows())
+        ids = order(self._workspace.rows())
         if not ids:
             self.say_end()
         elif self.selected in ids:
@@ -90,7 +90,7 @@ class SceneChoice:
 
     def say_end(self) -> None:
         """Say why no object wants a decision."""
-        self._tab.notify(*_at_the_end(self._desk))
+        self._tab.notify(*_at_the_end(self._workspace))
 
     def need(self) -> str:
         """The chosen object.
@@ -108,7 +108,7 @@ class SceneChoice:
         Raises:
             CommandError: where there is none.
         """
-        work = self._desk.work(self.need())
+        work = self._workspace.work(self.need())
         if work is None:
             raise CommandError(words.is_static(self.need()))
         return work

@@ -34,8 +34,8 @@ STATES: Final[dict[str, str]] = {
 }
 SCENE_STATES: Final[dict[str, str]] = {
     **STATES,
-    "held": HELD,
-    "judging": "checking",
+    "on_hold": HELD,
+    "validating": "checking",
     "static": "static",
     "failed": "failed",
     "missing": "missing",
