@@ -152,7 +152,7 @@ class ClientApp:
     def _pointer_actions(self) -> PointerActions:
         return PointerActions(
             show_keys=self._sheet.toggle,
-            answer=self.commands.answer,
+            name_by_key=self.commands.name_by_key,
             dismiss=self._dismiss,
             withdraw=self.review.withdraw,
             click_scene=self._click_scene,
@@ -165,7 +165,7 @@ class ClientApp:
         self._navigation.open(session)
         if review:
             self.tab.selection.set_step("Review")
-            self.review.gate.show_worst()
+            self.review.validation_list.show_worst()
 
     def _dismiss(self) -> bool:
         """Close the sheet of keys and the question for a reason; whether one was open."""
@@ -195,7 +195,7 @@ class ClientApp:
         elif self.scene is not None:
             self.scene.list.user_name.show()
             if memory.inside or memory.chosen:
-                self.scene.come_back(memory.inside, memory.chosen)
+                self.scene.restore(memory.inside, memory.chosen)
 
     def _remember(self) -> None:
         """Keep the user's name, place and light in the browser."""
@@ -211,7 +211,7 @@ class ClientApp:
     def _opened(self, obj: OpenObject) -> None:
         if obj.hold_reason:
             self.tab.selection.set_step("Review")
-            self.review.gate.show_soon(obj)
+            self.review.validation_list.show_soon(obj)
 
     def close(self) -> None:
         """End what belongs to the tab."""
@@ -280,6 +280,6 @@ class ClientApp:
         obj = self.tab.selection.object
         if obj is None:
             return None
-        looked_at = self.review.gate.looked_at(obj) is not None
+        looked_at = self.review.validation_list.looked_at(obj) is not None
         there = self.drawing.drawn or bool(obj.problem)
         return obj.record.id, there, obj.document.review, looked_at

@@ -134,15 +134,15 @@ class Commands:
         else:
             self._tab.selection.choose_part(number)
 
-    def answer(self, number: int) -> None:
+    def name_by_key(self, number: int) -> None:
         """Shift and a number: what a part, or with 0 the object, is. Says what came of it."""
         selection = self._tab.selection
         if selection.object is None or selection.picking:
             return
         step = {"Annotate": self._annotate, "Joints": self._joints}.get(selection.step)
-        said = common.NAMES_EARLIER if step is None else step.answer(number)
-        if said:
-            self._tab.say(said)
+        text = common.NAMES_EARLIER if step is None else step.name_by_key(number)
+        if text:
+            self._tab.say(text)
 
     def next_choice(self) -> None:
         """The next mask for the part, the next joint, or the next one to look at (Tab)."""
@@ -150,7 +150,7 @@ class Commands:
         if step == "Annotate":
             self._annotate.next_mask(1)
         elif step == "Review":
-            self._review.gate.show_next()
+            self._review.validation_list.show_next()
         else:
             self._joints.choose_next()
 
@@ -193,8 +193,8 @@ def bindings(
     yield Binding(words.HIDE, "H", annotate.parts.toggle_hidden)
     # The page hears Shift and a number: which sign that writes depends on the keyboard.
     for number, name in enumerate(NUMBERED, 1):
-        yield Binding(words.name_part(name), None, _with(commands.answer, number))
-    yield Binding(words.TAKE_CATEGORY, None, _with(commands.answer, 0))
+        yield Binding(words.name_part(name), None, _with(commands.name_by_key, number))
+    yield Binding(words.TAKE_CATEGORY, None, _with(commands.name_by_key, 0))
     yield Binding(words.DELETE, "delete", annotate.parts.delete)
     for row in TOOL_ROWS:
         for label, tool in row.tools.items():

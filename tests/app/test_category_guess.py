@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from app.viewer.panels.category_guess import category_guesses, told_by
+from app.viewer.panels.category_guess import category_guesses, category_in
 from sessions.records import ObjectRecord
 
 
@@ -36,7 +36,7 @@ def record(number: int, path: str, category: str | None = None, at: str = "") ->
     ],
 )
 def test_a_name_tells_what_it_is(name: str, category: str | None) -> None:
-    assert told_by(name) == category
+    assert category_in(name) == category
 
 
 def test_a_folder_tells_where_the_file_does_not() -> None:

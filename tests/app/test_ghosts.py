@@ -11,9 +11,9 @@ import numpy as np
 from app.server.scene_shapes import Shape
 from app.viewer.picture import ghosts
 from app.viewer.picture.ghosts import Ghosts, before
-from app.viewer.picture.scene_nodes import Scans, Stand
+from app.viewer.picture.scene_nodes import Placement, Scans
 
-STAND = Stand(
+STAND = Placement(
     np.array([[0, -1, 0, 2], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1.0]]), np.full(3, 2.0)
 )
 """Turned by a quarter, twice as large, two metres along x."""
@@ -52,7 +52,7 @@ def test_they_follow_the_camera_and_leave_out_what_is_worked_on(monkeypatch: Any
     eye = np.array([2.0, -4.0, 0.5])
     cloud = np.array([[2, -2, 0.5], [2, 2, 0.5], [8, 0, 0]], np.float32)
     shape = Shape(np.array([cloud.min(0), cloud.max(0)]), cloud, None, np.zeros((3, 3), np.uint8))
-    room = Scans(client, "room", ("room", "mine"), shape, [Stand(np.eye(4), np.ones(3)), STAND],
+    room = Scans(client, "room", ("room", "mine"), shape, [Placement(np.eye(4), np.ones(3)), STAND],
                  None, "")  # fmt: skip
     around = Ghosts(client, "ghosts", lambda: eye)
     at = Shape(BOX, cloud, None), STAND

@@ -10,7 +10,7 @@ import pytest
 import trimesh
 
 from app.server.scene_shapes import Shape
-from app.viewer.picture.scene_nodes import Node, Stand
+from app.viewer.picture.scene_nodes import Node, Placement
 from app.viewer.picture.scene_picture import ScenePicture
 from model.geometry.picking import DEFAULT_PIXEL_ANGLE
 
@@ -28,7 +28,7 @@ def picture() -> ScenePicture:
                       box.faces.astype(np.uint32))  # fmt: skip
         world = np.eye(4)
         world[0, 3] = at
-        nodes[name] = Node((name,), shape, [Stand(world, np.full(3, 0.5))], None, "")
+        nodes[name] = Node((name,), shape, [Placement(world, np.full(3, 0.5))], None, "")
     out._nodes = nodes
     return out
 

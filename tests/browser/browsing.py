@@ -201,18 +201,18 @@ class SceneTab(Tab):
         return self.app.scene
 
     @property
-    def desk(self) -> Any:
+    def scene_workspace(self) -> Any:
         return self.server.app_state.scene
 
     def ready(self) -> SceneTab:
         page = self.page
         page.wait_for_selector("canvas", state="attached", timeout=150_000)
         wait_until(lambda: self.server.apps, "the server sees the tab")
-        wait_until(lambda: self.desk.scene is not None, "the scene is read")
+        wait_until(lambda: self.scene_workspace.scene is not None, "the scene is read")
         self.wait_node("/world/ground")
         page.wait_for_function("() => window.__viserPointer.hasSceneClickFilter()", timeout=150_000)
         page.wait_for_timeout(400)
         return self
 
     def status(self, id: str) -> str:
-        return self.desk.status(self.desk.items[id])
+        return self.scene_workspace.status(self.scene_workspace.items[id])

@@ -61,7 +61,7 @@ def test_a_real_refrigerator_becomes_an_asset(start: Any, open_tab: Any, shared_
     tab.key("y")
     if wait_until(lambda: tab.object.validation.report, "a verdict").severity == Severity.WARNING:
         obj = tab.object  # it is shown first
-        wait_until(lambda: tab.app.review.gate.looked_at(obj), "it was shown")
+        wait_until(lambda: tab.app.review.validation_list.looked_at(obj), "it was shown")
         tab.wait_seen()
         tab.key("y")
     wait_until(lambda: tab.document.review.state == "accepted", "accepted")

@@ -193,7 +193,7 @@ def test_y_shows_what_wants_a_look_before_it_accepts(
     tab.app.guard._sent = None  # as if it had only just come on the screen
     tab.key("y")  # too early: nobody has seen it
     tab.page.wait_for_timeout(1500)
-    assert tab.app.review.gate.looked_at(other) is None
+    assert tab.app.review.validation_list.looked_at(other) is None
     assert other.document.review.state == "predicted"
 
 
@@ -315,8 +315,8 @@ def test_one_click_a_joint_mends_a_predicted_demo(start: Any, open_tab: Any) -> 
     assert tab.page.get_by_role("button", name=re.compile("Accept anyway")).count() == 0
     tab.button("Accept with edits (Y)").click()
     saved = wait_until(lambda: obj.document.saved, "saved", 300)
-    gate = json.loads((Path(saved.folder) / "provenance.json").read_text())["gate"]
-    assert (gate["verdict"], gate["override"]) == ("fine", "")
+    validation_list = json.loads((Path(saved.folder) / "provenance.json").read_text())["gate"]
+    assert (validation_list["verdict"], validation_list["override"]) == ("fine", "")
 
 
 def test_the_least_sure_prediction_follows_a_decision(

@@ -106,11 +106,11 @@ class Hover:
         if wanted == self._shown:
             return True
         x, y, z = (float(v) for v in hit.position)
-        answer = self._queries.preview(obj.asset, doc, Click((x, y, z), part, True, element))
+        preview = self._queries.preview(obj.asset, doc, Click((x, y, z), part, True, element))
         if self._place is None or obj is not selection.object or obj.document.key != doc.key:
             return True  # clicked or left meanwhile
         self._shown = wanted
-        self._picture.overlays.show_hover(answer.gained, answer.lost, palette.part_color(part))
+        self._picture.overlays.show_hover(preview.gained, preview.lost, palette.part_color(part))
         self.seconds = time.perf_counter() - came
         return True
 

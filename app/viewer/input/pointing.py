@@ -68,7 +68,7 @@ class PointerActions:
     """
 
     show_keys: Callable[[], None]
-    answer: Callable[[int], None]
+    name_by_key: Callable[[int], None]
     dismiss: Callable[[], bool]
     withdraw: Callable[[], None]
     click_scene: Callable[[Point, Point], bool]
@@ -97,7 +97,7 @@ class Pointing:
         self._places: list[tuple[Point, int]] = []
         self._shifted = False
         self._frame: dict[str, Point] | None = None
-        self._told: dict[str, Any] = {}
+        self._sent: dict[str, Any] = {}
         self._actions: PointerActions | None = None
         tab.selection.on_open(self.begin)
         tab.selection.on_step(self._step_begins)
@@ -138,7 +138,7 @@ class Pointing:
         endpoint.register_handler(ArtiworldStrokeMessage, lambda _, m: self._stroked(m))
         endpoint.register_handler(ArtiworldToolMessage, lambda _, m: self._tool_key(m.tool))
         endpoint.register_handler(
-            ArtiworldAnswerMessage, lambda _, m: tab.act(lambda: actions.answer(int(m.number)))
+            ArtiworldAnswerMessage, lambda _, m: tab.act(lambda: actions.name_by_key(int(m.number)))
         )
 
     def begin(self, *, same: bool = False) -> None:
@@ -171,9 +171,9 @@ class Pointing:
             "anchor": drawing and self.armed in _CUTS and bool(self._places),
             "hint": hint,
         }
-        news = {k: v for k, v in state.items() if self._told.get(k) != v}
+        news = {k: v for k, v in state.items() if self._sent.get(k) != v}
         if news:
-            self._told = state
+            self._sent = state
             set_page_state(self._tab.client, **news)
 
     def _hint(self) -> str:
@@ -237,7 +237,7 @@ class Pointing:
             act(actions.show_keys)
         elif tool in ("click", "lasso", "brush"):
             # The page has switched already: that is no news for it.
-            self._told["tool"] = tool
+            self._sent["tool"] = tool
             act(lambda: self._switch(tool, actions))  # type: ignore[arg-type]
 
     def _switch(self, tool: Tool, actions: PointerActions) -> None:

@@ -43,13 +43,13 @@ def category_guesses(
     """
     path = record.path
     texts = (path.stem, *reversed(path.parent.parts[1:][-_FOLDERS:]))
-    told = next(filter(None, map(told_by, texts)), None)
+    declared = next(filter(None, map(category_in, texts)), None)
     last: dict[str, tuple[bool, str]] = {}
     for other in queue:
         category = _LISTED.get((other.category or "").replace(" ", "").lower())
         if category is not None and other.id != record.id:
             last[category] = max(last.get(category, (False, "")), (other.who == who, other.updated))
-    found = dict.fromkeys([*filter(None, [told]), *sorted(last, key=lambda c: last[c])[::-1]])
+    found = dict.fromkeys([*filter(None, [declared]), *sorted(last, key=lambda c: last[c])[::-1]])
     out: list[str] = []
     for category in found:
         if out and sum(len(c) + _FRAME for c in (*out, category)) > _ROW:
@@ -59,18 +59,18 @@ def category_guesses(
 
 
 @lru_cache(maxsize=4096)
-def told_by(text: str) -> str | None:
+def category_in(text: str) -> str | None:
     """The category that a file's or folder's name says: "office_chair_02" is a Chair.
 
     As in English the thing comes last, "table_with_lamp" is a table, and words that say nothing
     are passed over: "oven_scan_3".
     """
-    said = re.findall(r"[a-z]+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", text).lower())
-    if "with" in said[1:]:
-        said = said[: said.index("with", 1)]
-    for end in range(len(said), 0, -1):
+    words_of = re.findall(r"[a-z]+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", text).lower())
+    if "with" in words_of[1:]:
+        words_of = words_of[: words_of.index("with", 1)]
+    for end in range(len(words_of), 0, -1):
         for count in (3, 2, 1):
-            if count <= end and (found := _meant(said[end - count : end])) is not None:
+            if count <= end and (found := _meant(words_of[end - count : end])) is not None:
                 return found
     return None
 
@@ -99,7 +99,7 @@ class CategoryGuess:
         self,
         tab: Tab,
         records: Callable[[], Sequence[ObjectRecord]],
-        said: Callable[[str], None],
+        words_of: Callable[[str], None],
     ) -> None:
         """Put the row where the panel is.
 
@@ -107,7 +107,7 @@ class CategoryGuess:
             records: the queue.
             said: gets the category.
         """
-        self._tab, self._records, self._said = tab, records, said
+        self._tab, self._records, self._chosen = tab, records, words_of
         self._shown: tuple[str, ...] = ()
         self._row = tab.client.gui.add_button_group(
             words.SUGGESTIONS,
@@ -115,7 +115,7 @@ class CategoryGuess:
             hint=words.SUGGESTIONS_HINT,
             visible=False,
         )
-        self._row.on_click(lambda e: tab.act(lambda: said(e.target.value.removesuffix(_MARK))))
+        self._row.on_click(lambda e: tab.act(lambda: words_of(e.target.value.removesuffix(_MARK))))
 
     @property
     def first(self) -> str | None:
@@ -136,5 +136,5 @@ class CategoryGuess:
         """Say the likeliest; None where nothing is offered."""
         category = self.first
         if category is not None:
-            self._said(category)
+            self._chosen(category)
         return category

@@ -17,12 +17,12 @@ def queue_names(records: Sequence[ObjectRecord]) -> dict[int, str]:
     for name, group in same.items():
         names = [name] * len(group)
         if len(group) > 1:
-            names = _told_apart(name, group)
+            names = _distinct_names(name, group)
         out.update(zip((r.id for r in group), names, strict=True))
     return out
 
 
-def _told_apart(name: str, group: list[ObjectRecord]) -> list[str]:
+def _distinct_names(name: str, group: list[ObjectRecord]) -> list[str]:
     deepest = max(len(r.path.parts) for r in group)
     names = [f"{name}{r.path.suffix}" for r in group]
     for depth in range(1, deepest):

@@ -59,9 +59,9 @@ class SceneCard:
     """Widgets for a scene; they are hidden while one of its objects is worked on."""
 
     def __init__(
-        self, tab: Tab, desk: SceneWorkspace, rejecting: Rejecting, actions: SceneActions
+        self, tab: Tab, workspace: SceneWorkspace, rejecting: Rejecting, actions: SceneActions
     ) -> None:
-        self._tab, self._desk, self._actions = tab, desk, actions
+        self._tab, self._workspace, self._actions = tab, workspace, actions
         gui = tab.client.gui
         self._status = gui.add_markdown("")
         self._progress = gui.add_progress_bar(0.0, visible=False, animated=True)
@@ -97,7 +97,9 @@ class SceneCard:
 
     def _listen(self) -> None:
         act, do = self._tab.act, self._actions
-        self._pause.on_click(lambda _: act(lambda: self._desk.pause(not self._desk.paused)))
+        self._pause.on_click(
+            lambda _: act(lambda: self._workspace.pause(not self._workspace.paused))
+        )
         self._history.on_click(
             lambda e: act(do.undo if e.target.value == common.HISTORY_ACTIONS[0] else do.redo)
         )
@@ -121,56 +123,56 @@ class SceneCard:
 
     def draw(self, rows: Sequence[Row], selected: str | None, moving: bool) -> None:
         """Bring the widgets up to date; ``moving`` while joints play."""
-        desk = self._desk
+        workspace = self._workspace
         self._draw_status()
         put(self._play, "label", words.STOP if moving else words.PLAY)
-        joints = any(w.document.tree is not None for w in desk.wanted())
+        joints = any(w.document.tree is not None for w in workspace.wanted())
         put(self._play, "color", "blue" if joints else "gray")
         put(self._play, "icon", viser.Icon.PLAYER_STOP if moving else viser.Icon.PLAYER_PLAY)
         self._draw_chosen(selected)
         ready = self._actions.above(self.above)
         count = sum(r.work in ready for r in rows)
-        coming = sum(desk.awaits_prediction(r) for r in rows)
+        coming = sum(workspace.awaits_prediction(r) for r in rows)
         put(self._count, "content", count_text(rows, count, self.above, coming))
         put(self._accept_all, "label", words.accept_count(count))
         put(self._accept_all, "disabled", not ready)
-        saved = desk.document.saved
+        saved = workspace.document.saved
         put(self._saved, "visible", saved is not None)
         if saved is not None:
             put(self._saved, "content", saved_in(plain(saved.folder, 300)))
-        saving = "save" in desk.busy
-        put(self._save, "disabled", saving or desk.scene is None)
+        saving = "save" in workspace.busy
+        put(self._save, "disabled", saving or workspace.scene is None)
         put(self._save, "label", words.SAVING if saving else words.SAVE)
-        put(self._report, "disabled", "report" in desk.busy or desk.scene is None)
+        put(self._report, "disabled", "report" in workspace.busy or workspace.scene is None)
 
     def _draw_status(self) -> None:
-        desk = self._desk
+        workspace = self._workspace
         lines = []
-        if desk.problem:
-            lines.append(common.warning(plain(desk.problem, 400)))
+        if workspace.problem:
+            lines.append(common.warning(plain(workspace.problem, 400)))
         # What was taken back may need a moment to stop; nobody waits for it any more.
-        idle = () if desk.accepting.waiting else ("accept",)
-        busy = dict(desk.busy)  # jobs end while this is drawn
+        idle = () if workspace.accepting.waiting else ("accept",)
+        busy = dict(workspace.busy)  # jobs end while this is drawn
         shown = [w for w in words.JOBS if w in busy and w not in idle]
         fraction = 0.0
         if shown:
             fraction, message = busy[shown[0]]
             lines.append(f"*{words.job(shown[0], plain(message))}*")
-        problems = () if desk.scene is None else desk.scene.problems
+        problems = () if workspace.scene is None else workspace.scene.problems
         if problems:
             told = [about(plain(p.object, 40), plain(p.text, 200)) for p in problems[:PROBLEMS]]
             lines.append(words.file_problems(told, max(len(problems) - PROBLEMS, 0)))
         put(self._status, "content", "\n\n".join(lines))
         put(self._progress, "visible", bool(shown))
         put(self._progress, "value", round(100 * fraction, 1))
-        put(self._pause, "visible", desk.paused or "prepare" in desk.busy)
-        put(self._pause, "label", words.RESUME if desk.paused else words.PAUSE)
+        put(self._pause, "visible", workspace.paused or "prepare" in workspace.busy)
+        put(self._pause, "label", words.RESUME if workspace.paused else words.PAUSE)
 
     def _draw_chosen(self, id: str | None) -> None:
-        desk = self._desk
-        item = None if id is None else desk.items.get(id)
-        work = None if id is None else desk.work(id)
-        row = None if item is None else desk.row(item)
+        workspace = self._workspace
+        item = None if id is None else workspace.items.get(id)
+        work = None if id is None else workspace.work(id)
+        row = None if item is None else workspace.row(item)
         put(self._about, "content", self._text(id))
         self._joints.draw(work)
         can_work = item is not None and item.path is not None and row is not None
@@ -178,17 +180,17 @@ class SceneCard:
         put(self._kind, "visible", can_work)
         if item is not None:
             labels = (words.ARTICULABLE, words.STATIC)
-            chosen = labels[not desk.articulable(item)]
+            chosen = labels[not workspace.articulable(item)]
             put(self._kind, "options", tuple(common.CHOSEN * (k == chosen) + k for k in labels))
         put(self._work, "visible", can_work and work is not None)
         has_tree = work is not None and work.document.tree is not None
         decided = row is not None and row.status in ("accepted", "rejected")
-        waiting = row is not None and row.mark == "judging"
+        waiting = row is not None and row.mark == "validating"
         put(self._pick, "visible", can_work and not has_tree)
-        put(self._pick, "color", "blue" if work is None and len(desk.items) == 1 else "gray")
+        put(self._pick, "color", "blue" if work is None and len(workspace.items) == 1 else "gray")
         put(self._accept, "visible", has_tree and row is not None and row.status != "accepted")
         put(self._accept, "disabled", waiting)
-        refusal = None if work is None else desk.accepting.refusal(work)
+        refusal = None if work is None else workspace.accepting.refusal(work)
         look = refusal is not None and refusal.only_warnings
         label = words.ACCEPT_ANYWAY if look else words.ACCEPT
         put(self._accept, "label", words.CHECKING if waiting else label)
@@ -196,26 +198,26 @@ class SceneCard:
         self._reject.draw(can_reject)
 
     def _text(self, id: str | None) -> str:
-        desk = self._desk
-        if id is None or id not in desk.items:
+        workspace = self._workspace
+        if id is None or id not in workspace.items:
             return words.NOTHING_SELECTED
-        item, work = desk.items[id], desk.work(id)
-        lines = [f"**{plain(id, 80)}** · {common.SCENE_STATES[desk.row(item).shown]}"]
+        item, work = workspace.items[id], workspace.work(id)
+        lines = [f"**{plain(id, 80)}** · {common.SCENE_STATES[workspace.row(item).shown]}"]
         if item.obj.description and item.obj.description != id:
             lines.append(plain(item.obj.description, 200))
         why = plain(item.decision.reason, 300)
-        said = desk.document.articulable.get(id)
+        said = workspace.document.articulable.get(id)
         if said is not None:
             lines.append(words.kind_set(said))
         lines.append(words.why(why))
         if work is None:
-            missing = desk.missing_reason(item)
+            missing = workspace.missing_reason(item)
             lines += [common.warning(plain(missing, 300))] if missing else []
             return "\n\n".join(lines)
-        twins = len(desk.twins(id))
+        twins = len(workspace.twins(id))
         if twins > 1:
             lines.append(words.instances(twins))
-        lines += _about_work(work, desk.accepting.refusal(work), item.decision.parts)
+        lines += _about_work(work, workspace.accepting.refusal(work), item.decision.parts)
         return "\n\n".join(lines)
 
 
@@ -243,7 +245,7 @@ def count_text(rows: Sequence[Row], count: int, above: float, coming: int = 0) -
     """What is left to decide; ``count`` objects are at least ``above`` sure, 0..1, and ``coming``
     are still to be predicted."""
     shown = Counter(r.shown for r in rows)
-    known, going, held, clicks = (shown[s] for s in ("predicted", "judging", "held", "todo"))
+    known, going, held, clicks = (shown[s] for s in ("predicted", "validating", "on_hold", "todo"))
     clicks -= coming
     text = words.to_decide(known, count, above, going, held, coming, clicks)
     if not text and any(r.work is not None for r in rows):

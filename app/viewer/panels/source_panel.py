@@ -45,9 +45,9 @@ class SourcePanel:
             self._unit = gui.add_dropdown(words.UNIT, tuple(UNITS))
             self._frame = gui.add_button(words.APPLY, color="gray")
         self._leave_out.on_click(lambda e: tab.act(lambda: self.leave_out(e.target.value)))
-        self._back.on_click(lambda _: tab.act(self.put_back))
+        self._back.on_click(lambda _: tab.act(self.restore))
         self._cut_out.on_click(lambda _: tab.act(self.cut_out))
-        self._frame.on_click(lambda _: tab.act(self._read_again))
+        self._frame.on_click(lambda _: tab.act(self._reload))
 
     def leave_out(self, what: str = words.EXCLUDE_ACTIONS[0]) -> None:
         """Look no more at the floor and the walls, or at the chosen part."""
@@ -58,7 +58,7 @@ class SourcePanel:
             raise CommandError(words.EXCLUDE_BASE)
         leave_out(obj, "part" if one else "floor and walls", part, tab.user)
 
-    def put_back(self) -> None:
+    def restore(self) -> None:
         """Look at the whole source again."""
         self._tab.do(cmd.LeaveOut(None))
 
@@ -75,7 +75,7 @@ class SourcePanel:
 
         cut_out(tab.selection.need_object(), part, tab.user, open_it)
 
-    def _read_again(self) -> None:
+    def _reload(self) -> None:
         obj = self._tab.selection.need_object()
         self._tab.do(cmd.SetFrame(self._up.value, UNITS[self._unit.value]))
         obj.ensure_open()

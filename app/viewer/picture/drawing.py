@@ -65,7 +65,7 @@ class ObjectDrawing:
             self._id, self._asset = obj.record.id, obj.asset
             self._motion.forget()
             self._shown(stays)
-        elif obj.asset is None and self._id is not None and not self._read_again(obj):
+        elif obj.asset is None and self._id is not None and not self._is_reloading(obj):
             self.clear()
         if obj.asset is not None:
             self._draw(obj, obj.document, touch)
@@ -77,7 +77,7 @@ class ObjectDrawing:
             self._asset = self._id = None
             self._motion.forget()
 
-    def _read_again(self, obj: OpenObject) -> bool:
+    def _is_reloading(self, obj: OpenObject) -> bool:
         """Whether what is shown is the same object, whose faces are numbered anew just now."""
         return self._id == obj.record.id and not obj.problem
 

@@ -17,7 +17,7 @@ import viser
 
 from app.server.scene_shapes import Shape
 from app.viewer.picture import palette
-from app.viewer.picture.scene_nodes import Node, Scans, Stand
+from app.viewer.picture.scene_nodes import Node, Placement, Scans
 
 Array = npt.NDArray[np.float64]
 
@@ -46,7 +46,7 @@ class Ghosts:
         self._lock = threading.Lock()
         self._drawn: tuple[Any, ...] = (None,)
         self._points: Array | None = None
-        self._box: tuple[Array, Stand] = np.zeros((2, 3)), Stand(np.eye(4), np.ones(3))
+        self._box: tuple[Array, Placement] = np.zeros((2, 3)), Placement(np.eye(4), np.ones(3))
         self._kept = np.zeros(0, bool)
         self._handle: Any = None
         self._news = threading.Event()
@@ -54,7 +54,9 @@ class Ghosts:
         client.camera.on_update(lambda _: self._news.set())
         threading.Thread(target=self._follow, name="ghosts", daemon=True).start()
 
-    def draw(self, id: str | None, nodes: Iterable[Node], at: tuple[Shape, Stand] | None) -> None:
+    def draw(
+        self, id: str | None, nodes: Iterable[Node], at: tuple[Shape, Placement] | None
+    ) -> None:
         """Show the scans around an object; nothing where that is None.
 
         Args:
@@ -75,12 +77,12 @@ class Ghosts:
             size = float(np.median([n.point_size(k) for n, k in each]))
             self._show(points, POINT_SIZE * size, at[0].bounds, at[1])
 
-    def _show(self, points: Array, size: float, bounds: Array, stand: Stand) -> None:
+    def _show(self, points: Array, size: float, bounds: Array, placement: Placement) -> None:
         if len(points) > MOST:
             points = points[np.random.default_rng(0).choice(len(points), MOST, replace=False)]
         with self._lock:
-            self._points, self._box = points, (bounds, stand)
-            kept = self._kept = ~before(self._eye(), points, bounds, stand)
+            self._points, self._box = points, (bounds, placement)
+            kept = self._kept = ~before(self._eye(), points, bounds, placement)
             self._handle = self._client.scene.add_point_cloud(
                 self._name, points[kept].astype(np.float16), palette.SCAN_GHOST,
                 precision="float16", point_size=size, point_shape="circle",
@@ -121,7 +123,7 @@ class Ghosts:
             self._handle.points = self._points[kept].astype(np.float16)
 
 
-def before(eye: Array, points: Array, bounds: Array, stand: Stand) -> npt.NDArray[np.bool_]:
+def before(eye: Array, points: Array, bounds: Array, placement: Placement) -> npt.NDArray[np.bool_]:
     """(N,) which points stand between an eye and an object's box.
 
     Args:
@@ -129,9 +131,9 @@ def before(eye: Array, points: Array, bounds: Array, stand: Stand) -> npt.NDArra
         bounds: (2, 3) of the object's asset.
         stand: where that is.
     """
-    turn = stand.world[:3, :3] / stand.scale
-    start = (eye - stand.world[:3, 3]) @ turn
-    along = (points - stand.world[:3, 3]) @ turn - start
+    turn = placement.world[:3, :3] / placement.scale
+    start = (eye - placement.world[:3, 3]) @ turn
+    along = (points - placement.world[:3, 3]) @ turn - start
     low, high = np.sort(bounds, axis=0)
     reach = _MARGIN * float(np.linalg.norm(high - low))
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -16,7 +16,7 @@ from app.server.pointer_messages import hide_on_page
 from app.viewer.picture import palette
 
 OPACITY = 0.5
-CLOUD_TINT = 0.55
+CLOUD_OPACITY = 0.55
 
 Labels = npt.NDArray[np.int16]
 
@@ -36,8 +36,8 @@ class LabelOverlay:
         self._client = client
         self._asset = asset
         self._scan = scan
-        self._tints: dict[int, Any] = {}
-        self._tint_vertices: dict[int, npt.NDArray[np.int32]] = {}
+        self._meshes: dict[int, Any] = {}
+        self._mesh_vertices: dict[int, npt.NDArray[np.int32]] = {}
         self._hidden: frozenset[int] = frozenset()
         self._left_out: npt.NDArray[np.bool_] | None = None
         self._visible = True
@@ -52,16 +52,16 @@ class LabelOverlay:
         if not same or hidden != self._hidden:
             self._hidden = hidden
             if self._asset.display_points is None:
-                self._tint_meshes(labels, hidden)
+                self._draw_meshes(labels, hidden)
             elif not same:
-                self._tint_cloud(labels)
+                self._color_cloud(labels)
             self._leave_out(labels, hidden)
         self.labels = labels  # last: whoever waits for them sees them drawn
 
     def set_visible(self, visible: bool) -> None:
         """Show the tints of a mesh, but for the hidden parts, or none."""
         self._visible = visible
-        for part, tint in self._tints.items():
+        for part, tint in self._meshes.items():
             tint.visible = visible and part not in self._hidden
 
     def _same(self, labels: Labels | None) -> bool:
@@ -69,25 +69,25 @@ class LabelOverlay:
             return labels is self.labels
         return labels is self.labels or np.array_equal(labels, self.labels)
 
-    def _tint_meshes(self, labels: Labels | None, hidden: frozenset[int]) -> None:
+    def _draw_meshes(self, labels: Labels | None, hidden: frozenset[int]) -> None:
         before = self.labels
         now = set() if labels is None else {int(i) for i in np.unique(labels)}
         with self._client.atomic():
-            for part in set(self._tints) | now:
+            for part in set(self._meshes) | now:
                 same = (
                     before is not None
                     and labels is not None
-                    and part in self._tints
+                    and part in self._meshes
                     and np.array_equal(before == part, labels == part)
                 )
                 if not same:
-                    self._tint_mesh(part, labels)
-                if part in self._tints:
-                    self._tints[part].visible = part not in hidden and self._visible
+                    self._draw_mesh(part, labels)
+                if part in self._meshes:
+                    self._meshes[part].visible = part not in hidden and self._visible
 
-    def _tint_cloud(self, labels: Labels | None) -> None:
+    def _color_cloud(self, labels: Labels | None) -> None:
         assert self._asset.display_colors is not None
-        self._scan.colors = tinted(self._asset.display_colors, labels)
+        self._scan.colors = overlay_colors(self._asset.display_colors, labels)
 
     def _leave_out(self, labels: Labels | None, hidden: frozenset[int]) -> None:
         """Let the page draw the scan without the hidden parts."""
@@ -103,28 +103,28 @@ class LabelOverlay:
         ):
             hide_on_page(self._client, out)
 
-    def _tint_mesh(self, part: int, labels: Labels | None) -> None:
+    def _draw_mesh(self, part: int, labels: Labels | None) -> None:
         asset = self._asset
         assert asset.display_faces is not None
         faces = None if labels is None or part == 0 else asset.display_faces[labels == part]
-        known = self._tint_vertices.get(part)
+        known = self._mesh_vertices.get(part)
         if faces is not None and len(faces) and known is not None:
             place = known[faces]
             if (place >= 0).all():
                 # Its vertices are in the browser already: only the faces are sent.
-                self._tints[part].faces = place.astype(np.uint32)
+                self._meshes[part].faces = place.astype(np.uint32)
                 return
-        if part in self._tints:
-            self._tints.pop(part).remove()
-            del self._tint_vertices[part]
+        if part in self._meshes:
+            self._meshes.pop(part).remove()
+            del self._mesh_vertices[part]
         if faces is None or not len(faces):
             return
         assert self._offset is not None
         used, inverse = np.unique(faces, return_inverse=True)
         place = np.full(len(self._offset), -1, np.int32)
         place[used] = np.arange(len(used))
-        self._tint_vertices[part] = place
-        self._tints[part] = add_tint(
+        self._mesh_vertices[part] = place
+        self._meshes[part] = add_overlay_mesh(
             self._client.scene,
             f"/tint/{part}",
             part,
@@ -134,7 +134,7 @@ class LabelOverlay:
         )
 
 
-def add_tint(
+def add_overlay_mesh(
     scene: viser.SceneApi,
     name: str,
     part: int,
@@ -155,13 +155,13 @@ def add_tint(
     )
 
 
-def tinted(colors: npt.NDArray[np.uint8], labels: Labels | None) -> npt.NDArray[np.uint8]:
+def overlay_colors(colors: npt.NDArray[np.uint8], labels: Labels | None) -> npt.NDArray[np.uint8]:
     """Scan colours with the parts' colours laid over; (N, 3) uint8. The base keeps its own."""
     if labels is None:
         return np.array(colors)
     top = int(labels.max()) + 1 if len(labels) else 1
     table = np.array([palette.part_color(i) for i in range(top)], np.float32)
-    weight = np.full(top, CLOUD_TINT, np.float32)
+    weight = np.full(top, CLOUD_OPACITY, np.float32)
     weight[0] = 0.0
     w = weight[labels][:, None]
     # Brightness of the scan is kept, so that its texture shows through the tint.

@@ -11,7 +11,7 @@ import viser
 from viser import transforms as vtf
 
 from app.server.display_tasks import PartPayload
-from app.viewer.picture.label_overlay import OPACITY, add_tint, tinted
+from app.viewer.picture.label_overlay import OPACITY, add_overlay_mesh, overlay_colors
 from app.viewer.picture.scene_rays import hit_distance, nearly_hit
 from model.geometry.picking import TOLERANCE
 
@@ -47,7 +47,7 @@ class MovingParts:
         if payload.glb is not None:
             scene.add_glb(f"{name}/mesh", payload.glb, cast_shadow=False)
             if payload.part and payload.vertices is not None and payload.faces is not None:
-                add_tint(
+                add_overlay_mesh(
                     scene,
                     f"{name}/tint",
                     payload.part,
@@ -61,7 +61,7 @@ class MovingParts:
         scene.add_point_cloud(
             f"{name}/cloud",
             payload.points,
-            tinted(payload.colors, labels),
+            overlay_colors(payload.colors, labels),
             point_size=self._point_size,
             point_shape="circle",
             precision="float32",

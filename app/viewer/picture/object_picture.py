@@ -25,8 +25,8 @@ from app.viewer.picture.stage import (
     aim,
     fitting_distance,
     may_be_a_room,
-    seen_from,
     set_stage,
+    view_direction,
 )
 from model.geometry.display import spacing
 from model.segmentation.prompts import Click
@@ -54,7 +54,7 @@ class ObjectPicture:
         """Nothing is drawn."""
         self._asset: OpenedAsset | None = None
         self._scan: Any = None
-        self._tints: LabelOverlay | None = None
+        self._overlay: LabelOverlay | None = None
         self._prompts: dict[int, tuple[Click, Any]] = {}
         self._moving = False
         self.parts = MovingParts(self._client)
@@ -92,7 +92,7 @@ class ObjectPicture:
                 point_shape="circle",
                 precision="float32",
             )
-        self._tints = LabelOverlay(self._client, asset, self._scan)
+        self._overlay = LabelOverlay(self._client, asset, self._scan)
         self.parts = MovingParts(self._client, size)
         self.marks = JointMarks(self._client, asset.diagonal)
         self.overlays = Overlays(self._client, asset.diagonal)
@@ -126,7 +126,7 @@ class ObjectPicture:
         center = (low + high) / 2
         # Into a room one looks from above: its walls are in the way.
         above = 1.2 if may_be_a_room(asset.bounds) else 0.45
-        direction = seen_from(asset.front, above=above)
+        direction = view_direction(asset.front, above=above)
         distance = 1.08 * fitting_distance(camera, asset.diagonal)
         aim(self._client, center + distance * direction, center, least_near=1e-4)
 
@@ -134,19 +134,19 @@ class ObjectPicture:
 
     def show_labels(self, labels: npt.NDArray[np.int16] | None, hidden: frozenset[int]) -> None:
         """Tint the parts. Sends only the parts that changed."""
-        if self._tints is not None:
-            self._tints.show(labels, hidden)
+        if self._overlay is not None:
+            self._overlay.show(labels, hidden)
 
     @property
     def labels(self) -> npt.NDArray[np.int16] | None:
         """The labels that were drawn last."""
-        return None if self._tints is None else self._tints.labels
+        return None if self._overlay is None else self._overlay.labels
 
     def show_parts(
         self, payloads: list[PartPayload] | None, moving: bool, hidden: frozenset[int]
     ) -> None:
         """Draw the parts one by one where they are ``moving``, else the scan as a whole."""
-        if self._tints is None:
+        if self._overlay is None:
             return
         if moving and payloads is not None and self.parts.draw(payloads):
             self._moving = False
@@ -155,7 +155,7 @@ class ObjectPicture:
             if moving != self._moving:
                 self._moving = moving
                 self._scan.visible = not moving
-                self._tints.set_visible(not moving)
+                self._overlay.set_visible(not moving)
             self.parts.set_visible(moving, hidden)
 
     # --- prompts

@@ -33,7 +33,7 @@ CORNERS = np.array([[i >> k & 1 for k in range(3)] for i in range(8)], np.float3
 
 
 @dataclass(eq=False)
-class Stand:
+class Placement:
     """Where an object stands: a vertex v is at ``world @ (scale * v)``."""
 
     world: Array
@@ -52,7 +52,7 @@ class Look:
     """
 
     status: Mapping[str, str]
-    own: bool
+    original_colors: bool
     ghosted: str | None
     chosen: str | None = None
 
@@ -73,10 +73,10 @@ class Node:
     """
 
     def __init__(
-        self, ids: Ids, shape: Shape, stands: Sequence[Stand], work: Work | None, link: str
+        self, ids: Ids, shape: Shape, placements: Sequence[Placement], work: Work | None, link: str
     ) -> None:
         self.ids, self.shape, self.work, self.link = ids, shape, work, link
-        self.rest, self.now = list(stands), list(stands)
+        self.rest, self.now = list(placements), list(placements)
 
     @property
     def handles(self) -> list[Any]:
@@ -94,7 +94,7 @@ class Node:
         """Pose it by ``posed_from_rest``, or let it rest."""
         if posed is None and all(a is b for a, b in zip(self.rest, self.now, strict=True)):
             return
-        self.now = [s if posed is None else Stand(s.world @ posed, s.scale) for s in self.rest]
+        self.now = [s if posed is None else Placement(s.world @ posed, s.scale) for s in self.rest]
         self._place()
 
     def remove(self) -> None:
@@ -109,19 +109,19 @@ class Node:
 
     def hit(self, k: int, origin: Array, direction: Array) -> float:
         """How far along a ray object ``k`` is met; infinity where it isn't."""
-        local, along = self._seen_by(k, origin, direction)
+        local, along = self._ray_in_object(k, origin, direction)
         return hit_distance(local, along, self.shape.vertices, self._faces(k))
 
     def nearly_hit(self, k: int, origin: Array, direction: Array) -> tuple[int, float]:
         """By how many pixels a ray passes object ``k``, and how far along; see the function."""
-        local, along = self._seen_by(k, origin, direction)
+        local, along = self._ray_in_object(k, origin, direction)
         return nearly_hit(local, along, self.shape.vertices, self._faces(k))
 
-    def _seen_by(self, k: int, origin: Array, direction: Array) -> tuple[Array, Array]:
-        stand = self.now[k]
-        turn = stand.world[:3, :3]
-        local = ((origin - stand.world[:3, 3]) @ turn) / stand.scale
-        return local, (direction @ turn) / stand.scale
+    def _ray_in_object(self, k: int, origin: Array, direction: Array) -> tuple[Array, Array]:
+        placement = self.now[k]
+        turn = placement.world[:3, :3]
+        local = ((origin - placement.world[:3, 3]) @ turn) / placement.scale
+        return local, (direction @ turn) / placement.scale
 
     def _faces(self, k: int) -> npt.NDArray[np.uint32] | None:
         return self.shape.faces
@@ -131,14 +131,16 @@ class Surroundings(Node):
     """Static meshes in one: a browser draws few nodes faster than many."""
 
     def __init__(
-        self, client: viser.ClientHandle, name: str, solid: Sequence[tuple[str, Shape, Stand]]
+        self, client: viser.ClientHandle, name: str, solid: Sequence[tuple[str, Shape, Placement]]
     ) -> None:
         vertices, faces, colors, boxes = [], [], [], []
         self._slices: list[slice] = []
         count = start = 0
-        for _, shape, stand in solid:
+        for _, shape, placement in solid:
             assert shape.faces is not None
-            at = (shape.vertices * stand.scale) @ stand.world[:3, :3].T + stand.world[:3, 3]
+            at = (shape.vertices * placement.scale) @ placement.world[:3, :3].T + placement.world[
+                :3, 3
+            ]
             vertices.append(at.astype(np.float32))
             boxes.append([at.min(0), at.max(0)])
             faces.append(shape.faces + np.uint32(count))
@@ -149,11 +151,11 @@ class Surroundings(Node):
             np.zeros((2, 3)), np.concatenate(vertices), np.concatenate(faces),
             np.concatenate(colors),
         )  # fmt: skip
-        here = [Stand(np.eye(4), np.ones(3)) for _ in solid]
+        here = [Placement(np.eye(4), np.ones(3)) for _ in solid]
         super().__init__(tuple(i for i, _, _ in solid), whole, here, None, "")
         self.solid = list(solid)
         self._client, self._name, self._boxes = client, name, np.array(boxes)
-        self._own = client.scene.add_glb(
+        self._original = client.scene.add_glb(
             f"{name}/own", colored_glb(whole), cast_shadow=False, receive_shadow=False
         )
         self._ghost: Any = None
@@ -161,7 +163,7 @@ class Surroundings(Node):
     @property
     def handles(self) -> list[Any]:
         """See :class:`Node`."""
-        return [self._own, *([] if self._ghost is None else [self._ghost])]
+        return [self._original, *([] if self._ghost is None else [self._ghost])]
 
     @property
     def ghost(self) -> Any:
@@ -178,7 +180,7 @@ class Surroundings(Node):
                 color=palette.SCENE_GHOST, opacity=GHOST_OPACITY, flat_shading=True,
                 side="double", cast_shadow=False, receive_shadow=False,
             )  # fmt: skip
-        self._own.visible = not ghost
+        self._original.visible = not ghost
         if self._ghost is not None:
             self._ghost.visible = ghost
 
@@ -199,11 +201,11 @@ class Instances(Node):
 
     def __init__(
         self, client: viser.ClientHandle, name: str, ids: Ids, shape: Shape,
-        stands: Sequence[Stand], work: Work | None, link: str,
+        placements: Sequence[Placement], work: Work | None, link: str,
     ) -> None:  # fmt: skip
-        super().__init__(ids, shape, stands, work, link)
+        super().__init__(ids, shape, placements, work, link)
         self._client, self._name = client, name
-        self._own: Any = None
+        self._original: Any = None
         self._flat: Any = None
         self._painted: Any = None
         self._hidden: str | None = None
@@ -211,20 +213,23 @@ class Instances(Node):
     @property
     def handles(self) -> list[Any]:
         """See :class:`Node`."""
-        return [h for h in (self._own, self._flat) if h is not None]
+        return [h for h in (self._original, self._flat) if h is not None]
 
     def paint(self, look: Look) -> None:
         """See :class:`Node`."""
         ghost = look.ghosted is not None
-        own = look.own and not ghost
-        if own and self._own is None:
-            self._own = self._send_own()
-        if not own and self._flat is None:
+        original_colors = look.original_colors and not ghost
+        if original_colors and self._original is None:
+            self._original = self._send_original()
+        if not original_colors and self._flat is None:
             self._flat = self._send_flat()
-        for handle, wanted in ((self._own, own), (self._flat, not own)):
+        for handle, wanted in (
+            (self._original, original_colors),
+            (self._flat, not original_colors),
+        ):
             if handle is not None:
                 handle.visible = wanted
-        if not own:
+        if not original_colors:
             tones = [palette.SCENE_GHOST if ghost else self._tone(look, i) for i in self.ids]
             if (tones, ghost) != self._painted:
                 self._painted = tones, ghost
@@ -240,7 +245,7 @@ class Instances(Node):
         part = look.part(id, self.link)
         return palette.SCENE_ALBEDO[look.status[id]] if part is None else palette.albedo(part)
 
-    def _send_own(self) -> Any:
+    def _send_original(self) -> Any:
         return self._client.scene.add_batched_glb(
             f"{self._name}/own", colored_glb(self.shape), self._turns(), self._positions(),
             batched_scales=self._scales(), lod="off", cast_shadow=False, receive_shadow=False,
@@ -276,20 +281,25 @@ class Scans(Node):
 
     def __init__(
         self, client: viser.ClientHandle, name: str, ids: Ids, shape: Shape,
-        stands: Sequence[Stand], work: Work | None, link: str,
+        placements: Sequence[Placement], work: Work | None, link: str,
     ) -> None:  # fmt: skip
-        super().__init__(ids, shape, stands, work, link)
+        super().__init__(ids, shape, placements, work, link)
         self._colors = _colors(shape, len(shape.vertices))
-        self._painted: list[Any] = ["own"] * len(stands)
+        self._painted: list[Any] = ["own"] * len(placements)
         self._handles: list[Any] = []
-        for k, stand in enumerate(stands):
+        for k, placement in enumerate(placements):
             self._handles.append(
                 client.scene.add_point_cloud(
-                    f"{name}/{k}", (shape.vertices * stand.scale).astype(np.float32), self._colors,
-                    precision="float32", point_size=self.point_size(k), point_shape="circle",
-                    wxyz=wxyz_of(stand.world), position=stand.world[:3, 3],
+                    f"{name}/{k}",
+                    (shape.vertices * placement.scale).astype(np.float32),
+                    self._colors,
+                    precision="float32",
+                    point_size=self.point_size(k),
+                    point_shape="circle",
+                    wxyz=wxyz_of(placement.world),
+                    position=placement.world[:3, 3],
                 )
-            )  # fmt: skip
+            )
 
     @property
     def handles(self) -> list[Any]:
@@ -301,7 +311,7 @@ class Scans(Node):
         for k, (id, handle) in enumerate(zip(self.ids, self._handles, strict=True)):
             status = look.status[id]
             part = look.part(id, self.link)
-            wanted = "own" if look.own or status == "static" else part or status
+            wanted = "own" if look.original_colors or status == "static" else part or status
             handle.visible = look.ghosted is None  # their ghosts are one cloud, see ghosts.py
             if handle.visible and wanted != self._painted[k]:
                 self._painted[k] = wanted
@@ -313,9 +323,9 @@ class Scans(Node):
 
     def points_in_place(self, k: int) -> Array:
         """(N, 3) object ``k``'s points in the scene's frame."""
-        stand = self.now[k]
-        points = self.shape.vertices * stand.scale
-        return np.asarray(points @ stand.world[:3, :3].T + stand.world[:3, 3])
+        placement = self.now[k]
+        points = self.shape.vertices * placement.scale
+        return np.asarray(points @ placement.world[:3, :3].T + placement.world[:3, 3])
 
     def _toned(self, wanted: Any) -> npt.NDArray[np.uint8]:
         if wanted == "own":
@@ -325,18 +335,18 @@ class Scans(Node):
         return (TINT * tone + (1 - TINT) * self._colors).astype(np.uint8)
 
     def _place(self) -> None:
-        for handle, stand in zip(self._handles, self.now, strict=True):
-            handle.wxyz = wxyz_of(stand.world)
-            handle.position = stand.world[:3, 3]
+        for handle, placement in zip(self._handles, self.now, strict=True):
+            handle.wxyz = wxyz_of(placement.world)
+            handle.position = placement.world[:3, 3]
 
 
 def send(
-    client: viser.ClientHandle, name: str, ids: Ids, shape: Shape, stands: Sequence[Stand],
+    client: viser.ClientHandle, name: str, ids: Ids, shape: Shape, placements: Sequence[Placement],
     work: Work | None, link: str,
 ) -> Node:  # fmt: skip
     """Send a shape as it stands here and there."""
     kind: Callable[..., Node] = Scans if shape.faces is None else Instances
-    return kind(client, name, ids, shape, stands, work, link)
+    return kind(client, name, ids, shape, placements, work, link)
 
 
 def first_under(nodes: Sequence[Node], origin: Array, direction: Array) -> str | None:
@@ -383,12 +393,12 @@ def _colors(shape: Shape, count: int) -> npt.NDArray[np.uint8]:
     return np.tile(np.asarray(palette.SCENE_COLORS["static"], np.uint8), (count, 1))
 
 
-def corners_of(shape: Shape, stand: Stand, margin: float = 0.0) -> npt.NDArray[Any]:
+def corners_of(shape: Shape, placement: Placement, margin: float = 0.0) -> npt.NDArray[Any]:
     """(8, 3) corners of an object's box in the scene's frame, ``margin`` of its size around it."""
-    low, high = np.sort(shape.bounds * stand.scale, axis=0)
+    low, high = np.sort(shape.bounds * placement.scale, axis=0)
     reach = margin * float(np.linalg.norm(high - low))
     local = (low + high) / 2 + CORNERS.astype(np.float64) * (high - low + 2 * reach)
-    return np.asarray(local @ stand.world[:3, :3].T + stand.world[:3, 3])
+    return np.asarray(local @ placement.world[:3, :3].T + placement.world[:3, 3])
 
 
 def wxyz_of(transform: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.float64]:

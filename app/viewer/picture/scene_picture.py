@@ -27,14 +27,14 @@ from app.viewer.picture.scene_nodes import (
     CORNERS,
     Look,
     Node,
-    Stand,
+    Placement,
     Surroundings,
     corners_of,
     first_under,
     send,
     wxyz_of,
 )
-from app.viewer.picture.stage import SCENE_ROOT, aim, fitting_distance, seen_from, set_stage
+from app.viewer.picture.stage import SCENE_ROOT, aim, fitting_distance, set_stage, view_direction
 
 ROOT = SCENE_ROOT
 Array = npt.NDArray[np.float64]
@@ -61,9 +61,9 @@ class ScenePicture:
         camera: where it was before that.
     """
 
-    def __init__(self, client: viser.ClientHandle, desk: SceneWorkspace) -> None:
+    def __init__(self, client: viser.ClientHandle, workspace: SceneWorkspace) -> None:
         self._client = client
-        self._desk = desk
+        self._workspace = workspace
         self._root: Any = None
         # The tab's threads draw, animate and pick at the same time.
         self._lock = threading.RLock()
@@ -72,34 +72,34 @@ class ScenePicture:
         self._floor: tuple[float, float] | None = None
         self._outline: list[Any] = []
         self._outlined: Any = None
-        self._looks: Look | None = None
+        self._look: Look | None = None
         self._merged: dict[str, Path | None] = {}
         self._front: tuple[Any, Array] | None = None
         self._ghosts = Ghosts(
             client, f"{ROOT}/ghosts", lambda: self.in_scene(np.array(client.camera.position))
         )
-        self.own = False
+        self.original_colors = False
         self.ghosted: str | None = None
         self.camera: tuple[Any, ...] | None = None
 
     # --- what stands where
 
-    def stand(self, item: SceneItem) -> tuple[Shape, Stand] | None:
+    def placement(self, item: SceneItem) -> tuple[Shape, Placement] | None:
         """An object's shape and place; None where it isn't known (yet)."""
         if item.obj.box is not None:
-            return _BOX, Stand(item.obj.world_from_object, np.asarray(item.obj.box))
-        shape = None if item.path is None else self._desk.shapes.get(item.path)
+            return _BOX, Placement(item.obj.world_from_object, np.asarray(item.obj.box))
+        shape = None if item.path is None else self._workspace.shapes.get(item.path)
         if not isinstance(shape, Shape):
             return None
         placed = item.obj.placed(shape.bounds)
-        return shape, Stand(placed.world_from_asset, placed.scale)
+        return shape, Placement(placed.world_from_asset, placed.scale)
 
     def bounds(self, ids: Sequence[str] | None = None) -> Array | None:
         """(2, 3) of objects in the scene's frame; of all where None."""
         every: list[Array] = []
-        for id, item in self._desk.items.items():
+        for id, item in self._workspace.items.items():
             if ids is None or id in ids:
-                found = self.stand(item)
+                found = self.placement(item)
                 if found is not None:
                     every.append(corners_of(*found))
         if not every:
@@ -120,29 +120,29 @@ class ScenePicture:
         if self._root is None:
             set_stage(self._client.scene)
             self._root = self._client.scene.add_frame(ROOT, show_axes=False)
-        items = self._desk.items
+        items = self._workspace.items
         status = {r.id: r.shown for r in rows if r.id in items}
         self._place_root()
         with self._lock, self._client.atomic():
             self._draw_static({i for i, s in status.items() if s == "static"})
             self._draw_instances(self._wanted(status))
-            self._draw_looks(status, selected)
+            self._paint(status, selected)
             self._draw_outline(selected)
-            item = self._desk.items.get(self.ghosted or "")
-            found = None if item is None else self.stand(item)
+            item = self._workspace.items.get(self.ghosted or "")
+            found = None if item is None else self.placement(item)
             self._ghosts.draw(self.ghosted, self._nodes.values(), found)
         self._draw_floor()
 
     def _wanted(self, status: Mapping[str, str]) -> dict[tuple[Any, ...], list[str]]:
         out: dict[tuple[Any, ...], list[str]] = {}
         for id, where in status.items():
-            item = self._desk.items[id]
-            found = self.stand(item)
+            item = self._workspace.items[id]
+            found = self.placement(item)
             if found is None or where in ("failed", "missing"):
                 continue
             if where == "static" and found[0].faces is not None:
                 continue  # merged
-            work = self._desk.work(id)
+            work = self._workspace.work(id)
             if work is None or work.drawn is None or work.document.tree is None:
                 out.setdefault(("whole", item.path), []).append(id)
             else:
@@ -162,11 +162,11 @@ class ScenePicture:
                 if kept:
                     self._merge(kept)
             shown |= {i for i, _, _ in kept}
-        solid: list[tuple[str, Shape, Stand]] = []
-        for id in self._desk.items:
+        solid: list[tuple[str, Shape, Placement]] = []
+        for id in self._workspace.items:
             if id not in ids or id in shown:
                 continue
-            found = self.stand(self._desk.items[id])
+            found = self.placement(self._workspace.items[id])
             if found is not None and found[0].faces is not None:
                 solid.append((id, *found))
         if solid:
@@ -174,14 +174,14 @@ class ScenePicture:
 
     def _as_merged(self, id: str) -> bool:
         """Whether the object is still what was sent."""
-        return self._merged.get(id) == self._desk.items[id].path
+        return self._merged.get(id) == self._workspace.items[id].path
 
-    def _merge(self, solid: list[tuple[str, Shape, Stand]]) -> None:
+    def _merge(self, solid: list[tuple[str, Shape, Placement]]) -> None:
         self._chunks += 1
         name = f"{ROOT}/static/{self._chunks}"
         self._nodes["static", self._chunks] = Surroundings(self._client, name, solid)
-        self._merged |= {i: self._desk.items[i].path for i, _, _ in solid}
-        self._looks = None
+        self._merged |= {i: self._workspace.items[i].path for i, _, _ in solid}
+        self._look = None
 
     def _draw_instances(self, wanted: dict[tuple[Any, ...], list[str]]) -> None:
         for key in [k for k in self._nodes if k[0] in ("whole", "part") and k not in wanted]:
@@ -195,31 +195,33 @@ class ScenePicture:
             return
         if known is not None:
             self._nodes.pop(key).remove()
-        stands: list[Stand] = []
+        placements: list[Placement] = []
         shape: Shape | None = None
         link, work = "", None
         for id in ids:
-            found = self.stand(self._desk.items[id])
+            found = self.placement(self._workspace.items[id])
             assert found is not None
-            shape, stand = found
-            stands.append(Stand(stand.world, np.ones(3)) if key[0] == "part" else stand)
+            shape, placement = found
+            placements.append(
+                Placement(placement.world, np.ones(3)) if key[0] == "part" else placement
+            )
         if key[0] == "part":
-            work, link = self._desk.works[key[1]], key[3]
+            work, link = self._workspace.works[key[1]], key[3]
             assert work.drawn is not None
             shape = work.drawn.shapes[link]
         assert shape is not None
-        self._looks = None
+        self._look = None
         self._chunks += 1
         name = f"{ROOT}/{key[0]}/{self._chunks}"
-        self._nodes[key] = send(self._client, name, tuple(ids), shape, stands, work, link)
+        self._nodes[key] = send(self._client, name, tuple(ids), shape, placements, work, link)
 
-    def _draw_looks(self, status: Mapping[str, str], selected: str | None) -> None:
+    def _paint(self, status: Mapping[str, str], selected: str | None) -> None:
         """Colours by state, of the chosen object by part, or as the source has them; all ghosts
         while one is worked on."""
-        look = Look(status, self.own, self.ghosted, selected)
-        if look == self._looks:
+        look = Look(status, self.original_colors, self.ghosted, selected)
+        if look == self._look:
             return
-        self._looks = look
+        self._look = look
         for node in self._nodes.values():
             node.paint(look)
 
@@ -243,23 +245,23 @@ class ScenePicture:
             self.frame()
 
     def _draw_outline(self, selected: str | None) -> None:
-        found = None if selected is None else self._desk.items.get(selected)
+        found = None if selected is None else self._workspace.items.get(selected)
         # Where there is one object alone, a box round it would only be in the way.
-        hidden = self.ghosted is not None or len(self._desk.items) == 1
-        stand = None if found is None or hidden else self.stand(found)
-        key = None if stand is None else (selected, stand[1].world.tobytes())
+        hidden = self.ghosted is not None or len(self._workspace.items) == 1
+        placement = None if found is None or hidden else self.placement(found)
+        key = None if placement is None else (selected, placement[1].world.tobytes())
         if key == self._outlined:
             return
         self._outlined = key
         for handle in self._outline:
             handle.remove()
         self._outline = []
-        if stand is None:
+        if placement is None:
             return
-        corners = corners_of(*stand, margin=0.012)
+        corners = corners_of(*placement, margin=0.012)
         size = float(np.linalg.norm(np.ptp(corners, axis=0)))
         # Not through what it stands on, which would hide the box's lower edges.
-        lowest = float(corners_of(*stand)[:, 2].min()) + 2e-3 * size
+        lowest = float(corners_of(*placement)[:, 2].min()) + 2e-3 * size
         corners[:, 2] = np.maximum(corners[:, 2], lowest)
         self._outline = [
             self._client.scene.add_line_segments(
@@ -306,9 +308,9 @@ class ScenePicture:
         return np.asarray(turned @ (point - self._root.position))
 
     def _world_of_ghosted(self) -> Array | None:
-        if self.ghosted is None or self.ghosted not in self._desk.items:
+        if self.ghosted is None or self.ghosted not in self._workspace.items:
             return None
-        return self._desk.world_from_copy(self._desk.items[self.ghosted])
+        return self._workspace.world_from_copy(self._workspace.items[self.ghosted])
 
     def unghost(self) -> None:
         """Back to the scene's frame and to where the camera was."""
@@ -348,20 +350,20 @@ class ScenePicture:
     def _from_front(self, id: str, center: Array, distance: float, otherwise: Array) -> Array:
         """(3,) unit direction from an object to an eye that sees its front, from the side and from
         as far above as what stands before it demands; ``otherwise`` where it isn't drawn."""
-        found = self.stand(self._desk.items[id])
+        found = self.placement(self._workspace.items[id])
         if found is None:
             return otherwise
-        shape, stand = found
+        shape, placement = found
         key = id, shape.bounds.tobytes()
         if self._front is None or self._front[0] != key:
             at = shape.vertices if shape.faces is None else shape.vertices[shape.faces].mean(1)
             self._front = key, np.asarray(front_direction(at))
-        facing = stand.world[:3, :3] @ self._front[1]
+        facing = placement.world[:3, :3] @ self._front[1]
         best, most = otherwise, -1
-        places = center + 0.6 * (corners_of(shape, stand) - center)
+        places = center + 0.6 * (corners_of(shape, placement) - center)
         places = np.vstack([center, places[(places - center) @ facing > 0]])
         for above, aside in ((0.45, 0.5), (0.45, -0.5), (0.9, 0.5), (0.9, -0.5), (2.0, 0.3)):
-            direction = seen_from(facing, aside, above)
+            direction = view_direction(facing, aside, above)
             eye = center + distance * direction
             seen = sum(self.pick(eye, _unit(p - eye)) == id for p in places)
             if seen > most:

@@ -35,7 +35,7 @@ def may_be_a_room(bounds: npt.NDArray[np.floating]) -> bool:
     return bool(np.ptp(bounds[:, :2], axis=0).min() > ROOM_METRES)
 
 
-def seen_from(front: npt.ArrayLike, aside: float = 0.5, above: float = 0.45) -> Any:
+def view_direction(front: npt.ArrayLike, aside: float = 0.5, above: float = 0.45) -> Any:
     """(3,) unit direction from an object to where it is looked at: from its front, a bit from the
     side and from above, each in parts of the front's."""
     ahead = np.asarray(front, np.float64)

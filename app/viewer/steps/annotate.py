@@ -81,7 +81,7 @@ class AnnotateStep:
         """Take another mask for the last click: the next one, or with -1 the one before."""
         self._pointing.tools.next_mask(step)
 
-    def answer(self, number: int) -> str:
+    def name_by_key(self, number: int) -> str:
         """What Shift and a number says: 0 the guessed category, else a name of the chosen part.
 
         Returns:

@@ -61,7 +61,7 @@ class JointsStep:
         self._what = gui.add_markdown("")
         self._quick = QuickNames(tab, self._named)
         self._name = gui.add_dropdown(words.PART_NAME, (NONE, *PART_NAMES), initial_value=NONE)
-        self._guess = CategoryGuess(tab, records, self._said)
+        self._guess = CategoryGuess(tab, records, self._set_category)
         self._category = gui.add_dropdown(words.CATEGORY, (NONE, *CATEGORIES), initial_value=NONE)
         self._folder = gui.add_folder(words.FOLDER)
         with self._folder:
@@ -181,9 +181,9 @@ class JointsStep:
 
     def _categorised(self) -> None:
         if self._category.value != NONE:
-            self._said(self._category.value)
+            self._set_category(self._category.value)
 
-    def _said(self, category: str) -> None:
+    def _set_category(self, category: str) -> None:
         self._tab.do(cmd.SetCategory(category))
         self._predict_what_is_known()
 
@@ -197,7 +197,7 @@ class JointsStep:
         at = children.index(selection.child) if selection.child in children else -1
         selection.choose_joint(children[(at + 1) % len(children)])
 
-    def answer(self, number: int) -> str:
+    def name_by_key(self, number: int) -> str:
         """What Shift and a number says to the question: 0 the guessed category, else a name.
 
         Returns:

@@ -65,7 +65,7 @@ class ReviewStep:
     """The third step: is it right?
 
     Attributes:
-        gate: what the checks say of the joints.
+        validation_list: what the checks say of the joints.
     """
 
     def __init__(
@@ -75,7 +75,7 @@ class ReviewStep:
         self._drawn: Any = None
         self._asked: tuple[int, int] | None = None  # the object, and its state at that time
         gui = tab.client.gui
-        self.gate = ValidationList(tab, motion, actions.drawn)
+        self.validation_list = ValidationList(tab, motion, actions.drawn)
         self._override = gui.add_text(
             words.OVERRIDE, "", visible=False,
             hint=words.OVERRIDE_HINT,
@@ -84,10 +84,12 @@ class ReviewStep:
             words.accept(False, False, False), icon=viser.Icon.CHECK, color="green"
         )
         self._reject = RejectButtons(tab, rejecting, actions.reject)
-        self.gate.build_list()
+        self.validation_list.build_list()
         self._summary = gui.add_markdown("")
         self._comment = gui.add_text(words.COMMENT, "", multiline=True)
-        self._go_on = gui.add_checkbox(words.GO_ON, True, hint=words.GO_ON_HINT)
+        self._auto_advance = gui.add_checkbox(
+            words.AUTO_ADVANCE, True, hint=words.AUTO_ADVANCE_HINT
+        )
         self._reopen = gui.add_button(words.REOPEN, color="gray", visible=False)
         self._saved = gui.add_markdown("", visible=False)
         self._download = gui.add_button(
@@ -129,7 +131,7 @@ class ReviewStep:
             with self._deciding():
                 accept(
                     obj, self.comment_text, tab.user, now, self.override_text,
-                    seen=self.gate.looked_at(obj), refused=refused,
+                    seen=self.validation_list.looked_at(obj), refused=refused,
                 )  # fmt: skip
         except UnseenWarningsError as error:
             self._refused(obj, error)
@@ -141,7 +143,7 @@ class ReviewStep:
         shown = tab.selection.object is obj
         if isinstance(error, UnseenWarningsError) and shown:
             tab.selection.set_step("Review")
-            self.gate.show_worst()
+            self.validation_list.show_worst()
             tab.notify(words.NOT_ACCEPTED_YET, str(error), "yellow")
         elif not shown and obj.hold_reason:
             tab.notify(words.ON_HOLD, words.about(name, obj.hold_reason), "yellow", seconds=None)
@@ -212,7 +214,7 @@ class ReviewStep:
     def draw(self, obj: OpenObject) -> None:
         """Bring the panel up to date."""
         doc = obj.document
-        self.gate.draw(obj, doc)
+        self.validation_list.draw(obj, doc)
         self._reject.draw(True)
         report = obj.validation.report
         now = (
@@ -223,7 +225,7 @@ class ReviewStep:
             doc.saved,
             report,
             "save" in obj.busy,
-            self.gate.looked_at(obj) is not None,
+            self.validation_list.looked_at(obj) is not None,
             obj.interrupted,
             obj.hold_reason,
             obj.validation.acceptance_waits,
@@ -245,7 +247,9 @@ class ReviewStep:
         decided = doc.review.state in DECIDED
         broken = report is not None and report.severity == Severity.ERROR and not decided
         put(self._override, "visible", broken)
-        warned = report is not None and self.gate.looked_at(obj) is report and not decided
+        warned = (
+            report is not None and self.validation_list.looked_at(obj) is report and not decided
+        )
         put(self._accept, "label", words.accept(bool(doc.edited_joints), warned, broken))
         put(self._accept, "color", "yellow" if broken else "green")
         put(self._accept, "disabled", doc.tree is None or "save" in obj.busy)
@@ -261,7 +265,7 @@ class ReviewStep:
         done = saving or obj.validation.acceptance_waits
         if id == obj.record.id and (done or (decided and obj.state.seq > before and not saving)):
             self._asked = None
-            if self._go_on.value:
+            if self._auto_advance.value:
                 self._tab.act(self._actions.go_on)
 
     def _draw_history(self) -> None:

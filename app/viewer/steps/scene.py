@@ -54,23 +54,25 @@ class SceneStep:
     """
 
     def __init__(
-        self, tab: Tab, desk: SceneWorkspace, rejecting: Rejecting, host: SceneHost
+        self, tab: Tab, workspace: SceneWorkspace, rejecting: Rejecting, host: SceneHost
     ) -> None:
-        self._tab, self._desk, self._host = tab, desk, host
+        self._tab, self._workspace, self._host = tab, workspace, host
         self._wanted: tuple[str, str] | None = None
         self._was_read = False
         self._moment: Any = None
-        self.picture = ScenePicture(tab.client, desk)
+        self.picture = ScenePicture(tab.client, workspace)
         self.motion = SceneMotion(self.picture.pose)
-        self.edit = SceneEdit(tab, desk, self.picture, host.show, host.remember, self.motion.stop)
+        self.edit = SceneEdit(
+            tab, workspace, self.picture, host.show, host.remember, self.motion.stop
+        )
         self.choice = self.edit.choice
-        self.review = SceneReview(tab, desk, self.choice)
-        self.list = SceneList(tab, desk, self.picture, self._choose, host.remember)
+        self.review = SceneReview(tab, workspace, self.choice)
+        self.list = SceneList(tab, workspace, self.picture, self._choose, host.remember)
         self._folder = tab.client.gui.add_folder(None)
         with self._folder:
-            self.card = SceneCard(tab, desk, rejecting, self._actions())
+            self.card = SceneCard(tab, workspace, rejecting, self._actions())
         self._pick_panel: PickPanel | None = None
-        self._unwatch = desk.watch(tab.invalidate, tab.notify)
+        self._unwatch = workspace.watch(tab.invalidate, tab.notify)
 
     def _actions(self) -> SceneActions:
         return SceneActions(
@@ -86,7 +88,7 @@ class SceneStep:
             step=self.choice.step,
             accept_above=self.review.accept_above,
             above=self.review.above,
-            save=lambda loose: self._desk.saving.save(loose, self._tab.user),
+            save=lambda loose: self._workspace.saving.save(loose, self._tab.user),
             play_joint=self._play_joint,
         )
 
@@ -107,26 +109,26 @@ class SceneStep:
     @property
     def subject(self) -> Any:
         """What a decision made now would be about, as far as a person can see it."""
-        selected, desk = self.choice.selected, self._desk
-        work = None if selected is None else desk.work(selected)
+        selected, workspace = self.choice.selected, self._workspace
+        work = None if selected is None else workspace.work(selected)
         if work is None:
             return selected
-        return selected, work.document.review, desk.accepting.why_refused(work)
+        return selected, work.document.review, workspace.accepting.why_refused(work)
 
     def draw(self) -> None:
         """Bring picture and panels up to date."""
-        desk, choice = self._desk, self.choice
+        workspace, choice = self._workspace, self.choice
         choice.refresh()
-        if desk.scene is not None and not self._was_read:
+        if workspace.scene is not None and not self._was_read:
             self._was_read = True
-            if len(desk.items) == 1:  # a room: there is nothing else to choose
-                choice.selected = next(iter(desk.items))
-        if self._wanted is not None and desk.scene is not None:
+            if len(workspace.items) == 1:  # a room: there is nothing else to choose
+                choice.selected = next(iter(workspace.items))
+        if self._wanted is not None and workspace.scene is not None:
             (inside, chosen), self._wanted = self._wanted, None
-            if inside in desk.items and desk.work(inside) is not None:
+            if inside in workspace.items and workspace.work(inside) is not None:
                 choice.selected = inside
                 self._tab.act(self.edit.enter)
-            elif chosen in desk.items:
+            elif chosen in workspace.items:
                 self._tab.act(lambda: choice.choose(chosen))
         self.picture.draw(choice.rows, choice.selected)
         self._show_moment()
@@ -139,9 +141,9 @@ class SceneStep:
 
     def _show_moment(self) -> None:
         """Pose the chosen object as the gate objects to it; everything else rests."""
-        desk, selected = self._desk, self.choice.selected
-        work = None if selected is None or self.edit.inside else desk.work(selected)
-        refusal = None if work is None else desk.accepting.refusal(work)
+        workspace, selected = self._workspace, self.choice.selected
+        work = None if selected is None or self.edit.inside else workspace.work(selected)
+        refusal = None if work is None else workspace.accepting.refusal(work)
         if self.motion.playing:
             self._moment = None
             return
@@ -157,7 +159,7 @@ class SceneStep:
         else:
             self.picture.pose({work.id: tree.pose(worst.q)})
 
-    def come_back(self, inside: str, chosen: str) -> None:
+    def restore(self, inside: str, chosen: str) -> None:
         """Work on an object again, or choose one, once the scene is read: the page was loaded
         again."""
         self._wanted = inside, chosen
@@ -173,7 +175,7 @@ class SceneStep:
     def play(self) -> None:
         """Start or stop moving the joints of the chosen object; of all where none is chosen."""
         selected = self.choice.selected
-        work = None if selected is None else self._desk.work(selected)
+        work = None if selected is None else self._workspace.work(selected)
         self._play(None if work is None or work.document.tree is None else work)
 
     def play_all(self) -> None:
@@ -186,7 +188,7 @@ class SceneStep:
         self._play(self.choice.need_work(), name)
 
     def _play(self, work: Work | None, joint: str | None = None) -> None:
-        works = [w for w in self._desk.wanted() if w.drawn is not None and work in (None, w)]
+        works = [w for w in self._workspace.wanted() if w.drawn is not None and work in (None, w)]
         if self.motion.playing:
             self.motion.stop()
         elif not self.motion.play(works, joint):
@@ -196,4 +198,4 @@ class SceneStep:
     def _report(self) -> None:
         """Write the report and send it to the browser."""
         send = self._tab.client.send_file_download
-        self._desk.saving.report(lambda path: send(path.name, path.read_bytes()))
+        self._workspace.saving.report(lambda path: send(path.name, path.read_bytes()))

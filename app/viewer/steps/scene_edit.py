@@ -34,16 +34,16 @@ class SceneEdit:
     def __init__(
         self,
         tab: Tab,
-        desk: SceneWorkspace,
+        workspace: SceneWorkspace,
         picture: ScenePicture,
         show: Callable[[int | None, bool], None],
         remember: Callable[[], None],
         stop: Callable[[], None],
     ) -> None:
-        self._tab, self._desk, self._picture = tab, desk, picture
+        self._tab, self._workspace, self._picture = tab, workspace, picture
         self._show, self._remember, self._stop = show, remember, stop
         self.inside: str | None = None
-        self.choice = SceneChoice(tab, desk, picture, self._leave_other, remember)
+        self.choice = SceneChoice(tab, workspace, picture, self._leave_other, remember)
         self._eye: Any = None
 
     def _leave_other(self, id: str | None) -> None:
@@ -58,14 +58,14 @@ class SceneEdit:
         def opened(work: Work) -> None:
             self._tab.act(lambda: self._open(id, work.id))
 
-        self._desk.open_work(id, opened)
+        self._workspace.open_work(id, opened)
 
     def _open(self, id: str, session: int, *, picking: bool = False) -> None:
         self.inside = self.choice.selected = id
         self._tab.selection.picking = picking
         self._picture.ghost(id)
-        work = self._desk.work(id)
-        refusal = None if work is None or picking else self._desk.accepting.refusal(work)
+        work = self._workspace.work(id)
+        refusal = None if work is None or picking else self._workspace.accepting.refusal(work)
         self._show(session, refusal is not None and refusal.report is not None)
 
     def leave(self) -> None:
@@ -81,7 +81,7 @@ class SceneEdit:
         """Open the chosen object as a whole, to pick another one out of it."""
         id = self.choice.need()
         self._stop()
-        self._desk.picking.open(
+        self._workspace.picking.open(
             id, lambda session: self._tab.act(lambda: self._open(id, session, picking=True))
         )
 
@@ -99,7 +99,7 @@ class SceneEdit:
             tab.act(lambda: self._taken(id))
 
         obj = selection.need_object()
-        self._desk.picking.take_out(obj, self.inside, selection.part, name, tab.user, taken)
+        self._workspace.picking.take_out(obj, self.inside, selection.part, name, tab.user, taken)
 
     def _taken(self, id: str) -> None:
         eye = self._picture.in_scene(np.array(self._tab.client.camera.position))

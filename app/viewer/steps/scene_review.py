@@ -18,22 +18,26 @@ from sessions.state import review_problems
 class SceneReview:
     """Accepts and rejects the chosen object, or all above a confidence."""
 
-    def __init__(self, tab: Tab, desk: SceneWorkspace, choice: SceneChoice) -> None:
-        self._tab, self._desk, self._choice = tab, desk, choice
+    def __init__(self, tab: Tab, workspace: SceneWorkspace, choice: SceneChoice) -> None:
+        self._tab, self._workspace, self._choice = tab, workspace, choice
 
     def classify(self, label: str) -> None:
         """Say whether the chosen object is articulable."""
         articulable = label.removeprefix(CHOSEN) == words.ARTICULABLE
-        self._desk.set_articulable(self._choice.need(), articulable, self._tab.user)
+        self._workspace.set_articulable(self._choice.need(), articulable, self._tab.user)
 
     def accept(self) -> None:
         """Accept the chosen object, and go to the next one."""
-        work, id, accepting = self._choice.need_work(), self._choice.need(), self._desk.accepting
+        work, id, accepting = (
+            self._choice.need_work(),
+            self._choice.need(),
+            self._workspace.accepting,
+        )
         if work.document.tree is None:
             raise CommandError(words.no_joints(id))
         if work.document.review.state == "accepted":
             raise CommandError(words.already_accepted(id))
-        if accepting.mark(work) == "judging":
+        if accepting.mark(work) == "validating":
             raise CommandError(words.already_checking(id))
         problems = review_problems(work.document)
         if problems:
@@ -41,8 +45,8 @@ class SceneReview:
         refusal = accepting.refusal(work)
         if refusal is not None and refusal.report is not None and not refusal.only_warnings:
             raise CommandError(words.has_errors(id, refusal.why))
-        looked = refusal is not None and refusal.only_warnings
-        self._decide(DecideObjects("accept", (work.id,), looked=looked))
+        confirmed = refusal is not None and refusal.only_warnings
+        self._decide(DecideObjects("accept", (work.id,), looked=confirmed))
 
     def reject(self, reason: RejectReason) -> None:
         """Reject the chosen object, and go to the next one."""
@@ -50,26 +54,26 @@ class SceneReview:
         self._decide(DecideObjects("reject", (work.id,), reason=reason))
 
     def _decide(self, command: DecideObjects) -> None:
-        tab, desk, choice = self._tab, self._desk, self._choice
-        ids = order(desk.rows())
+        tab, workspace, choice = self._tab, self._workspace, self._choice
+        ids = order(workspace.rows())
         at = ids.index(choice.selected) if choice.selected in ids else -1
-        mine = set(desk.twins(choice.need()))
-        desk.do(command, tab.user, tab.notify)
+        mine = set(workspace.twins(choice.need()))
+        workspace.do(command, tab.user, tab.notify)
         ahead = [i for i in [*ids[at + 1 :], *ids[: max(at, 0)]] if i not in mine]
         following = next((i for i in ahead if self._waits(i)), None)
         if following is not None:
             choice.choose(following, look=True)
         elif ahead:
-            coming = sum(desk.awaits_prediction(r) for r in desk.rows() if r.id in ahead)
+            coming = sum(workspace.awaits_prediction(r) for r in workspace.rows() if r.id in ahead)
             left = words.remaining(coming, len(ahead) - coming)
             tab.notify(words.NO_MORE_PREDICTED, left, "gray")
         else:
             choice.say_end()
 
     def _waits(self, id: str) -> bool:
-        work = self._desk.work(id)
+        work = self._workspace.work(id)
         return work is not None and work.document.review.state == "predicted" and (
-            self._desk.accepting.mark(work) != "judging")  # fmt: skip
+            self._workspace.accepting.mark(work) != "validating")  # fmt: skip
 
     def above(self, confidence: float) -> list[int]:
         """Sessions of predicted objects of at least that confidence, 0..1, each once."""
@@ -85,16 +89,16 @@ class SceneReview:
         if not ids:
             raise CommandError(words.NONE_ABOVE)
         command = DecideObjects("accept", tuple(ids), above=confidence)
-        self._desk.do(command, self._tab.user, self._tab.notify)
+        self._workspace.do(command, self._tab.user, self._tab.notify)
 
     def undo(self) -> None:
         """Take back the last decision about the scene."""
-        undone = self._desk.undo(self._tab.user)
+        undone = self._workspace.undo(self._tab.user)
         self._tab.notify(words.undone(undone) if undone else UNDO_EMPTY, "", "gray")
 
     def redo(self) -> None:
         """Do again what was taken back."""
-        if self._desk.live.state.can_redo:
-            self._desk.do(cmd.Redo(), self._tab.user)
+        if self._workspace.live.state.can_redo:
+            self._workspace.do(cmd.Redo(), self._tab.user)
         else:
             self._tab.notify(REDO_EMPTY, "", "gray")

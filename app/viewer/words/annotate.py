@@ -12,7 +12,7 @@ from app.viewer.words.common import plural
 
 CLICK_A_PART: Final = (
     "**Click a moving part** (door, drawer, knob). "
-    "**2**, **3**, … select the next part. Shift+click excludes."
+    "**2**, **3**, … select the next part. Shift+click removes."
 )
 REFINE: Final = "**Refine:** click to add, Shift+click to remove."
 REFINE_WITH_MASKS: Final = (
@@ -26,7 +26,7 @@ IS_ROOM: Final = (
 )
 IN_ROOM: Final = (
     "**Click an object**, or Alt+drag a box around it, and extract it. "
-    "Shift+click excludes; **Tab** shows other masks."
+    "Shift+click removes; **Tab** shows other masks."
 )
 
 

@@ -34,9 +34,9 @@ SNAP_ORIGIN_ACTIONS: Final[dict[str, str]] = {
     "Center": "Centre",
 }
 LIMITS: Final = "Limits"
-FREE_RANGE, CLOSED = "Collision-free", "Scan is closed"
+FREE_RANGE, CLOSED = "Collision-free", "Closed at 0"
 LIMITS_HINT: Final = (
-    "Collision-free: as far as nothing collides. Scan is closed: one limit becomes 0"
+    "Collision-free: as far as nothing collides. Closed at 0: the scanned pose becomes a limit"
 )
 HANDLES: Final = "Axis handles (G)"
 FILE_NAME: Final = "Joint name"
