@@ -2,7 +2,7 @@
 
 Each view casts a camera's rays, so that what is hidden stays hidden and the far side is missing.
 Depth noise grows with the square of the distance, edges smear, surfaces seen at a slant and a few
-patches return nothing, and stray points float about.
+patches return nothing, and outliers float around.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class ScanSettings:
         color_noise: standard deviation in 0..255; each view has its own exposure as well.
         smear: share of the points at depth edges that are drawn into the gap behind them.
         holes: patches a view where nothing returns; hole_size: their radius in diagonals.
-        outliers: share of stray points.
+        outliers: share of points on no surface.
         misalignment: metres and radians (standard deviation) between the views.
         see_through: glass is not seen at all.
     """
@@ -76,7 +76,7 @@ class LabelledScan:
 
     Attributes:
         cloud: points and colours, object frame.
-        part: (N,) int32 index of the part in the object's order; -1 for stray points.
+        part: (N,) int32 index of the part in the object's order; -1 for outliers.
         smeared: (N,) whether a point was drawn into the gap behind an edge: it lies on no surface.
     """
 
@@ -103,13 +103,13 @@ def simulate_scan(
     if len(points) > settings.points:
         kept = np.sort(rng.choice(len(points), settings.points, replace=False))
         points, colors, part, smeared = points[kept], colors[kept], part[kept], smeared[kept]
-    stray = int(settings.outliers * len(points))
-    if stray:
-        spots = rng.uniform(low - 0.05 * diagonal, high + 0.05 * diagonal, (stray, 3))
+    outliers = int(settings.outliers * len(points))
+    if outliers:
+        spots = rng.uniform(low - 0.05 * diagonal, high + 0.05 * diagonal, (outliers, 3))
         points = np.concatenate([points, spots])
-        colors = np.concatenate([colors, rng.integers(40, 220, (stray, 3))])
-        part = np.concatenate([part, np.full(stray, -1)])
-        smeared = np.concatenate([smeared, np.zeros(stray, bool)])
+        colors = np.concatenate([colors, rng.integers(40, 220, (outliers, 3))])
+        part = np.concatenate([part, np.full(outliers, -1)])
+        smeared = np.concatenate([smeared, np.zeros(outliers, bool)])
     cloud = PointCloud(points.astype(np.float32), None, np.clip(colors, 0, 255).astype(np.uint8))
     return LabelledScan(cloud, part.astype(np.int32), smeared.astype(bool))
 

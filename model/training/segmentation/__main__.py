@@ -7,6 +7,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Annotated
 
 import tyro
 
@@ -23,16 +24,16 @@ from model.training.segmentation.visible_objects import MovingPartTraining
 
 @dataclass(frozen=True)
 class Training:
-    """All trainings; about three hours on two cores. Options keep these names.
+    """All trainings; about three hours on two cores.
 
     Attributes:
         out: folder for ``edges.npz``, ``boxes.npz``, ``first_click.npz``, ``later_click.npz``,
             ``first_click_cloud.npz``, ``later_click_cloud.npz``, ``later_click_close.npz``,
             ``first_click_moving.npz``, ``later_click_moving.npz``, ``part_masks.npz`` and, of
             rooms, ``room_first_click.npz`` and ``room_later_click.npz``.
-        skip_edges, skip_boxes, skip_parts, skip_clouds, skip_rooms, skip_moving, skip_mending,
+        skip_edges, skip_boxes, skip_parts, skip_clouds, skip_rooms, skip_moving, skip_corrective,
         skip_proposals: keep the models that are there.
-        edges, boxes, clicks, clouds, moving, mending, proposals: their settings.
+        edges, boxes, clicks, clouds, moving, corrective, proposals: their settings.
     """
 
     out: Path = field(default_factory=lambda: static_assets() / "segmentation")
@@ -42,14 +43,16 @@ class Training:
     skip_clouds: bool = False
     skip_rooms: bool = False
     skip_moving: bool = False
-    skip_mending: bool = False
+    skip_corrective: Annotated[bool, tyro.conf.arg(name="skip-mending")] = False
     skip_proposals: bool = False
     edges: EdgeTraining = field(default_factory=EdgeTraining)
     boxes: BoxTraining = field(default_factory=BoxTraining)
     clicks: ClickTraining = field(default_factory=ClickTraining)
     clouds: CloudTraining = field(default_factory=CloudTraining)
     moving: MovingPartTraining = field(default_factory=MovingPartTraining)
-    mending: CorrectiveClickTraining = field(default_factory=CorrectiveClickTraining)
+    corrective: Annotated[CorrectiveClickTraining, tyro.conf.arg(name="mending")] = field(
+        default_factory=CorrectiveClickTraining
+    )
     proposals: PartMaskTraining = field(default_factory=PartMaskTraining)
 
 
@@ -66,7 +69,7 @@ def main() -> None:
         (config.skip_clouds, lambda: train_clouds(config.clouds, out)),
         (config.skip_rooms, lambda: train_room_scorers(config.clicks, out)),
         (config.skip_moving, lambda: train_moving(config.moving, out)),
-        (config.skip_mending, lambda: train_corrective(config.mending, out)),
+        (config.skip_corrective, lambda: train_corrective(config.corrective, out)),
         (config.skip_proposals, lambda: train_part_masks(config.proposals, out)),
     )
     for skip, train in trainings:
