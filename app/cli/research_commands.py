@@ -205,7 +205,7 @@ class BenchCommand(Command):
         elif self.what == "predict":
             from app.cli.benchmarks import predict as benchmark
         else:
-            from model.training.arti4urdf.full_config import LORA_RANK, FullConfig, require_extras
+            from model.training.arti4urdf.config import LORA_RANK, FullConfig, require_extras
 
             require_extras(FullConfig(lora_rank=LORA_RANK))
             from app.cli.benchmarks import networks as benchmark

@@ -12,14 +12,15 @@ from app.cli.printing import progress_bar
 from app.cli.research_commands import TrainCommand
 from model.core.errors import ConfigurationError
 from model.data.procedural.generate import family_names
-from model.training.arti4urdf import loop
+from model.training.arti4urdf import small_trainer
 from model.training.arti4urdf.confidence import PREDICTORS, fit_confidence
-from model.training.arti4urdf.config import CONFIDENCE, preset
-from model.training.arti4urdf.full_config import (
+from model.training.arti4urdf.config import (
+    CONFIDENCE,
     LORA_RANK,
     LORA_RATE,
     FullConfig,
     full_presets,
+    preset,
     require_extras,
     with_settings,
 )
@@ -105,13 +106,13 @@ def _train_small(options: TrainCommand) -> int:
             )  # fmt: skip
             for problem in bad:
                 print(f"left out: {problem}", file=sys.stderr)
-        loop.train(
+        small_trainer.train(
             config, data, options.out, validation=validation, held_out=held_out,
             seconds=options.minutes * 60, progress=progress,
         )  # fmt: skip
     if options.weights is not None:
         version = options.version_name or options.preset
-        loop.export_weights(options.out, options.weights, version=version)
+        small_trainer.export_weights(options.out, options.weights, version=version)
         print(f"weights: {options.weights}")
     return 0
 

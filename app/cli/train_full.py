@@ -13,9 +13,9 @@ from model.core.progress import no_progress
 from model.data.procedural.generate import family_names
 from model.data.registry import recognised
 from model.data.splits import training_ids
-from model.training.arti4urdf.full_config import FullConfig
+from model.training.arti4urdf.config import FullConfig
 from model.training.arti4urdf.full_data import ObjectSet
-from model.training.arti4urdf.full_loop import LEFT_OUT, Sources, train_full
+from model.training.arti4urdf.full_trainer import LEFT_OUT, Sources, train_full
 from model.training.arti4urdf.samples import training_families
 
 

@@ -24,7 +24,7 @@ class PredictionBuilder:
     """Collects joints with their evidence and assembles the prediction.
 
     Attributes:
-        links: of the parts. locked: joints settled by a person, kept unchanged.
+        links: of the parts. locked: joints fixed by a person, kept unchanged.
         confidence_model: of the predictor. problems: for people.
         evidence: child link → evidence of its joint.
     """

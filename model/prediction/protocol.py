@@ -27,7 +27,7 @@ class Predictor(Protocol):
 
         Args:
             segmented: parts; category and part names are hints that may be missing.
-            locked: joints that the person has settled; they come out unchanged.
+            locked: joints that a person has fixed; they are returned unchanged.
             seed: the only source of randomness.
             progress: may raise :class:`~model.core.progress.Cancelled`.
         """

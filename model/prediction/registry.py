@@ -38,7 +38,7 @@ def load_predictor(name: str = DEFAULT) -> Predictor:
     the weights in that folder, and ``hybrid:FOLDER``, the small one with weights of one's own.
 
     Raises:
-        ConfigurationError: where there is none, naming those that are there, or where a plug-in
+        ConfigurationError: if there is none, naming those that are there, or where a plug-in
             can't be loaded or is no predictor.
     """
     if is_backend(name):

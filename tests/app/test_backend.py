@@ -143,7 +143,7 @@ def test_predict_asks_the_backend_and_keeps_the_token_to_itself(url, tmp_path):
 
 def test_who_may_come_in(url, monkeypatch):
     monkeypatch.delenv(TOKEN_VARIABLE, raising=False)
-    with pytest.raises(BackendRefused, match="wants a token"):
+    with pytest.raises(BackendRefused, match="needs a token"):
         HttpPredictor(url).predict(cupboard_object())
     with pytest.raises(BackendRefused, match="refuses the token"):
         HttpPredictor(url, "not the token").check()
@@ -186,7 +186,7 @@ def test_what_is_no_request_gets_a_plain_refusal(url, method, path, body, header
 def test_an_object_too_large_is_told_before_it_is_sent(url):
     points = np.random.default_rng(0).random((60_000, 3))
     big = Mesh(points, np.arange(60_000).reshape(-1, 3))
-    with pytest.raises(BackendError, match=r"takes 2 MB, the backend .* at most 1 MB"):
+    with pytest.raises(BackendError, match=r"has 2 MB, the backend .* at most 1 MB"):
         HttpPredictor(url, TOKEN).predict(SegmentedObject("big", (Part("link_0", big),)))
 
 
@@ -300,7 +300,7 @@ def test_what_is_no_backend():
             HttpPredictor(address).predict(cupboard_object())
         with pytest.raises(BackendError, match="answered 302"):
             HttpPredictor(f"{address}/moved").check()
-        with pytest.raises(BackendError, match="doesn't answer"):
+        with pytest.raises(BackendError, match="no answer"):
             HttpPredictor(f"{address}/silent", silence_seconds=0.2).check()
         server.shutdown()
 
@@ -332,7 +332,7 @@ def test_serve_takes_a_backend_and_says_where_it_is_away(capsys, url, monkeypatc
     away = "http://127.0.0.1:9"
     assert config("--backend", away).predictor == away
     assert "can't be reached" in capsys.readouterr().err
-    with pytest.raises(BackendRefused, match="wants a token"):
+    with pytest.raises(BackendRefused, match="needs a token"):
         config("--backend", url)
     assert config("--backend", url, "--backend-token", TOKEN).predictor == url
     assert os.environ[TOKEN_VARIABLE] == TOKEN

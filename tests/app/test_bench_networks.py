@@ -16,7 +16,7 @@ from app.cli.main import main  # noqa: E402
 from model.prediction.arti4urdf.language_model import DecoderConfig  # noqa: E402
 from model.prediction.arti4urdf.point_bert import PointBertConfig  # noqa: E402
 from model.segmentation.adapters.point_sam_network import PointSamConfig  # noqa: E402
-from model.training.arti4urdf.full_config import FullConfig  # noqa: E402
+from model.training.arti4urdf.config import FullConfig  # noqa: E402
 
 TINY = DecoderConfig(3000, 64, 96, 2, 4, 2)
 SMALL = NetworksConfig(

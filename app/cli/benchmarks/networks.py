@@ -42,9 +42,9 @@ from model.prediction.arti4urdf.text_prompt import make_example
 from model.segmentation.adapters.point_sam import PointSamSegmenter
 from model.segmentation.adapters.point_sam_network import PointSamConfig, PointSamNetwork
 from model.segmentation.prompts import Click, Prompts
-from model.training.arti4urdf.full_config import LORA_RANK, FullConfig
+from model.training.arti4urdf.config import LORA_RANK, FullConfig
 from model.training.arti4urdf.full_data import Draws, ObjectSet
-from model.training.arti4urdf.full_loop import load_model
+from model.training.arti4urdf.full_trainer import load_model
 from model.training.arti4urdf.samples import training_families
 
 TOO_LARGE = "does not fit"

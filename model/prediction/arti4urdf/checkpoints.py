@@ -18,6 +18,7 @@ from safetensors import SafetensorError
 from safetensors.torch import save_file
 from torch import Tensor
 
+from model.core import codec
 from model.core.checkpoints import read_safetensors
 from model.core.errors import InputFileError
 
@@ -31,12 +32,11 @@ D = TypeVar("D")
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Checkpoint:
-    """What a checkpoint folder holds.
+    """The contents of a checkpoint folder.
 
     Attributes:
-        folder: where it was read.
-        config: everything of ``config.json`` but the format.
-        state: name → tensor.
+        folder: of the files. config: ``config.json`` without the format.
+        state: tensors by name.
     """
 
     folder: Path
@@ -53,11 +53,11 @@ def save_checkpoint(
 ) -> None:
     """Write a checkpoint folder; each file appears whole or not at all.
 
-    Matrices are written as ``dtype``; vectors (norms, biases: next to nothing in size) keep their
-    precision. Tensors that share memory are written apart.
+    Matrices are written as ``dtype``; vectors (norms, biases) keep their precision. Tensors that
+    share memory are written separately.
 
     Raises:
-        InputFileError: where the folder can't be written.
+        InputFileError: if the folder can't be written.
     """
     small = {
         name: (value.to(dtype) if value.is_floating_point() and value.ndim > 1 else value)
@@ -84,7 +84,7 @@ def load_checkpoint(folder: Path) -> Checkpoint:
     """Read what :func:`save_checkpoint` wrote.
 
     Raises:
-        InputFileError: where a file is absent, damaged or of a newer format.
+        InputFileError: if a file is absent, damaged or of a newer format.
     """
     path = folder / CONFIG_FILE
     config = read_json(path)
@@ -100,7 +100,7 @@ def read_json(path: Path) -> dict[str, Any]:
     """The JSON object in a file.
 
     Raises:
-        InputFileError: where the file is absent, huge or no JSON object.
+        InputFileError: if the file is absent, huge or no JSON object.
     """
     try:
         if path.stat().st_size > MAX_CONFIG_BYTES:
@@ -116,24 +116,12 @@ def read_json(path: Path) -> dict[str, Any]:
 
 
 def from_config(kind: type[D], values: object, path: Path) -> D:
-    """A configuration dataclass from the values that ``dataclasses.asdict`` gave.
+    """A configuration from the values of ``dataclasses.asdict``.
 
     Raises:
-        InputFileError: where a value is missing, unknown or refused by the class.
+        InputFileError: if a value is missing, unknown or invalid.
     """
-    fields = {f.name: f for f in dataclasses.fields(kind)}  # type: ignore[arg-type]
-    if not isinstance(values, Mapping):
-        raise InputFileError(path, f"has no {kind.__name__}, but {str(values)[:40]!r}")
-    unknown = sorted(set(values) - set(fields))
-    if unknown:
-        raise InputFileError(
-            path, f"unknown {kind.__name__} values {', '.join(unknown)}", "is this version too old?"
-        )
-    required = (n for n, f in fields.items() if f.default is dataclasses.MISSING)
-    missing = sorted(set(required) - set(values))
-    if missing:
-        raise InputFileError(path, f"{kind.__name__} lacks {', '.join(missing)}")
     try:
-        return kind(**values)
-    except (TypeError, ValueError) as error:
-        raise InputFileError(path, f"{kind.__name__}: {error}") from error
+        return codec.read(kind, values, kind.__name__)
+    except ValueError as error:  # of the codec, or of the class
+        raise InputFileError(path, str(error)) from error

@@ -1,13 +1,14 @@
 """The paper-size Arti4URDF: ULIP-2's Point-BERT, two adapters and Qwen3 by transformers.
 
-Source: ArtiWorld (CVPR 2026), Arti4URDF: the global feature and the parts' features stand among the
-words of the prompt, and the language model is trained on the answer's tokens. Clouds take the place
-of the placeholder words ``<g>`` and ``<p>``, in the order in which they stand.
+Source: ArtiWorld (CVPR 2026), Arti4URDF: the features of the object and of its parts replace the
+placeholder words ``<g>`` and ``<p>`` of the prompt in their order, and the language model is
+trained on the answer's tokens.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from copy import deepcopy
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from types import SimpleNamespace
@@ -26,8 +27,13 @@ from model.prediction.arti4urdf.checkpoints import (
     load_checkpoint,
     save_checkpoint,
 )
-from model.prediction.arti4urdf.point_bert import Groups, PointBert, PointBertConfig, group_points
-from model.prediction.arti4urdf.projector import Projector
+from model.prediction.arti4urdf.point_bert import (
+    Groups,
+    PointBert,
+    PointBertConfig,
+    Projector,
+    group_points,
+)
 from model.prediction.arti4urdf.published_weights import (
     TOKENIZER_FILE,
     load_point_bert,
@@ -46,7 +52,7 @@ _ATTENTION_AND_MLP = [
     "q_proj", "k_proj", "v_proj", "o_proj", "gate_proj", "up_proj", "down_proj",
 ]  # fmt: skip
 LANGUAGE, GEOMETRY = "language_model", "geometry"
-"""Folders inside of a saved model."""
+"""Folders of a saved model."""
 
 
 @dataclass(frozen=True)
@@ -66,13 +72,13 @@ class LoraSettings:
 
 @dataclass(frozen=True, eq=False)
 class Example:
-    """One object as the model reads it.
+    """The model's input for one object.
 
     Attributes:
         prompt: with one ``<g>`` and a ``<p>`` for each part.
-        cloud: (N, 6) of the whole object, normalised, see PAPER: Preprocessing.
-        parts: (P, N, 6) of each part, normalised on its own, in the prompt's order.
-        answer: what is to be said; "" where it is to be found.
+        cloud: (N, 6) of the whole object, normalised (:func:`text_prompt.normalised`).
+        parts: (P, N, 6) of each part, each normalised, in the prompt's order.
+        answer: target text; "" in use.
     """
 
     prompt: str
@@ -85,19 +91,12 @@ class FullModel(nn.Module):
     """Clouds and words in, words out.
 
     Args:
-        encoder: Point-BERT; stays as it is unless ``train_encoder``.
+        encoder: Point-BERT; it is frozen.
         language_model: a causal language model of transformers, or peft's wrapper of one.
         tokenizer: knows :data:`SPECIAL_TOKENS`.
     """
 
-    def __init__(
-        self,
-        encoder: PointBert,
-        language_model: Any,
-        tokenizer: Tokenizer,
-        *,
-        train_encoder: bool = False,
-    ) -> None:
+    def __init__(self, encoder: PointBert, language_model: Any, tokenizer: Tokenizer) -> None:
         super().__init__()
         self.tokenizer = tokenizer
         self.encoder = encoder
@@ -105,8 +104,7 @@ class FullModel(nn.Module):
         width = language_model.config.hidden_size
         self.global_adapter = Projector(encoder.config.output_width, width)
         self.part_adapter = Projector(encoder.config.output_width, width)
-        self.train_encoder = train_encoder
-        encoder.requires_grad_(train_encoder)
+        encoder.requires_grad_(False)
         self._slots = {name: self._id(name) for name in (GLOBAL, PART)}
         self.end = self._id(END_OF_TURN)
 
@@ -122,17 +120,16 @@ class FullModel(nn.Module):
         return self.global_adapter.fc1.weight.device
 
     def train(self, mode: bool = True) -> FullModel:
-        """As ever, but a frozen encoder keeps its running statistics and drops no path."""
+        """Set the mode of all but the encoder, which stays in evaluation mode."""
         super().train(mode)
-        self.encoder.train(mode and self.train_encoder)
+        self.encoder.eval()
         return self
 
     def geometry(self, clouds: Tensor) -> Tensor:
         """(B, N, 6) clouds → (B, output_width) features in the adapters' type."""
         clouds = clouds.to(self.device, torch.float32)
-        gradients = self.train_encoder and torch.is_grad_enabled()
-        # As precise in training as in use.
-        with torch.autocast(self.device.type, enabled=False), torch.set_grad_enabled(gradients):
+        # The same precision in training as in use.
+        with torch.autocast(self.device.type, enabled=False), torch.no_grad():
             groups = group_points(clouds, self.encoder.config)
             weight = self.encoder.norm.weight
             features = self.encoder(Groups(*(part.to(weight.dtype) for part in groups)))
@@ -142,11 +139,11 @@ class FullModel(nn.Module):
         """Prompts and answers as embeddings, padded at the right.
 
         Returns:
-            (B, T, D) embeddings, (B, T) int64 mask, (B, T) labels: the answers' tokens, elsewhere
+            (B, T, D) embeddings, (B, T) int64 mask, (B, T) labels: the answers' tokens, else
             :data:`IGNORED`.
 
         Raises:
-            ConfigurationError: where a prompt's placeholders don't agree with its clouds.
+            ConfigurationError: if a prompt's placeholders don't agree with its clouds.
         """
         rows = [self._tokens(example) for example in examples]
         longest = max(len(ids) for ids, _ in rows)
@@ -160,7 +157,7 @@ class FullModel(nn.Module):
         embeds = self.language_model.get_input_embeddings()(ids)
         wholes = torch.stack([e.cloud for e in examples])
         parts = torch.cat([e.parts for e in examples])
-        # Farthest points come one after the other: all clouds together take as long as one.
+        # Farthest-point sampling is sequential: all clouds together take as long as one.
         features = self.geometry(torch.cat([wholes, parts])).split([len(wholes), len(parts)])
         for slot, adapter, feature in (
             (GLOBAL, self.global_adapter, features[0]),
@@ -168,7 +165,7 @@ class FullModel(nn.Module):
         ):
             tokens = adapter(feature).to(embeds.dtype)
             where = ((ids == self._slots[slot]) & (mask == 1))[..., None]
-            # Boolean order is row by row, the order in which clouds were joined.
+            # masked_scatter goes row by row, as the clouds were concatenated.
             embeds = embeds.masked_scatter(where, tokens)
         return embeds, mask, labels
 
@@ -189,7 +186,7 @@ class FullModel(nn.Module):
     def forward(self, examples: Sequence[Example]) -> Tensor:
         """Mean cross-entropy of the answers' tokens (the paper's loss)."""
         embeds, mask, labels = self.embed(examples)
-        # Of the prompt no word is to be predicted, and a row of logits has 151,936 numbers.
+        # No word of the prompt is predicted, and a row of logits has 151,936 numbers.
         first = int((labels != IGNORED).any(0).nonzero()[0])
         answer = self.language_model(
             inputs_embeds=embeds,
@@ -213,7 +210,7 @@ class FullModel(nn.Module):
         self.language_model.gradient_checkpointing_enable({"use_reentrant": False})
 
     def trained_parameters(self) -> Iterator[nn.Parameter]:
-        """What an optimiser should hold."""
+        """The parameters for an optimiser."""
         return (parameter for parameter in self.parameters() if parameter.requires_grad)
 
     def save(self, folder: Path) -> None:
@@ -223,8 +220,6 @@ class FullModel(nn.Module):
         """
         language, head = folder / LANGUAGE, self.language_model
         if hasattr(head, "merge_and_unload"):
-            from copy import deepcopy
-
             head = deepcopy(head).merge_and_unload()
         head.save_pretrained(language)
         self.tokenizer.save(str(language / TOKENIZER_FILE))
@@ -233,7 +228,7 @@ class FullModel(nn.Module):
             for name in ("encoder", "global_adapter", "part_adapter")
             for key, value in getattr(self, name).state_dict().items()
         }
-        # Written last: with it the folder is whole.
+        # Written last: it marks the folder as complete.
         config = {"kind": "full", "point_bert": asdict(self.encoder.config)}
         save_checkpoint(folder / GEOMETRY, config, state, dtype=torch.float32)
 
@@ -244,13 +239,12 @@ def make_full_model(
     *,
     dtype: torch.dtype = torch.bfloat16,
     lora: LoraSettings | None = None,
-    train_encoder: bool = False,
 ) -> FullModel:
     """A model to be trained, from published weights on disk; nothing is downloaded.
 
     Raises:
-        InputFileError: where weights are absent or don't fit.
-        ConfigurationError: where LoRA is asked for and peft isn't installed.
+        InputFileError: if weights are absent or don't fit.
+        ConfigurationError: if LoRA is asked for and peft isn't installed.
     """
     read_qwen3_config(qwen3)
     encoder = load_point_bert(ulip2)
@@ -261,14 +255,14 @@ def make_full_model(
     _grow_vocabulary(language_model, known, tokenizer.get_vocab_size())
     if lora is not None:
         language_model = _with_lora(language_model, lora, tokenizer)
-    model = FullModel(encoder, language_model, tokenizer, train_encoder=train_encoder)
+    model = FullModel(encoder, language_model, tokenizer)
     model.global_adapter.to(dtype)
     model.part_adapter.to(dtype)
     return model
 
 
 class _Words(nn.Module):
-    """The embedding table alone, where an engine of its own holds the language model."""
+    """The embedding table alone, for engines that hold the language model."""
 
     def __init__(self, table: nn.Embedding) -> None:
         super().__init__()
@@ -287,11 +281,10 @@ def load_full_model(
     Args:
         folder: of the model.
         dtype: of all but the encoder.
-        words: the embedding table, where prompts are all that is wanted: the language model is
-            then not loaded.
+        words: the embedding table; the language model is then not loaded.
 
     Raises:
-        InputFileError: where something is absent, damaged or doesn't fit.
+        InputFileError: if something is absent, damaged or doesn't fit.
     """
     geometry = load_checkpoint(folder / GEOMETRY)
     if geometry.config.get("kind") != "full":
@@ -310,7 +303,7 @@ def load_full_model(
 
 
 def _load_language_model(folder: Path, dtype: torch.dtype) -> Any:
-    """Qwen3 by transformers; unlike there, a missing weight is an error."""
+    """Qwen3 by transformers, but a missing weight is an error."""
     from transformers import Qwen3ForCausalLM
 
     read_qwen3_config(folder)
@@ -353,7 +346,7 @@ def _with_lora(language_model: Any, settings: LoraSettings, tokenizer: Tokenizer
         lora_alpha=settings.alpha,
         lora_dropout=settings.dropout,
         target_modules=_ATTENTION_AND_MLP,
-        # The new words mean nothing yet, so their embeddings are trained as a whole.
+        # The embeddings of new words are untrained, so they are trained in full.
         trainable_token_indices=new_words,
         task_type="CAUSAL_LM",
     )

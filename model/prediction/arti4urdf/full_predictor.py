@@ -21,19 +21,19 @@ from model.prediction.arti4urdf.full_model import LANGUAGE, FullModel, load_full
 from model.prediction.arti4urdf.published_weights import load_qwen3
 from model.prediction.arti4urdf.text_engine import LocalEngine, TextEngine, VllmEngine
 from model.prediction.arti4urdf.text_prompt import make_example
-from model.prediction.arti4urdf.text_script import Author
+from model.prediction.arti4urdf.text_script import AnswerScript
 
 TOKENS_PER_PART = 400
-TOKENS_AT_LEAST = 600
+MIN_TOKENS = 600
+"""Length at which an answer without constraints is cut off."""
 
 
 class FullPredictor:
-    """Reads clouds, writes URDF.
+    """Reads clouds and writes a URDF.
 
     Args:
-        reader: encoder, adapters and word embeddings.
-        engine: continues the prompt.
-        name: for people, the folder of the weights.
+        reader: encoder, adapters and word embeddings. engine: continues the prompt.
+        name: for people.
     """
 
     def __init__(self, reader: FullModel, engine: TextEngine, name: str) -> None:
@@ -48,27 +48,25 @@ class FullPredictor:
         seed: int = 0,
         progress: Progress = no_progress,
     ) -> Prediction:
-        """As :meth:`model.prediction.protocol.Predictor.predict`. The likeliest choices are
-        taken."""
+        """See :class:`model.prediction.protocol.Predictor`; the seed is that of the points."""
         start = time.perf_counter()
         progress(0.0, "Reading shapes")
         example = make_example(segmented, self._reader.encoder.config.points, seed=seed)
         prompt = self._reader.prompt_embeddings(example)
-        text, likely, told = self._answer(
+        text, likely, problems = self._answer(
             prompt,
             segmented,
             locked,
-            seed,
             lambda fraction, message: progress(0.1 + 0.9 * fraction, message),
         )
-        tree, problems = parse_answer(text)
-        told += problems
+        tree, found = parse_answer(text)
+        problems += found
         if tree is not None:
-            tree = _fitted(tree, segmented, locked, told)
+            tree = _fitted(tree, segmented, locked, problems)
         confidence = {} if tree is None else {j.child: likely(j.child) for j in tree.joints}
         confidence |= {j.child: 1.0 for j in locked if j.child in confidence}
         return Prediction(
-            tree, tuple(told), confidence, self.name, seed, time.perf_counter() - start, text
+            tree, tuple(problems), confidence, self.name, seed, time.perf_counter() - start, text
         )
 
     def _answer(
@@ -76,43 +74,42 @@ class FullPredictor:
         prompt: Tensor,
         segmented: SegmentedObject,
         locked: tuple[Joint, ...],
-        seed: int,
         progress: Progress,
     ) -> tuple[str, Callable[[str], float], list[str]]:
-        """The text, the probability of what it says of a link, and what went wrong."""
+        """The text, the probability of a link's joint in it, and problems."""
         if isinstance(self._engine, LocalEngine):
-            written = self._engine.write(prompt, Author(segmented, locked), progress=progress)
+            written = self._engine.write(prompt, AnswerScript(segmented, locked), progress=progress)
             odds = written.log_probabilities
             return written.text, lambda link: math.exp(min(odds.get(link, 0.0), 0.0)), []
-        most = TOKENS_AT_LEAST + TOKENS_PER_PART * len(segmented.parts)
-        answer = self._engine.generate(prompt, max_tokens=most, seed=seed, progress=progress)
-        told = [] if answer.complete else ["the answer was cut off at its longest length"]
+        most = MIN_TOKENS + TOKENS_PER_PART * len(segmented.parts)
+        answer = self._engine.generate(prompt, max_tokens=most, progress=progress)
+        problems = [] if answer.complete else [f"the answer was cut off after {most} tokens"]
         likely = math.exp(min(answer.log_probability, 0.0))
-        return answer.text, lambda link: likely, told
+        return answer.text, lambda link: likely, problems
 
 
 def _fitted(
-    tree: KinematicTree, segmented: SegmentedObject, locked: tuple[Joint, ...], told: list[str]
+    tree: KinematicTree, segmented: SegmentedObject, locked: tuple[Joint, ...], problems: list[str]
 ) -> KinematicTree | None:
-    """The tree with locked joints as they were, where it fits the parts."""
+    """The tree with the locked joints, or None if it doesn't fit the parts."""
     try:
         for joint in locked:
             tree = tree.with_joint(joint)
         return ArticulatedObject(segmented.name, segmented.parts, tree).tree
     except KinematicsError as error:
-        told += error.problems
+        problems += error.problems
         return None
 
 
 def load_full_predictor(folder: Path, *, engine: str = "local") -> FullPredictor:
-    """A predictor from a folder that :meth:`FullModel.save` wrote; on the GPU where there is one.
+    """A predictor from a folder that :meth:`FullModel.save` wrote; on the GPU if there is one.
 
     Args:
         folder: of the weights.
         engine: "local" or "vllm".
 
     Raises:
-        InputFileError: where the weights are absent or don't fit.
+        InputFileError: if the weights are absent or don't fit.
         ConfigurationError: for an unknown engine, or one that isn't installed.
     """
     if engine not in ("local", "vllm"):

@@ -1,15 +1,15 @@
-"""What may be said next: the grammar of the answer over compact tokens.
+"""The grammar of the answer over compact tokens: which words and parts may come next.
 
 The answer is the paper's reasoning chain: ``<json_start>``, the tree from the base down (a part,
-its joint type, its children), ``<json_end>``, then ``<urdf_start>``, for each part that moves the
-candidate that it turns about or slides along and its limits, ``<urdf_end>``. Everything that is
-not a choice is forced and needs no forward pass of its own. Whatever is chosen, the answer parses:
-one root, no cycle, every part once, limits in order.
+its joint type, its children), ``<json_end>``, then ``<urdf_start>``, the candidate joint and the
+limits of each moving part, ``<urdf_end>``. Tokens without an alternative are forced and need no
+forward pass of their own. Every sequence of choices parses: one root, no cycle, every part once,
+limits in order.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -22,14 +22,14 @@ Kind = Literal["root", "child", "type", "slot", "number", "lower", "upper"]
 Bools = npt.NDArray[np.bool_]
 
 FREE_NUMBERS = 6
-"""An axis (3) and the nearest point of its line to the part's centre (3)."""
+"""An axis (3) and the point of its line nearest to the part's centre (3)."""
 FREE = SLOTS
-"""Slot number that stands for "no candidate fits"."""
+"""Slot for "no candidate fits"."""
 
 
 @dataclass(frozen=True)
 class Token:
-    """One token to append: a word, and the part that it points at (-1: none)."""
+    """One token to append: a word, and the part that it points at or -1."""
 
     word: int
     part: int = -1
@@ -37,13 +37,12 @@ class Token:
 
 @dataclass(frozen=True)
 class Choice:
-    """What has to be decided.
+    """An open choice.
 
     Attributes:
-        kind: of the decision.
-        part: the part whose children ("child"), type, candidate or limits are asked for; -1 for
-            the root's choice.
-        words: (SIZE,) words that are allowed. parts: (P,) parts that may be pointed at.
+        kind: of the choice.
+        part: whose children ("child"), type, candidate or limits are chosen; -1 for the root.
+        words: (SIZE,) allowed words. parts: (P,) parts that may be pointed at.
     """
 
     kind: Kind
@@ -54,11 +53,11 @@ class Choice:
 
 @dataclass
 class Decision:
-    """What has been decided about a part.
+    """The decisions about a part.
 
     Attributes:
-        parent: part above, -1 at the root. type: index into ``TYPES``.
-        slot: candidate, FREE, or -1 where none is needed.
+        parent: index, -1 for the root. type: index into ``TYPES``.
+        slot: candidate, FREE, or -1 for none.
         numbers: level indices of a free axis and line.
         lower, upper: level indices, or -1 for the candidate's own limits.
     """
@@ -73,7 +72,7 @@ class Decision:
 
 @dataclass(frozen=True)
 class Lock:
-    """A part whose place is settled: its parent, and its joint too where there is a type (>= 0)."""
+    """A part with a given parent, and with a given joint unless the type is -1."""
 
     parent: int
     type: int = -1
@@ -83,10 +82,10 @@ class Grammar:
     """The state of one answer.
 
     Args:
-        present: (P, SLOTS) which candidates there are. rotates: (P, SLOTS) which of them rotate.
-        locked: part → its settled joint.
-        json_step: write the tree first, then the motions; False decides each part's motion as soon
-            as the part is placed, without the reasoning chain (an ablation of the paper).
+        present: (P, SLOTS) which candidates exist. rotates: (P, SLOTS) which of them rotate.
+        locked: by part.
+        json_step: write the tree first, then the motions; False decides each part's motion with
+            its place, without the reasoning chain (an ablation of the paper).
     """
 
     def __init__(
@@ -111,12 +110,12 @@ class Grammar:
         self._part = -1
 
     def forced(self) -> list[Token]:
-        """Tokens to append before the next choice; they are handed out once."""
+        """Tokens to append before the next choice; each is returned once."""
         out, self._pending = self._pending, []
         return out
 
     def choice(self) -> Choice | None:
-        """The next decision, or None when the answer is complete."""
+        """The next choice, or None when the answer is complete."""
         if self._asks is None:
             return None
         words, parts = np.zeros(v.SIZE, bool), np.zeros(self.count, bool)
@@ -131,8 +130,8 @@ class Grammar:
             words[v.ID["<close>"]] = self._may_close(part)
         elif kind == "type":
             lock = self.locked.get(part)
-            settled = lock is not None and lock.type >= 0
-            words[[v.TYPE_IDS[lock.type]] if lock is not None and settled else v.TYPE_IDS] = True
+            given = lock is not None and lock.type >= 0
+            words[[v.TYPE_IDS[lock.type]] if lock is not None and given else v.TYPE_IDS] = True
         elif kind == "slot":
             turning = v.TYPES[self.decisions[part].type] != "prismatic"
             words[v.SLOT_IDS[self._present[part] & (self._rotates[part] == turning)]] = True
@@ -158,28 +157,26 @@ class Grammar:
         return not mine and (len(self._stack) > 1 or bool(self._placed.all()))
 
     def take(self, word: int, part: int = -1) -> Token:
-        """Decide: a word, or (for "root" and "child") a part. Gives the token to append.
+        """Choose a word, or a part for "root" and "child"; returns the token to append.
 
         Raises:
-            ValueError: where that is not allowed here.
+            ValueError: if it isn't allowed.
         """
-        asked = self.choice()
-        allowed = asked is not None and (
-            (0 <= part < self.count and asked.parts[part]) if part >= 0 else asked.words[word]
-        )
-        if asked is None or not allowed:
-            raise ValueError(f"neither word {word} nor part {part} may come here: {asked}")
-        kind, at = asked.kind, asked.part
+        choice = self.choice()
+        if choice is None:
+            raise ValueError("the answer is complete")
+        kind, at = choice.kind, choice.part
+        pointed = 0 <= part < self.count and choice.parts[part]
+        if not (pointed if part >= 0 else choice.words[word]):
+            raise ValueError(f"{kind} of part {at} allows neither word {word} nor part {part}")
         if kind in ("root", "child"):
-            feed = self._take_part(at, part)
-        elif kind == "type":
+            return self._take_part(at, part)
+        if kind == "type":
             self.decisions[at].type = int(np.flatnonzero(word == v.TYPE_IDS)[0])
-            feed = Token(word)
             self._after_type(at)
         else:
-            feed = Token(word)
             self._take_motion(kind, at, word)
-        return feed
+        return Token(word)
 
     def _take_part(self, at: int, part: int) -> Token:
         if part < 0:
@@ -203,7 +200,7 @@ class Grammar:
             self._asks, self._part = "slot", part
 
     def _moves(self, part: int) -> bool:
-        """Whether a motion has to be decided for it."""
+        """Whether a part's motion has to be chosen."""
         lock = self.locked.get(part)
         fixed = self.decisions[part].type == v.TYPES.index("fixed")
         return part != self.root and not fixed and (lock is None or lock.type < 0)
@@ -220,7 +217,7 @@ class Grammar:
             self._begin_urdf()
 
     def _skip_closed(self) -> None:
-        """When all parts are placed, or a node can only be closed, closing is forced."""
+        """Force the close of nodes that can have no further child."""
         while self._stack and not self._possible(self._stack[-1]).any():
             self._pending.append(Token(v.ID["<close>"]))
             self._stack.pop()
@@ -282,16 +279,6 @@ class Grammar:
             self._asks = "lower"
         else:
             self._after_motion()
-
-    def copy(self) -> Grammar:
-        """An independent state."""
-        twin = object.__new__(Grammar)
-        twin.__dict__.update(self.__dict__)
-        twin.decisions = [replace(d, numbers=list(d.numbers)) for d in self.decisions]
-        twin._placed = self._placed.copy()
-        twin._stack, twin._queue = list(self._stack), list(self._queue)
-        twin._pending = list(self._pending)
-        return twin
 
 
 def _level(word: int) -> int:

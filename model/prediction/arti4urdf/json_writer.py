@@ -1,7 +1,7 @@
-"""JSON of a fixed shape from Qwen3: the frame is written for it, it chooses what stands inside.
+"""JSON of a fixed form from Qwen3: the frame is forced, the model chooses the values.
 
-So the answer is valid JSON whatever the weights, and a choice has a probability. Where a token
-could end a string in several ways (``"``, ``",``), all of them count together.
+The result is valid JSON whatever the weights, and each choice has a probability. The tokens that
+end a string (``"``, ``",``) count together.
 """
 
 from __future__ import annotations
@@ -19,15 +19,14 @@ from model.prediction.arti4urdf.language_model import Decoder
 from model.prediction.arti4urdf.published_weights import load_qwen3
 
 LONGEST_SENTENCE, LONGEST_NAME, MOST_NAMES = 60, 8, 8
-"""Tokens of the reason and of a name, and names in a list."""
+"""Most tokens of the reason and of a name, and most names in a list."""
 
 
 class JsonWriter:
-    """Answers a system's and a user's turn with one decision on one object.
+    """Answers a system prompt and a user prompt with one decision about one object.
 
     Args:
-        decoder: in evaluation mode.
-        tokenizer: of the same folder.
+        decoder: in evaluation mode. tokenizer: of the same folder.
     """
 
     def __init__(self, decoder: Decoder, tokenizer: Any) -> None:
@@ -49,8 +48,8 @@ class JsonWriter:
 
     @torch.inference_mode()
     def decide(self, system: str, user: str) -> str:
-        """``{"reason", "articulable", "parts", "kind", "base", "confidence"}``, confidence being
-        the probability of ``articulable`` against its opposite."""
+        """``{"reason", "articulable", "parts", "kind", "base", "confidence"}``; the confidence is
+        the probability of ``articulable``."""
         self._read(
             f"<|im_start|>system\n{system}<|im_end|>\n",
             f"<|im_start|>user\n{user}<|im_end|>\n<|im_start|>assistant\n<think>\n\n</think>\n\n",
@@ -59,8 +58,8 @@ class JsonWriter:
         self._feed('{"objects": [{"id": 0, "reason": "')
         out["reason"] = self._string(LONGEST_SENTENCE)
         self._feed(', "articulable": ')
-        word, sure = self._choose(("true", "false"))
-        out["articulable"], out["confidence"] = word == "true", sure
+        word, confidence = self._choose(("true", "false"))
+        out["articulable"], out["confidence"] = word == "true", confidence
         self._feed(', "parts": [')
         out["parts"] = self._names() if out["articulable"] else []
         self._feed('], "kind": "')
@@ -78,7 +77,7 @@ class JsonWriter:
         return list(dict.fromkeys(n for n in names if n))
 
     def _read(self, start: str, rest: str) -> None:
-        """Begin anew; what all questions begin with is read once."""
+        """Start a new prompt; its common beginning is read once."""
         if start != self._start:
             self._cache, self._start = self._decoder.new_cache(), start
             self._feed(start)
@@ -96,7 +95,7 @@ class JsonWriter:
         self._next = torch.nan_to_num(logits).softmax(-1)
 
     def _string(self, longest: int) -> str:
-        """A string that isn't empty, whose quotation mark was opened; it is closed afterwards."""
+        """The rest of a nonempty string after its opening quote, which is closed."""
         ids: list[int] = []
         while len(ids) < longest:
             best = int((self._next * self._plain).argmax())
@@ -109,7 +108,7 @@ class JsonWriter:
         return " ".join("".join(c if c.isprintable() else " " for c in text).split())
 
     def _choose(self, options: tuple[str, str], feed: bool = True) -> tuple[str, float]:
-        """The likelier of two texts and its probability against the other."""
+        """The likelier of two texts, and its probability."""
         first, second = (float((self._next * self._fits(o)).sum()) for o in options)
         chosen, mass = (options[0], first) if first >= second else (options[1], second)
         if feed:
@@ -117,7 +116,7 @@ class JsonWriter:
         return chosen, mass / (first + second) if first + second > 0 else 0.5
 
     def _compatible(self, option: str) -> Tensor:
-        """Tokens that begin as the option does, a space before it or not."""
+        """Tokens that agree with the beginning of an option, after an optional space."""
         bare = [t.lstrip(" ") for t in self._texts]
         return self._mask(
             [bool(t) and (t.startswith(option) or option.startswith(t)) for t in bare]
@@ -130,10 +129,10 @@ class JsonWriter:
 
 @lru_cache(maxsize=1)
 def load_json_writer(folder: Path) -> JsonWriter:
-    """A writer with the weights of a Qwen3 folder, on the GPU where there is one.
+    """A writer with the weights of a Qwen3 folder, on the GPU if there is one.
 
     Raises:
-        InputFileError: where the folder isn't one.
+        InputFileError: if the folder isn't one.
     """
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
     loaded = load_qwen3(folder, dtype=torch.bfloat16 if device.type == "cuda" else torch.float32)

@@ -8,7 +8,7 @@ token and a structure token, then the answer.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -19,8 +19,13 @@ from torch.nn import functional
 from model.prediction.arti4urdf import vocabulary as v
 from model.prediction.arti4urdf.grammar import Token
 from model.prediction.arti4urdf.language_model import Decoder, DecoderConfig, KeyValueCache
-from model.prediction.arti4urdf.point_bert import NANO, PointBert, PointBertConfig, group_points
-from model.prediction.arti4urdf.projector import Projector
+from model.prediction.arti4urdf.point_bert import (
+    NANO,
+    PointBert,
+    PointBertConfig,
+    Projector,
+    group_points,
+)
 from model.prediction.arti4urdf.structure import (
     AREA_ROOT,
     CANDIDATE_SCALARS,
@@ -33,10 +38,10 @@ from model.prediction.arti4urdf.structure import (
 )
 
 CODE = 32
-"""Width of the code that says which part is which; it stands for the file name link_i."""
+"""Width of the code that identifies a part; it stands for the file name link_i."""
 FREQUENCIES = 5
 MOST_BIAS = 8.0
-"""What the relation of two parts can add to a pointer's logit."""
+"""Largest contribution of the relation of two parts to a pointer's logit."""
 
 
 @dataclass(frozen=True)
@@ -58,25 +63,15 @@ class ModelConfig:
     structure_prompt: bool = True
     json_step: bool = True
 
-    def to_json(self) -> dict[str, Any]:
-        """As nested dictionaries."""
-        return asdict(self)
-
-    @classmethod
-    def from_json(cls, data: dict[str, Any]) -> ModelConfig:
-        """From what :meth:`to_json` gave."""
-        rest = {k: x for k, x in data.items() if k not in ("point_bert", "decoder")}
-        return cls(PointBertConfig(**data["point_bert"]), DecoderConfig(**data["decoder"]), **rest)
-
 
 @dataclass(frozen=True, eq=False)
 class Prompt:
-    """What the network reads of one object.
+    """The network's input for one object.
 
     Attributes:
         arrays: geometry. category: word id, names: word ids a part (may be empty).
         codes: (P,) number of each part's code.
-        whole: (N, 3) cloud of the whole object; drawn from the parts where it is None.
+        whole: (N, 3) cloud of the whole object; None draws it from the parts.
     """
 
     arrays: StructureArrays
@@ -92,9 +87,9 @@ class Encoded:
 
     Attributes:
         prefix: (B, T, D) embeddings up to ``<p_end>``; valid: (B, T).
-        parts: (B, P, D) what pointing at a part feeds in. keys: (B, P, K) what a pointer meets.
-        bias: (B, P, P, 2) what the relation of row and column adds to the logit that the column is
-            the row's child; on the diagonal, second channel: that it is the root.
+        parts: (B, P, D) input of a token that points at a part. keys: (B, P, K) of the pointers.
+        bias: (B, P, P, 2) contribution to the logit that the column is the row's child; second
+            channel, on the diagonal: that it is the root.
         shapes: (sum P, D) adapted shape features of all parts, for the auxiliary type head.
     """
 
@@ -148,7 +143,7 @@ class ArtiModel(nn.Module):
         inside = SCALARS + 3 * VECTORS + candidates + 2 * CODE
         self.structure = _mlp(inside, self.config.structure_width, width, normalised=True)
         self.pointed = nn.Linear(2 * width, width)
-        # Normalised, or the logits of pointers grow without bound.
+        # Without a norm the logits of pointers grow without bound.
         self.key = nn.Sequential(nn.Linear(3 * width, 64), nn.RMSNorm(64, eps=1e-6))
         self.query = nn.Sequential(nn.Linear(width, 64), nn.RMSNorm(64, eps=1e-6))
         self.relation = _mlp(2 * RELATIONS, 64, 2)
@@ -314,8 +309,8 @@ class ArtiModel(nn.Module):
         """Logits of pointing at each part.
 
         Args:
-            encoded: one row an object. hidden: (B, T, D). nodes: (B, T) the part whose child is
-                asked for, -1 for the root.
+            encoded: one row per object. hidden: (B, T, D).
+            nodes: (B, T) part whose child is chosen, -1 for the root.
 
         Returns:
             (B, T, P).

@@ -1,4 +1,4 @@
-"""Point-BERT as ULIP-2 publishes it, in pure torch, and the small variant of it.
+"""Point-BERT as ULIP-2 publishes it, in pure torch, its small variant, and the adapters.
 
 Source: Yu et al., Point-BERT (CVPR 2022); Xue et al., ULIP-2 (CVPR 2024). Names and shapes of the
 parameters are those of the published checkpoints after ``module.point_encoder.`` is removed.
@@ -32,8 +32,8 @@ class PointBertConfig:
         normalisation: inside the mini-PointNet. ``layer`` cannot collapse to a constant as batch
             norm did on small data.
         unit_neighbourhoods: scale every neighbourhood to a largest radius of 1.
-        skip_near_origin: leave points with |p|² ≤ 1e-3 out of the farthest-point sampling, as the
-            CUDA sampler behind the published weights does.
+        skip_near_origin: exclude points with |p|² ≤ 1e-3 from farthest-point sampling, as the
+            CUDA sampler of the published weights does.
     """
 
     width: int = 384
@@ -61,7 +61,6 @@ class PointBertConfig:
 
 
 ULIP2 = PointBertConfig()
-POINT_LLM = PointBertConfig(depth=12, points=8192)
 NANO = PointBertConfig(
     width=96,
     depth=2,
@@ -93,8 +92,7 @@ class Groups(NamedTuple):
 def farthest_points(xyz: Tensor, count: int, *, skip_near_origin: bool = False) -> Tensor:
     """Indices of ``count`` points, each the farthest from those before it, beginning with point 0.
 
-    Ties go to the lower index, so the result depends on the input alone. Where every point is
-    taken (or coincides with one that is), point 0 is repeated.
+    Ties go to the lower index. Once all points are chosen, point 0 is repeated.
 
     Args:
         xyz: (B, N, 3).
@@ -126,11 +124,11 @@ def farthest_points(xyz: Tensor, count: int, *, skip_near_origin: bool = False) 
 
 
 def group_points(cloud: Tensor, config: PointBertConfig) -> Groups:
-    """Cut clouds into neighbourhoods about farthest points. No gradient, no randomness.
+    """Group clouds into neighbourhoods around farthest points. No gradient, no randomness.
 
     Args:
         cloud: (B, N, C), N ≥ 1, normalised by the caller. With fewer points than groups or
-            neighbours, points are repeated, which the maxima behind do not notice.
+            neighbours, points are repeated, which doesn't change the maxima.
         config: groups, neighbours and the two options of grouping.
     """
     with torch.no_grad():
@@ -156,7 +154,7 @@ def group_points(cloud: Tensor, config: PointBertConfig) -> Groups:
 
 
 class _PointConv(nn.Conv1d):
-    """A convolution of kernel 1 over rows: the published shape, computed as a matrix product."""
+    """A convolution of kernel 1 in its published shape, computed as a matrix product."""
 
     def __init__(self, width: int, out: int) -> None:
         super().__init__(width, out, 1)
@@ -289,3 +287,23 @@ class PointBert(nn.Module):
         positions = torch.cat([self.cls_pos.expand(batch, -1, -1), positions], dim=1)
         tokens = self.norm(self.blocks(tokens, positions))
         return torch.cat([tokens[:, 0], tokens[:, 1:].amax(1)], dim=-1)
+
+
+class Projector(nn.Module):
+    """The two-layer adapter from geometry features to the language model's width.
+
+    Args:
+        geometry_width: of the encoder's feature. hidden_size: of the language model.
+        normalised: RMS norm on the result, so that the features of a collapsing encoder can't
+            hide behind the language model's embeddings (small model).
+    """
+
+    def __init__(self, geometry_width: int, hidden_size: int, *, normalised: bool = False) -> None:
+        super().__init__()
+        self.fc1 = nn.Linear(geometry_width, hidden_size)
+        self.fc2 = nn.Linear(hidden_size, hidden_size)
+        self.norm = nn.RMSNorm(hidden_size, eps=1e-6) if normalised else nn.Identity()
+
+    def forward(self, features: Tensor) -> Tensor:
+        """(…, geometry_width) → (…, hidden_size)."""
+        return self.norm(self.fc2(functional.gelu(self.fc1(features))))

@@ -9,10 +9,11 @@ import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
+from tokenizers import Tokenizer
 from torch import Tensor
 
 from model.core.checkpoints import read_safetensors, strict_load
@@ -20,9 +21,6 @@ from model.core.errors import InputFileError
 from model.prediction.arti4urdf.checkpoints import read_json
 from model.prediction.arti4urdf.language_model import Decoder, DecoderConfig
 from model.prediction.arti4urdf.point_bert import ULIP2, PointBert
-
-if TYPE_CHECKING:
-    from tokenizers import Tokenizer
 
 ENCODER_PREFIX = "module.point_encoder."
 TOKENIZER_FILE = "tokenizer.json"
@@ -41,7 +39,7 @@ def load_point_bert(path: Path) -> PointBert:
         checkpoint's depth.
 
     Raises:
-        InputFileError: where the file is absent, damaged, unsafe or of something else.
+        InputFileError: if the file is absent, damaged, unsafe or of something else.
     """
     whole = _read_torch(path)
     state = whole.get("state_dict") if isinstance(whole, Mapping) else None
@@ -61,7 +59,7 @@ def load_point_bert(path: Path) -> PointBert:
             "give a ULIP-2 checkpoint with Point-BERT as its encoder",
         )
     blocks = [int(m.group(1)) for name in encoder if (m := _BLOCK.match(name))]
-    # A gap in the numbers shows as missing keys; a huge number must not allocate that many blocks.
+    # A gap in the numbers gives missing keys; a huge number must not allocate that many blocks.
     depth = min(max(blocks, default=-1), len(blocks)) + 1
     with torch.device("meta"):
         model = PointBert(replace(ULIP2, depth=depth))
@@ -70,7 +68,7 @@ def load_point_bert(path: Path) -> PointBert:
 
 
 def _read_torch(path: Path) -> Any:
-    """A file of ``torch.save``: tensors, plain values, and the options that training left there."""
+    """A file of ``torch.save`` with tensors, plain values and the options of its training."""
     if not path.is_file():
         raise InputFileError(path, "no such file", "download the checkpoint first")
     scalar = np.float64(0).__reduce__()[0]
@@ -87,7 +85,7 @@ def _read_torch(path: Path) -> Any:
             return torch.load(path, map_location="cpu", weights_only=True)
     except pickle.UnpicklingError as error:
         why = re.search(r"GLOBAL ([\w.]+)", str(error))
-        problem = f"wants to run {why.group(1)}" if why else "is damaged or no torch file"
+        problem = f"contains code ({why.group(1)})" if why else "is damaged or no torch file"
         raise InputFileError(path, problem, "only tensors and plain values are read") from error
     except (
         RuntimeError, EOFError, OSError, ValueError, KeyError, TypeError, AttributeError,
@@ -102,12 +100,10 @@ def _read_torch(path: Path) -> Any:
 
 @dataclass(frozen=True, eq=False)
 class Qwen3:
-    """A language model as it lies on disk.
+    """A language model from disk.
 
     Attributes:
-        decoder: weights in evaluation mode.
-        tokenizer: of the same folder.
-        folder: where both were read.
+        decoder: in evaluation mode. tokenizer: of the same folder. folder: of both.
     """
 
     decoder: Decoder
@@ -119,12 +115,12 @@ def load_qwen3(folder: Path, *, dtype: torch.dtype = torch.bfloat16) -> Qwen3:
     """Qwen3 from the folder that transformers' ``save_pretrained`` or the publisher wrote.
 
     Raises:
-        InputFileError: where a file is absent, damaged, or of another architecture.
+        InputFileError: if a file is absent, damaged, or of another architecture.
     """
     config = read_qwen3_config(folder)
     state = _read_shards(folder)
     if config.tied:
-        # Published folders of tied models may hold the shared matrix a second time.
+        # Published folders of tied models may contain the shared matrix twice.
         again, shared = state.pop("lm_head.weight", None), state.get("model.embed_tokens.weight")
         if again is not None and shared is not None and not torch.equal(again, shared):
             raise InputFileError(
@@ -140,7 +136,7 @@ def read_qwen3_config(folder: Path) -> DecoderConfig:
     """The sizes in a Qwen3 folder's ``config.json``.
 
     Raises:
-        InputFileError: where it is of another architecture or has an option that isn't built here.
+        InputFileError: if it is of another architecture or has an unsupported option.
     """
     path = folder / "config.json"
     if not folder.is_dir():
@@ -199,10 +195,8 @@ def load_tokenizer(folder: Path) -> Tokenizer:
     """The tokenizer of a Qwen3 folder.
 
     Raises:
-        InputFileError: where ``tokenizer.json`` is absent or damaged.
+        InputFileError: if ``tokenizer.json`` is absent or damaged.
     """
-    from tokenizers import Tokenizer
-
     path = folder / TOKENIZER_FILE
     if not path.is_file():
         raise InputFileError(path, "no such file", _QWEN_REMEDY)

@@ -1,6 +1,6 @@
-"""Networks of the published sizes with random weights, on disk as the published ones are.
+"""Random weights of the published sizes in the published formats.
 
-With them it can be tried out what a machine bears before gigabytes are downloaded.
+They show what a machine can run before gigabytes are downloaded.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from model.prediction.arti4urdf.point_bert import ULIP2, PointBert, PointBertCon
 from model.prediction.arti4urdf.published_weights import ENCODER_PREFIX, TOKENIZER_FILE
 
 _WORDS = r" ?[A-Za-z]+|\d| ?[^\sA-Za-z\d]+|\s*[\r\n]+|\s+"
-"""Roughly Qwen's pre-tokeniser: words, single digits, runs of signs."""
-_SAID = ("<|endoftext|>", "<|im_start|>", "<|im_end|>")
+"""Approximately Qwen's pre-tokeniser: words, single digits, runs of signs."""
+_SPECIAL = ("<|endoftext|>", "<|im_start|>", "<|im_end|>")
 _TOKENS = 4000
 
 
@@ -27,12 +27,10 @@ def write_random_qwen3(
     """A Qwen3 folder that :func:`~model.prediction.arti4urdf.published_weights.load_qwen3` reads.
 
     Args:
-        folder: is made.
-        size: of the language model; its vocabulary has that many rows.
-        texts: that the tokenizer learns byte pairs from, so that texts of their kind have about as
-            many tokens as with the published one.
-        device: where the weights are drawn; a GPU is quicker.
-        seed: of the weights.
+        folder: is created. size: of the language model and its vocabulary.
+        texts: from which the tokenizer learns byte pairs, so that similar texts have about as many
+            tokens as with the published one.
+        device: on which the weights are drawn. seed: of the weights.
 
     Returns:
         ``folder``.
@@ -84,7 +82,7 @@ def _tokenizer(texts: Iterable[str], most: int) -> Tokenizer:
     tokenizer.decoder = decoders.ByteLevel()  # type: ignore[assignment]
     trainer = trainers.BpeTrainer(
         vocab_size=most,
-        special_tokens=list(_SAID),
+        special_tokens=list(_SPECIAL),
         initial_alphabet=pre_tokenizers.ByteLevel.alphabet(),
         show_progress=False,
     )

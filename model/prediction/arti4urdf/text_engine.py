@@ -1,4 +1,4 @@
-"""Engines that continue a prompt given as embeddings: our own decoder, and vLLM."""
+"""Engines that continue a prompt of embeddings: our decoder, and vLLM."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from model.core.errors import ConfigurationError
 from model.core.installing import install_command
 from model.core.progress import Progress, no_progress
 from model.prediction.arti4urdf.language_model import Decoder
-from model.prediction.arti4urdf.text_script import Author
-from model.prediction.arti4urdf.text_writing import Vocabulary, Written, write
+from model.prediction.arti4urdf.text_script import AnswerScript
+from model.prediction.arti4urdf.text_writing import TokenTexts, Written, write
 
 
 @dataclass(frozen=True)
@@ -25,9 +25,9 @@ class Generated:
     """A continuation.
 
     Attributes:
-        text: special tokens included, the end left out.
+        text: with special tokens, without the end.
         log_probability: mean over its tokens.
-        complete: it ended by itself, not at the limit.
+        complete: it ended before the limit.
     """
 
     text: str
@@ -39,24 +39,17 @@ class TextEngine(Protocol):
     """Continues a prompt."""
 
     def generate(
-        self,
-        prompt: Tensor,
-        *,
-        max_tokens: int,
-        temperature: float = 0.0,
-        seed: int = 0,
-        progress: Progress = no_progress,
+        self, prompt: Tensor, *, max_tokens: int, progress: Progress = no_progress
     ) -> Generated:
-        """Continue ``prompt`` (T, D); temperature 0 takes the likeliest token each time."""
+        """Continue ``prompt`` (T, D) with the likeliest token each time."""
         ...
 
 
 class LocalEngine:
-    """Our decoder with its cache, on whatever device its weights are.
+    """Our decoder with its cache, on the device of its weights.
 
     Args:
-        decoder: of a Qwen3 folder.
-        tokenizer: of the same folder.
+        decoder: of a Qwen3 folder. tokenizer: of the same folder.
         end: id of the token that ends an answer.
     """
 
@@ -65,62 +58,46 @@ class LocalEngine:
 
     @torch.inference_mode()
     def generate(
-        self,
-        prompt: Tensor,
-        *,
-        max_tokens: int,
-        temperature: float = 0.0,
-        seed: int = 0,
-        progress: Progress = no_progress,
+        self, prompt: Tensor, *, max_tokens: int, progress: Progress = no_progress
     ) -> Generated:
         """As :meth:`TextEngine.generate`."""
         decoder = self._decoder
         weight = decoder.model.norm.weight
-        generator = torch.Generator().manual_seed(seed)
         cache = decoder.new_cache(1, capacity=len(prompt) + max_tokens)
         hidden = decoder(prompt[None].to(weight.device, weight.dtype), cache=cache)
-        said: list[int] = []
+        tokens: list[int] = []
         total = 0.0
         complete = False
-        while len(said) < max_tokens and not complete:
+        while len(tokens) < max_tokens and not complete:
             odds = decoder.logits(hidden[0, -1]).float().log_softmax(-1)
-            token = _draw(odds, temperature, generator)
+            token = int(odds.argmax())
             total += float(odds[token])
             complete = token == self._end
-            said.append(token)
-            progress(len(said) / max_tokens, f"Writing, {len(said)} tokens")
+            tokens.append(token)
+            progress(len(tokens) / max_tokens, f"Writing, {len(tokens)} tokens")
             step = torch.tensor([[token]], device=weight.device)
-            if not complete and len(said) < max_tokens:
+            if not complete and len(tokens) < max_tokens:
                 hidden = decoder(decoder.embed(step), cache=cache)
-        words = said[:-1] if complete else said
+        words = tokens[:-1] if complete else tokens
         text = self._tokenizer.decode(words, skip_special_tokens=False)
-        return Generated(text, total / max(len(said), 1), complete)
+        return Generated(text, total / max(len(tokens), 1), complete)
 
     @torch.inference_mode()
-    def write(self, prompt: Tensor, author: Author, *, progress: Progress = no_progress) -> Written:
-        """Let the model make ``author``'s choices, the likeliest each time.
-
-        See :func:`model.prediction.arti4urdf.text_writing.write`.
-        """
-        return write(
-            self._decoder, self._tokenizer, self._vocabulary, prompt, author, progress=progress
-        )
+    def write(
+        self, prompt: Tensor, script: AnswerScript, *, progress: Progress = no_progress
+    ) -> Written:
+        """As :func:`model.prediction.arti4urdf.text_writing.write`."""
+        return write(self._decoder, self._tokenizer, self._texts, prompt, script, progress=progress)
 
     @cached_property
-    def _vocabulary(self) -> Vocabulary:
-        return Vocabulary(self._tokenizer)
-
-
-def _draw(odds: Tensor, temperature: float, generator: torch.Generator) -> int:
-    if temperature <= 0:
-        return int(odds.argmax())
-    likely = (odds / temperature).softmax(-1).cpu()  # drawn alike on every device
-    return int(torch.multinomial(likely, 1, generator=generator))
+    def _texts(self) -> TokenTexts:
+        return TokenTexts(self._tokenizer)
 
 
 class VllmEngine:
-    """vLLM with prompt embeddings, for GPUs and many requests. This class was written against
-    vLLM's documentation and has not been run: vLLM needs a GPU.
+    """vLLM with prompt embeddings, for GPUs and many requests.
+
+    Written against vLLM's documentation, but not tested: vLLM needs a GPU.
 
     Args:
         folder: a Qwen3 folder, such as ``language_model`` of a saved model.
@@ -137,20 +114,13 @@ class VllmEngine:
         self._model = LLM(model=str(folder), enable_prompt_embeds=True, dtype="bfloat16")
 
     def generate(
-        self,
-        prompt: Tensor,
-        *,
-        max_tokens: int,
-        temperature: float = 0.0,
-        seed: int = 0,
-        progress: Progress = no_progress,
+        self, prompt: Tensor, *, max_tokens: int, progress: Progress = no_progress
     ) -> Generated:
-        """As :meth:`TextEngine.generate`; progress is told at the beginning and the end only."""
+        """As :meth:`TextEngine.generate`, with progress at the beginning and the end only."""
         progress(0.0, "Writing")
         options = self._sampling(
-            temperature=temperature,
+            temperature=0.0,
             max_tokens=max_tokens,
-            seed=seed,
             stop_token_ids=[self._end],
             skip_special_tokens=False,
             logprobs=0,

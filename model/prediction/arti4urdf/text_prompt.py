@@ -1,4 +1,4 @@
-"""The prompt of the paper-size model in words, and the clouds that stand among them.
+"""The prompt of the paper-size model: its text and its clouds.
 
 Source: ArtiWorld (CVPR 2026), Arti4URDF: the object's name, the part files, the global token, the
 part tokens in the files' order, and the parts' geometric relations in words (structure prompt).
@@ -31,24 +31,22 @@ _TASK = (
     "+z is up, the object's rest pose is zero."
 )
 _GREY = 0.4
-"""Colour of a cloud without any (ULIP-2's preprocessing)."""
+"""Colour of clouds without colours (ULIP-2's preprocessing)."""
 _NAME_LENGTH = 60
 
 
 def make_example(
     segmented: SegmentedObject, points: int, *, structure: bool = True, seed: int = 0
 ) -> Example:
-    """What the model reads of an object.
+    """The model's input for an object.
 
     Args:
-        segmented: names and category are hints that may be missing.
-        points: of each cloud.
-        structure: say how the parts lie and touch.
-        seed: of the points that are sampled.
+        segmented: with or without names and category. points: of each cloud.
+        structure: describe the parts' places and contacts. seed: of the sampling.
     """
     rng = np.random.default_rng(seed)
     clouds = [_sampled(part, points, rng) for part in segmented.parts]
-    # Each part's share of the whole object's cloud is that of its extent.
+    # Parts share the whole object's cloud by their squared extents.
     areas = np.array([max(float(np.linalg.norm(np.ptp(c[:, :3], axis=0))), 1e-9) for c in clouds])
     owner = rng.choice(len(clouds), points, p=areas**2 / (areas**2).sum())
     whole = np.stack([clouds[k][i] for i, k in enumerate(owner)])
@@ -60,7 +58,7 @@ def make_example(
 
 
 def normalised(cloud: npt.NDArray[np.float64]) -> Tensor:
-    """(N, 6) as Point-BERT was trained on it: centroid at 0, largest radius 1, colours 0..1."""
+    """(N, 6) as in Point-BERT's training: centroid at 0, largest radius 1, colours 0..1."""
     out = cloud.copy()
     out[:, :3] -= out[:, :3].mean(0)
     out[:, :3] /= max(float(np.linalg.norm(out[:, :3], axis=1).max()), 1e-9)
@@ -75,7 +73,7 @@ def _sampled(part: Part, count: int, rng: np.random.Generator) -> npt.NDArray[np
         chosen = rng.choice(len(part.cloud), count, replace=len(part.cloud) < count)
         cloud = part.cloud.take(chosen)
     else:
-        assert part.mesh is not None  # without an area: its corners are all there is
+        assert part.mesh is not None  # a mesh without area has only vertices
         corners = part.mesh.vertices[rng.integers(0, len(part.mesh.vertices), count)]
         return np.column_stack([corners, np.full_like(corners, _GREY)])
     points = cloud.points.astype(np.float64)
@@ -85,7 +83,7 @@ def _sampled(part: Part, count: int, rng: np.random.Generator) -> npt.NDArray[np
 
 
 def prompt_text(segmented: SegmentedObject, *, structure: bool = True) -> str:
-    """The words of the prompt, up to where the answer begins (Qwen3's chat format)."""
+    """The text of the prompt up to the answer, in Qwen3's chat format."""
     files = [f"{part.link}.obj" + _named(part.name) for part in segmented.parts]
     lines = [
         f"Object: {plain(segmented.category or '') or 'unknown'}",
@@ -103,7 +101,7 @@ def prompt_text(segmented: SegmentedObject, *, structure: bool = True) -> str:
 
 
 def structure_text(segmented: SegmentedObject) -> list[str]:
-    """Where each part lies and how parts touch, a line each."""
+    """A line for the place of each part and for each contact."""
     out = []
     for part in segmented.parts:
         low, high = part.bounds
@@ -122,7 +120,7 @@ def structure_text(segmented: SegmentedObject) -> list[str]:
 
 
 def plain(text: str) -> str:
-    """People's words without what the tokenizer would take for special tokens or new lines."""
+    """User text without special tokens and line breaks."""
     return re.sub(r"[<>|\s]+", " ", text).strip()[:_NAME_LENGTH]
 
 

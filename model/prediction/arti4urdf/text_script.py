@@ -1,11 +1,9 @@
-"""The answer as text, step by step: what is settled is forced, the rest are small choices.
+"""The answer as text in steps: forced text, and small choices.
 
-The steps follow :func:`model.prediction.arti4urdf.answer.write_answer` to the letter. Which part
-may come
-where is the business of :class:`model.prediction.arti4urdf.grammar.Grammar`, so whatever is chosen
-the answer
-is one tree with every part once, its URDF has axes that are not zero and limits in order, and it
-parses.
+The steps follow :func:`model.prediction.arti4urdf.answer.write_answer` to the letter, and
+:class:`model.prediction.arti4urdf.grammar.Grammar` decides which part may come next. So every
+sequence of choices gives one tree with every part once and a URDF that parses, with nonzero axes
+and limits in order.
 """
 
 from __future__ import annotations
@@ -37,7 +35,7 @@ SCREW = v.TYPES.index("screw")
 
 @dataclass(frozen=True)
 class OneOf:
-    """One of several texts, none of which begins another; ``about`` is the link it decides."""
+    """A choice among texts, none a prefix of another; ``about`` is the link that it concerns."""
 
     about: str
     texts: tuple[str, ...]
@@ -45,11 +43,11 @@ class OneOf:
 
 @dataclass(frozen=True)
 class Numbers:
-    """``count`` decimal numbers with blanks between them, up to the closing quotation mark.
+    """A choice of ``count`` decimal numbers with blanks between them, up to the closing quote.
 
     Attributes:
-        about: the link that they decide. kind: what is asked, for confidence.
-        nonzero: they must not all be zero. least: none may be smaller.
+        about: the link that they concern. kind: of the numbers.
+        nonzero: not all may be zero. least: lower bound of each.
     """
 
     about: str
@@ -59,7 +57,7 @@ class Numbers:
     least: float | None = None
 
     def allows(self, text: str, *, complete: bool = False) -> bool:
-        """Whether ``text`` may begin (or, ``complete``, be) the numbers."""
+        """Whether the numbers may begin with ``text``, or equal it if ``complete``."""
         words = text.split(" ")
         if len(words) > self.count or (complete and len(words) < self.count):
             return False
@@ -83,7 +81,7 @@ _PARTIAL = re.compile(rf"-?(\d{{1,{WHOLE_DIGITS}}}(\.\d{{0,{DECIMALS}}})?)?")
 
 
 def _reach(begun: str) -> tuple[float, float]:
-    """Between which values a number that begins so can still end."""
+    """Bounds of the numbers that begin with a text."""
     whole, _, after = begun.lstrip("-").partition(".")
     most = float("9" * WHOLE_DIGITS + "." + "9" * DECIMALS)
     if not whole:
@@ -99,7 +97,7 @@ Script = Generator[Step, str, None]
 
 @dataclass(eq=False)
 class _Node:
-    """A link whose children are being written; ``closes`` links end with it (its helpers)."""
+    """A link whose children are being written; ``closes`` links (its helpers) end with it."""
 
     depth: int
     children: int = 0
@@ -107,13 +105,13 @@ class _Node:
 
 
 class _Json:
-    """Pieces of the text of ``json.dumps(…, indent=1)``."""
+    """Pieces of text in the layout of ``json.dumps(…, indent=1)``."""
 
     def __init__(self) -> None:
         self.stack: list[_Node] = []
 
     def open(self, link: str) -> str:
-        """Begin a child of the last node, up to behind its name."""
+        """Begin a child of the last node, up to its name."""
         top = self.stack[-1]
         return self._begin(top.depth, first=top.children == 0) + f'{link}",\n'
 
@@ -122,12 +120,12 @@ class _Json:
         return f'{"[" if first else ","}\n{pad}{{\n{pad} "part": "'
 
     def joint(self, name: str, above: int) -> str:
-        """The joint's name of a link ``above`` + 1 levels below the last node, and what follows."""
+        """Joint name of a link ``above`` + 1 levels below the last node, up to its children."""
         pad = " " * (2 * (self.stack[-1].depth + above + 1) + 1)
         return f'",\n{pad}"joint_name": "{name}",\n{pad}"children": '
 
     def joint_type(self, above: int) -> str:
-        """Where the type of that link's joint comes."""
+        """The key of that joint's type."""
         return " " * (2 * (self.stack[-1].depth + above + 1) + 1) + '"joint_type": "'
 
     def below(self, above: int, link: str) -> str:
@@ -135,13 +133,13 @@ class _Json:
         return self._begin(self.stack[-1].depth + above, first=True) + f'{link}",\n'
 
     def pushed(self, links: int) -> None:
-        """The last node has another child, ``links`` - 1 helpers above it."""
+        """Add a child to the last node, with ``links`` - 1 helpers above it."""
         top = self.stack[-1]
         top.children += 1
         self.stack.append(_Node(top.depth + links, closes=links))
 
     def close(self) -> str:
-        """End the children of the last node, and the node."""
+        """End the children of the last node and the node itself."""
         top = self.stack[-1]
         out = "[]" if not top.children else f"\n{' ' * (2 * top.depth + 1)}]"
         for k in range(top.closes):
@@ -152,11 +150,11 @@ class _Json:
         return out
 
 
-class Author:
-    """Writes one answer.
+class AnswerScript:
+    """The steps of one answer.
 
     Args:
-        segmented: the parts. locked: settled joints, forced.
+        segmented: the parts. locked: joints that are forced.
     """
 
     def __init__(self, segmented: SegmentedObject, locked: Sequence[Joint] = ()) -> None:
@@ -165,18 +163,18 @@ class Author:
         self._joint_above = {j.child: j for j in locked}
         self.joints: dict[str, Joint] = {}
         """Child link → joint with the values that are known so far."""
-        self.settled: set[str] = set()
+        self.forced: set[str] = set()
         self._axes: dict[str, str] = {}
 
-    def script(self) -> Script:
-        """The steps; each choice's text is to be sent in."""
+    def steps(self) -> Script:
+        """The steps; send the text of each choice."""
         yield f"{JSON_START}\n"
         yield from self._tree()
         yield f"\n{JSON_END}\n{URDF_START}\n"
         yield from self._urdf()
 
     def _chain(self, part: int) -> list[Joint] | None:
-        """The settled joints from the part above down to ``part``, helpers' included."""
+        """The locked joints between the parent part and ``part``, with those of helpers."""
         out: list[Joint] = []
         link = self.links[part]
         while link in self._joint_above and len(out) <= len(self._joint_above):
@@ -205,51 +203,51 @@ class Author:
             for _ in closed:
                 text += json.close()
                 json.stack.pop()
-            asked = grammar.choice()
-            if asked is None or asked.kind not in ("root", "child"):
+            choice = grammar.choice()
+            if choice is None or choice.kind not in ("root", "child"):
                 break
-            if asked.kind == "root":
+            if choice.kind == "root":
                 options = {
                     self.links[p] + '",\n "children": ': (int(p), False)
-                    for p in np.flatnonzero(asked.parts)
+                    for p in np.flatnonzero(choice.parts)
                 }
             else:
-                options = self._children(asked, json, locks)
+                options = self._children(choice, json, locks)
             yield text
             text = ""
-            about = "" if asked.part < 0 else self.links[asked.part]
+            about = "" if choice.part < 0 else self.links[choice.part]
             taken, screw = options[(yield from _choose(about, tuple(options)))]
             if taken < 0:
                 json.stack.pop()
                 grammar.take(v.ID["<close>"])
                 continue
             grammar.take(-1, taken)
-            if asked.kind == "root":
+            if choice.kind == "root":
                 json.stack.append(_Node(0))
                 continue
-            kind, text = yield from self._joint(taken, asked.part, screw, json, taken in locks)
+            kind, text = yield from self._joint(taken, choice.part, screw, json, taken in locks)
             grammar.take(int(v.TYPE_IDS[kind]))
         yield text
 
     def _children(
-        self, asked: Choice, json: _Json, locks: dict[int, Lock]
+        self, choice: Choice, json: _Json, locks: dict[int, Lock]
     ) -> dict[str, tuple[int, bool]]:
-        """Text → the part that it opens (-1: close), and whether by a helper of its own."""
+        """Text → the part that it opens (-1 closes), and whether with a new helper above it."""
         out: dict[str, tuple[int, bool]] = {}
-        for p in np.flatnonzero(asked.parts):
+        for p in np.flatnonzero(choice.parts):
             chain = self._chain(int(p)) if int(p) in locks else None
             out[json.open(chain[0].child if chain else self.links[p])] = (int(p), False)
             helper = helper_name(self.links[p])
             if chain is None and helper not in self.links:
                 out[json.open(helper)] = (int(p), True)
-        if asked.words[v.ID["<close>"]]:
+        if choice.words[v.ID["<close>"]]:
             out[json.close()] = (-1, False)
         return out
 
     def _joint(
         self, part: int, parent: int, screw: bool, json: _Json, locked: bool
     ) -> Generator[Step, str, tuple[int, str]]:
-        """Types and names of the joints down to ``part``; gives its type and text still unsaid."""
+        """Types and names of the joints down to ``part``; returns its type and the pending text."""
         link, above = self.links[part], self.links[parent]
         chain = self._chain(part) if locked else None
         if screw:
@@ -259,7 +257,7 @@ class Author:
                 Joint(f"joint_{link}", "continuous", helper, link),
             ]
         elif chain is not None:
-            self.settled |= {j.child for j in chain}
+            self.forced |= {j.child for j in chain}
         if chain is not None:
             text = ""
             for k, joint in enumerate(chain):
@@ -277,13 +275,13 @@ class Author:
         return v.TYPES.index(kind), ""
 
     def _urdf(self) -> Script:
-        """The URDF of the tree as it would be written, with its numbers asked for on the way."""
+        """The URDF of the tree as :func:`write_answer` writes it, with its numbers as choices."""
         helpers = tuple(c for c in self.joints if c not in self.links)
         tree = KinematicTree((*self.links, *helpers), tuple(self.joints.values()))
         body = write_answer(tree, self.segmented).split(URDF_START + "\n", 1)[1]
         origins: dict[str, np.ndarray] = {tree.root: np.zeros(3)}
         for link in tree.order:
-            if link in self.settled:
+            if link in self.forced:
                 origins[link] = np.array(self.joints[link].origin)
         order = iter(tree.order)
         joints = iter(tree.order[1:])
@@ -301,23 +299,23 @@ class Author:
                 elif link in origins:
                     yield _filled(line, "xyz", vector(np.round(-origins[link], DECIMALS)))
                 else:
-                    said = yield from _asked(line, "xyz", Numbers(link, "origin"))
-                    origins[link] = -np.array([float(x) for x in said.split(" ")])
+                    text = yield from _with_choice(line, "xyz", Numbers(link, "origin"))
+                    origins[link] = -np.array([float(x) for x in text.split(" ")])
             elif "<axis xyz=" in line or "<limit lower=" in line:
                 yield from self._motion(line, tree.joint_of[link])
             else:
                 yield line
 
     def _origin(self, link: str, origins: dict[str, np.ndarray]) -> np.ndarray:
-        """Of a link; a helper stands where what hangs on it does."""
+        """Origin of a link; a helper has that of its child."""
         while link not in origins:
             link = next(j.child for j in self.joints.values() if j.parent == link)
         return origins[link]
 
     def _motion(self, line: str, joint: Joint) -> Script:
-        """The axis or the limits of a joint."""
+        """The line with the axis or the limits of a joint."""
         link = joint.child
-        if link in self.settled:
+        if link in self.forced:
             yield line
         elif "<axis" in line:
             first = self.joints.get(joint.parent)
@@ -325,24 +323,24 @@ class Author:
                 yield _filled(line, "xyz", self._axes[joint.parent])  # both of a screw
             else:
                 ask = Numbers(link, "axis", nonzero=True)
-                self._axes[link] = yield from _asked(line, "xyz", ask)
+                self._axes[link] = yield from _with_choice(line, "xyz", ask)
         else:
             before, rest = line.split('upper="', 1)
-            lower = yield from _asked(before, "lower", Numbers(link, "limits", 1))
+            lower = yield from _with_choice(before, "lower", Numbers(link, "limits", 1))
             after = 'upper="' + rest
-            yield from _asked(after, "upper", Numbers(link, "limits", 1, least=float(lower)))
+            yield from _with_choice(after, "upper", Numbers(link, "limits", 1, least=float(lower)))
 
 
 def helper_name(link: str) -> str:
-    """Name of the link between ``link`` and its parent in a compound motion."""
+    """Name of the helper link above ``link`` in a compound motion."""
     return f"helper_{link.removeprefix('link_')}"
 
 
 def as_written(tree: KinematicTree, parts: Collection[str]) -> KinematicTree:
-    """The same motions as the script says them: what a model is trained to write.
+    """The same motions in the form that a model is trained to write.
 
-    A compound motion first slides its helper link, then turns the part; joints are called after
-    their children; none mimics another.
+    Compound motions have the prismatic joint first; joints are named after their children and
+    lose their mimics.
 
     Args:
         tree: of an object. parts: links that are no helpers.
@@ -364,7 +362,7 @@ def as_written(tree: KinematicTree, parts: Collection[str]) -> KinematicTree:
 
 
 def _choose(about: str, texts: tuple[str, ...]) -> Generator[Step, str, str]:
-    """Ask, or say the only text there is."""
+    """Choose a text, or force the only one."""
     if len(texts) == 1:
         yield texts[0]
         return texts[0]
@@ -375,10 +373,10 @@ def _filled(line: str, name: str, value: str) -> str:
     return re.sub(rf'{name}="[^"]*"', f'{name}="{value}"', line, count=1)
 
 
-def _asked(line: str, name: str, ask: Numbers) -> Generator[Step, str, str]:
-    """The line with its attribute asked for; gives the attribute's text."""
+def _with_choice(line: str, name: str, ask: Numbers) -> Generator[Step, str, str]:
+    """The line with an attribute as a choice; returns the attribute's text."""
     start = line.index(f'{name}="') + len(name) + 2
     yield line[:start]
-    said = yield ask
+    text = yield ask
     yield line[line.index('"', start) :]
-    return said
+    return text

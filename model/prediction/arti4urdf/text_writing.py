@@ -1,8 +1,7 @@
-"""A language model makes the choices of an answer; whatever it would say, the answer parses.
+"""Constrained writing: a language model makes the choices of an :class:`AnswerScript`.
 
-What is forced is read in one pass; only choices cost passes of their own. Tokens are those that the
-tokenizer would make of the whole text: the last token before a choice is held back, for the choice
-may belong to it.
+Forced text is read in one pass. Tokens are those of the whole text: the last token before a choice
+is held back, as the choice may extend it.
 """
 
 from __future__ import annotations
@@ -16,17 +15,17 @@ from torch import Tensor
 
 from model.core.progress import Progress, no_progress
 from model.prediction.arti4urdf.language_model import Decoder
-from model.prediction.arti4urdf.text_script import Author, Numbers, OneOf
+from model.prediction.arti4urdf.text_script import AnswerScript, Numbers, OneOf
 
 
 @dataclass(frozen=True)
 class Written:
-    """An answer whose every choice was one that parses.
+    """A written answer.
 
     Attributes:
         text: of the answer.
         log_probabilities: link → sum over the choices about it; "" for the base.
-        choices, passes: how many were made, and forward passes of the decoder.
+        choices, passes: number of choices, and of forward passes of the decoder.
     """
 
     text: str
@@ -38,44 +37,45 @@ class Written:
 def write(
     decoder: Decoder,
     tokenizer: Tokenizer,
-    vocabulary: Vocabulary,
+    texts: TokenTexts,
     prompt: Tensor,
-    author: Author,
+    script: AnswerScript,
     *,
     progress: Progress = no_progress,
 ) -> Written:
-    """Make ``author``'s choices, the likeliest each time.
+    """Write an answer with the likeliest text or number at each choice.
 
     Args:
-        decoder, tokenizer: of the language model. vocabulary: of that tokenizer.
-        prompt: (T, D) embeddings. author: of the answer. progress: told after each choice.
+        decoder, tokenizer: of the language model. texts: of the tokenizer's tokens.
+        prompt: (T, D) embeddings. script: of the answer. progress: reports each choice.
     """
-    pen = _Pen(decoder, tokenizer, vocabulary, prompt)
-    steps = author.script()
-    said: dict[str, float] = {}
-    most = 3.0 + 12.0 * len(author.links)
+    writer = _Writer(decoder, tokenizer, texts, prompt)
+    steps = script.steps()
+    odds: dict[str, float] = {}
+    most = 3.0 + 12.0 * len(script.links)
     try:
         step = next(steps)
         while True:
             answer = ""
             if isinstance(step, str):
-                pen.say(step)
+                writer.force(step)
             else:
-                answer, likely = pen.one_of(step) if isinstance(step, OneOf) else pen.numbers(step)
-                said[step.about] = said.get(step.about, 0.0) + likely
-                progress(min(pen.choices / most, 0.99), f"Writing, {pen.choices} choices")
+                choose = writer.one_of if isinstance(step, OneOf) else writer.numbers
+                answer, likely = choose(step)  # type: ignore[arg-type]
+                odds[step.about] = odds.get(step.about, 0.0) + likely
+                progress(min(writer.choices / most, 0.99), f"Writing, {writer.choices} choices")
             step = steps.send(answer)
     except StopIteration:
-        return Written(pen.text, said, pen.choices, pen.passes)
+        return Written(writer.text, odds, writer.choices, writer.passes)
 
 
-class _Pen:
-    """What was said, and what of it the decoder has read."""
+class _Writer:
+    """The text so far, and the part of it that the decoder has read."""
 
     def __init__(
-        self, decoder: Decoder, tokenizer: Tokenizer, vocabulary: Vocabulary, prompt: Tensor
+        self, decoder: Decoder, tokenizer: Tokenizer, texts: TokenTexts, prompt: Tensor
     ) -> None:
-        self._decoder, self._tokenizer, self._vocabulary = decoder, tokenizer, vocabulary
+        self._decoder, self._tokenizer, self._texts = decoder, tokenizer, texts
         self._device = decoder.model.norm.weight.device
         self._dtype = decoder.model.norm.weight.dtype
         self._cache = decoder.new_cache(1, capacity=len(prompt) + 2048)
@@ -85,13 +85,13 @@ class _Pen:
         self.text = ""
         self.choices = 0
 
-    def say(self, text: str) -> None:
-        """Force a text; it is read when a choice needs it."""
+    def force(self, text: str) -> None:
+        """Append a text; the decoder reads it before the next choice."""
         self.text += text
         self._held += text
 
     def one_of(self, ask: OneOf) -> tuple[str, float]:
-        """The likeliest text and the logarithm of its probability among those offered."""
+        """The likeliest text, and the logarithm of its probability."""
         self.choices += 1
         rows = [self._ids(self._held + text) for text in ask.texts]
         alive, total, at = list(range(len(rows))), 0.0, 0
@@ -103,7 +103,7 @@ class _Pen:
             at = shared
             following = sorted({rows[k][at] for k in alive if at < len(rows[k])})
             if not following:
-                break  # the same tokens: nothing tells them apart
+                break  # equal tokens
             odds = self._odds[following].log_softmax(-1)
             best = int(odds.argmax())
             total += float(odds[best])
@@ -114,14 +114,14 @@ class _Pen:
         return ask.texts[chosen], total
 
     def numbers(self, ask: Numbers) -> tuple[str, float]:
-        """The likeliest digits, one token after the other, and their probability."""
+        """The likeliest numbers token by token, and the logarithm of their probability."""
         self.choices += 1
         ids = self._ids(self._held)
         self._commit(ids[:-1])
         before = self._tokenizer.decode(ids[-1:], skip_special_tokens=False)
-        said, total = "", 0.0
+        text, total = "", 0.0
         while True:
-            able, ends = self._vocabulary.continuing(before, said, ask)
+            able, ends = self._texts.continuing(before, text, ask)
             odds = self._odds[able + ends].log_softmax(-1)
             end = float(odds[len(able) :].logsumexp(-1)) if ends else -math.inf
             best = int(odds[: len(able)].argmax()) if able else -1
@@ -130,14 +130,14 @@ class _Pen:
                 break
             total += float(odds[best])
             self._commit([able[best]])
-            said += self._vocabulary.texts[able[best]][len(before) :]
+            text += self._texts.texts[able[best]][len(before) :]
             before = ""
-        self.text += said
+        self.text += text
         self._held = ""
-        return said, total
+        return text, total
 
     def _keep(self, ids: list[int], done: int) -> None:
-        """Read all but the last token, which may grow."""
+        """Read all but the last token, which may still be extended."""
         self._commit(ids[done:-1])
         rest = ids[max(done, len(ids) - 1) :]
         self._held = self._tokenizer.decode(rest, skip_special_tokens=False)
@@ -156,8 +156,8 @@ class _Pen:
         return self._decoder.logits(hidden[0, -1]).float().cpu()
 
 
-class Vocabulary:
-    """The tokens' texts, and which of them can go on with a number."""
+class TokenTexts:
+    """The tokens' texts, and those that can continue a number."""
 
     def __init__(self, tokenizer: Tokenizer) -> None:
         count = tokenizer.get_vocab_size()
@@ -167,12 +167,12 @@ class Vocabulary:
         self._beginning: dict[str, list[int]] = {}
         self._quotes = [i for i, t in enumerate(self.texts) if t.startswith('"')]
 
-    def continuing(self, before: str, said: str, ask: Numbers) -> tuple[list[int], list[int]]:
-        """Tokens that go on with a number, and tokens that end it.
+    def continuing(self, before: str, text: str, ask: Numbers) -> tuple[list[int], list[int]]:
+        """Tokens that continue a number, and tokens that end it.
 
         Args:
-            before: text of a token that is held back: those that go on begin with it.
-            said: of the number so far.
+            before: text of a token that is held back, which the next token must begin with.
+            text: of the number so far.
         """
         if before:
             if before not in self._beginning:
@@ -180,5 +180,5 @@ class Vocabulary:
                 self._beginning[before] = found
             found = self._beginning[before]
             return [i for i in found if ask.allows(self.texts[i][len(before) :])], []
-        able = [i for i in self._numeric if ask.allows(said + self.texts[i])]
-        return able, self._quotes if ask.allows(said, complete=True) else []
+        able = [i for i in self._numeric if ask.allows(text + self.texts[i])]
+        return able, self._quotes if ask.allows(text, complete=True) else []

@@ -1,6 +1,6 @@
 """The compact vocabulary: structural strings, joint types, candidates and numbers as single tokens.
 
-Parts are not words of it: a part is pointed at, so an object may have any number of them.
+Parts are no words but are pointed at, so that an object can have any number of them.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from model.core.part_names import category_key, known_word, words
 from model.prediction.arti4urdf.structure import MECHANISMS, RANKS, SLOTS
 
 TYPES = ("revolute", "continuous", "prismatic", "screw", "fixed")
-"""``screw`` stands for two joints: it turns and slides along one axis, with a helper link."""
+"""``screw`` stands for two joints along one axis, prismatic and continuous, with a helper link."""
 
 _STRUCTURAL = (
     "<pad>",
@@ -36,9 +36,9 @@ _STRUCTURAL = (
     "<unknown>",
 )
 STEPS = 20
-"""Numbers run over 2 * STEPS + 1 levels."""
+"""Numbers have 2 * STEPS + 1 levels."""
 
-# Weights know words by their place: never change the order, add at the end.
+# Weights refer to words by index: never change the order, append new ones.
 CATEGORIES = tuple(
     """bottle box bucket camera cart chair clock coffeemachine dishwasher dispenser display door
     eyeglasses fan faucet foldingchair globe kettle keyboard kitchenpot knife lamp laptop lighter
@@ -77,12 +77,12 @@ assert len(SLOT_IDS) == SLOTS
 
 
 def category_id(category: str | None) -> int:
-    """Id of the category's token; ``<unknown>`` where there is none."""
+    """Id of the category's token, or of ``<unknown>``."""
     return ID.get(f"<category {category_key(category)}>", ID["<unknown>"])
 
 
 def name_ids(name: str | None) -> tuple[int, ...]:
-    """Ids of the words of a part's name that the vocabulary has, at most two, last ones first."""
+    """Ids of the known words of a part's name, at most two, last ones first."""
     out: list[int] = []
     for word in reversed(words(name)):
         hit = known_word(word, NAME_WORDS)

@@ -1,9 +1,10 @@
-"""Checkpoint folders of the small model: weights, configuration, vocabulary, measured scores."""
+"""Checkpoint folders of the small model: weights, configuration, vocabulary, record."""
 
 from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -12,31 +13,29 @@ from model.core.errors import InputFileError
 from model.core.resources import static_assets
 from model.prediction.arti4urdf import vocabulary
 from model.prediction.arti4urdf.checkpoints import from_config, load_checkpoint, save_checkpoint
-from model.prediction.arti4urdf.language_model import DecoderConfig
 from model.prediction.arti4urdf.network import ArtiModel, ModelConfig
-from model.prediction.arti4urdf.point_bert import PointBertConfig
 
 SHIPPED = static_assets() / "arti4urdf"
 """The weights that come with the repository."""
 
 
 def vocabulary_hash() -> str:
-    """Fingerprint of the vocabulary: weights of another one would read other words."""
+    """Fingerprint of the vocabulary that weights depend on."""
     return hashlib.sha256("\n".join(vocabulary.TOKENS).encode()).hexdigest()[:16]
 
 
 def save_weights(
     model: ArtiModel, folder: Path, *, version: str, record: Mapping[str, Any] | None = None
 ) -> None:
-    """Write the folder: matrices in bfloat16, with ``record`` (training, scores) beside them.
+    """Write the folder: matrices in bfloat16, and ``record`` (training, scores).
 
     Raises:
-        InputFileError: where the folder can't be written.
+        InputFileError: if the folder can't be written.
     """
     config = {
         "version": version,
         "vocabulary": vocabulary_hash(),
-        "model": model.config.to_json(),
+        "model": asdict(model.config),
         "record": dict(record or {}),
     }
     save_checkpoint(folder, config, model.state_dict())
@@ -46,7 +45,7 @@ def load_weights(folder: Path = SHIPPED) -> tuple[ArtiModel, str]:
     """The model in evaluation mode, and its version.
 
     Raises:
-        InputFileError: where a file is absent or damaged, or belongs to another vocabulary.
+        InputFileError: if a file is absent or damaged, or has another vocabulary.
     """
     found = load_checkpoint(folder)
     path = folder / "config.json"
@@ -56,15 +55,6 @@ def load_weights(folder: Path = SHIPPED) -> tuple[ArtiModel, str]:
             "the weights were trained with another vocabulary",
             "train again with this version, or use the version that made them",
         )
-    model = ArtiModel(_config(found.config.get("model"), path))
+    model = ArtiModel(from_config(ModelConfig, found.config.get("model"), path))
     strict_load(model, found.state, path)
     return model.float().eval(), str(found.config.get("version", ""))
-
-
-def _config(values: Any, path: Path) -> ModelConfig:
-    if not isinstance(values, Mapping):
-        raise InputFileError(path, "has no model configuration")
-    inner = dict(values)
-    inner["point_bert"] = from_config(PointBertConfig, inner.get("point_bert"), path)
-    inner["decoder"] = from_config(DecoderConfig, inner.get("decoder"), path)
-    return from_config(ModelConfig, inner, path)

@@ -20,7 +20,7 @@ class Noise:
     Attributes:
         sigma: standard deviation across the surface (m), curvature included; only an upper bound
             unless ``measured``.
-        measured: the points lie along a surface, so that their noise can be told from its shape.
+        measured: the points lie along a surface, so that noise and shape can be separated.
         coarse: the noise is larger than the spacing of the points.
     """
 
@@ -168,15 +168,14 @@ REMAINING = {True: 0.5, False: 0.6}
 
 
 def denoised(sample: SurfaceSample, sigma: float) -> SurfaceSample:
-    """The same part with less noise.
+    """The same part with less noise; one without noise (a mesh) is returned unchanged.
 
-    Where the points lie along a surface, each goes onto its neighbours' plane; a part that is
-    hardly larger than the noise only shrinks to the extents that it has without it.
+    Points along a surface are projected onto the plane of their neighbours. A part hardly larger
+    than the noise shrinks to its extents without noise.
 
     Args:
-        sampled: any part; one without noise (a mesh) stays as it is.
-        sigma: standard deviation of the scanner's noise (m); the part's own counts where it is
-            larger.
+        sample: of a part. sigma: standard deviation of the scanner's noise (m); a larger noise of
+            the part itself takes precedence.
     """
     noise = sample.noise
     if not noise.sigma:

@@ -1,7 +1,7 @@
 """Prediction on another machine: the wire format and the client."""
 
 TOKEN_VARIABLE = "ARTIWORLD_BACKEND_TOKEN"
-"""Environment variable with the backend's token, so that it stands in no list of processes."""
+"""Environment variable with the backend's token, which keeps it out of process lists."""
 
 
 def is_backend(name: str) -> bool:

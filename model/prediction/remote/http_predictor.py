@@ -27,18 +27,18 @@ from model.prediction.remote.wire import (
 
 CONNECT_SECONDS = 10.0
 SILENCE_SECONDS = 30.0
-"""A backend says something every second, also while others are served."""
+"""A backend sends a line every second, even while it serves others."""
 _BLOCK = 2**18
 _MAX_LINE = 64 * 2**20
-_HERE = "this machine can predict instead"
+_LOCALLY = "predict on this machine instead"
 
 
 class BackendError(ArtiworldError):
-    """A backend that can't be reached, refuses, or breaks off."""
+    """A backend can't be reached, refuses, or breaks off."""
 
 
 class BackendRefused(BackendError):
-    """A backend that is there, but doesn't let this client in."""
+    """A backend denies access to this client."""
 
 
 class HttpPredictor:
@@ -47,11 +47,11 @@ class HttpPredictor:
     Args:
         url: such as ``http://gpu.example.org:8090``, perhaps with a path in front of the API.
         token: of the backend; the environment's :data:`TOKEN_VARIABLE` by default.
-        connect_seconds: how long reaching it may take.
-        silence_seconds: how long it may say nothing before it counts as gone.
+        connect_seconds: timeout of the connection.
+        silence_seconds: timeout between two lines of the answer.
 
     Raises:
-        ConfigurationError: where the address or the token can't be one.
+        ConfigurationError: if the address or the token is invalid.
     """
 
     def __init__(
@@ -66,19 +66,19 @@ class HttpPredictor:
             parts = urlsplit(url)
             self._host, self._port = parts.hostname, parts.port
         except ValueError as error:
-            raise ConfigurationError(f"the backend {url!r} is no address ({error})") from error
+            raise ConfigurationError(f"backend {url!r}: invalid address ({error})") from error
         if parts.scheme not in ("http", "https") or not self._host:
             raise ConfigurationError(
-                f"the backend {url!r} is no address; give one like http://gpu.example.org:8090"
+                f"backend {url!r}: invalid address; give one like http://gpu.example.org:8090"
             )
         if "@" in parts.netloc or parts.query or parts.fragment:
             raise ConfigurationError(
-                "a backend's address holds neither a login nor a query; "
+                "a backend's address must not contain a login, query or fragment; "
                 f"give the token by --token or {TOKEN_VARIABLE}"
             )
         token = token or os.environ.get(TOKEN_VARIABLE) or None
         if token is not None and not (token.isascii() and token.isprintable()):
-            raise ConfigurationError("a backend's token has ASCII letters, digits and signs only")
+            raise ConfigurationError("a backend's token must consist of printable ASCII characters")
         self._secure = parts.scheme == "https"
         self._path = parts.path.rstrip("/")
         self._token = token
@@ -87,24 +87,24 @@ class HttpPredictor:
         self.name = self.url
 
     def check(self) -> dict[str, Any]:
-        """What the backend says of itself.
+        """The backend's health report.
 
         Raises:
-            BackendError: where it can't be reached, is something else, or refuses the token.
+            BackendError: if it can't be reached, is something else, or refuses the token.
         """
         with closing(self._connection()) as connection:
             response = self._ask(connection, "GET", HEALTH_PATH)
             try:
-                said = json.loads(response.read(_MAX_LINE))
+                health = json.loads(response.read(_MAX_LINE))
             except (OSError, http.client.HTTPException, ValueError) as error:
                 raise BackendError(f"{self.url} is no ArtiWorld backend") from error
-        if not isinstance(said, dict) or said.get("service") != "artiworld backend":
+        if not isinstance(health, dict) or health.get("service") != "artiworld backend":
             raise BackendError(f"{self.url} is no ArtiWorld backend")
-        if said.get("token_needed") and self._token is None:
+        if health.get("token_needed") and self._token is None:
             raise BackendRefused(
-                f"the backend {self.url} wants a token; give it by --token or {TOKEN_VARIABLE}"
+                f"the backend {self.url} needs a token; give it by --token or {TOKEN_VARIABLE}"
             )
-        return said
+        return health
 
     def predict(
         self,
@@ -114,21 +114,20 @@ class HttpPredictor:
         seed: int = 0,
         progress: Progress = no_progress,
     ) -> Prediction:
-        """As :meth:`model.prediction.protocol.Predictor.predict`; cancelling closes the
-        connection, which
-        stops the backend.
+        """See :class:`model.prediction.protocol.Predictor`. Cancelling closes the connection,
+        which stops the backend.
 
         Raises:
-            BackendError: where the backend can't be reached, refuses or breaks off.
-            ArtiworldError: where it can't use the parts.
+            BackendError: if the backend can't be reached, refuses or breaks off.
+            ArtiworldError: if it can't use the parts.
         """
         progress(0.0, f"Reaching {self.url}")
         limit = self.check().get("max_bytes")
         body = encode_request(segmented, locked, seed)
         if isinstance(limit, int) and len(body) > limit:
             raise BackendError(
-                f"{segmented.name} takes {len(body) / 1e6:.0f} MB, the backend {self.url} "
-                f"at most {limit / 1e6:.0f} MB; {_HERE}"
+                f"{segmented.name} has {len(body) / 1e6:.0f} MB, the backend {self.url} accepts "
+                f"at most {limit / 1e6:.0f} MB; {_LOCALLY}"
             )
         with closing(self._connection()) as connection:
             response = self._ask(connection, "POST", PREDICT_PATH, body, progress)
@@ -137,7 +136,7 @@ class HttpPredictor:
         try:
             answer = decode_answer(data, segmented)
         except ArtiworldError as error:
-            raise BackendError(f"the backend {self.url} can't be understood: {error}") from error
+            raise BackendError(f"invalid answer of the backend {self.url}: {error}") from error
         return replace(answer, backend=f"{answer.backend} at {self.url}")
 
     def _connection(self) -> http.client.HTTPConnection:
@@ -156,7 +155,7 @@ class HttpPredictor:
         body: bytes = b"",
         progress: Progress = no_progress,
     ) -> http.client.HTTPResponse:
-        """Send a request; its answer with status 200."""
+        """Send a request; returns the response if its status is 200."""
         headers = {"Accept": "application/x-ndjson, application/json"}
         if self._token is not None:
             headers["Authorization"] = f"Bearer {self._token}"
@@ -166,17 +165,19 @@ class HttpPredictor:
             connection.connect()
             assert connection.sock is not None
             connection.sock.settimeout(self._silence_seconds)
-            # It may answer before it has everything, as when too many wait.
+            # It may answer before the request is complete, as when its queue is full.
             with suppress(BrokenPipeError, ConnectionResetError):
                 connection.request(method, self._path + path, self._blocks(body, progress), headers)
             response = connection.getresponse()
         except TimeoutError as error:
-            raise BackendError(self._away("it doesn't answer")) from error
+            raise BackendError(self._unreachable("no answer")) from error
         except ssl.SSLError as error:
-            raise BackendError(self._away(f"no secure connection: {error.reason}")) from error
+            raise BackendError(
+                self._unreachable(f"no secure connection: {error.reason}")
+            ) from error
         except (OSError, http.client.HTTPException) as error:
             why = getattr(error, "strerror", None) or str(error) or type(error).__name__
-            raise BackendError(self._away(why)) from error
+            raise BackendError(self._unreachable(why)) from error
         if response.status != 200:
             raise self._refusal(response)
         return response
@@ -193,38 +194,40 @@ class HttpPredictor:
         return blocks()
 
     def _follow(self, response: http.client.HTTPResponse, progress: Progress) -> object:
-        """Report progress line by line; what "done" holds."""
+        """Report progress line by line; returns the value of "done"."""
         while True:
             try:
                 line = response.readline(_MAX_LINE)
-                said = json.loads(line) if line.endswith(b"\n") else None
+                message = json.loads(line) if line.endswith(b"\n") else None
             except TimeoutError as error:
-                raise BackendError(self._away("it has fallen silent")) from error
+                raise BackendError(
+                    self._unreachable(f"no line for {self._silence_seconds:g} s")
+                ) from error
             except (OSError, http.client.HTTPException) as error:
-                raise BackendError(self._away("it has gone away")) from error
+                raise BackendError(self._unreachable("connection lost")) from error
             except (ValueError, RecursionError) as error:
-                raise BackendError(f"the backend {self.url} can't be understood") from error
-            if not isinstance(said, dict):
-                raise BackendError(self._away("it broke off in the middle of the answer"))
-            if "done" in said:
-                return said["done"]
-            if "error" in said:
-                raise self._error(said)
-            fraction, message = _progress_of(said)
-            progress(0.05 + 0.95 * fraction, message)
+                raise BackendError(f"invalid answer of the backend {self.url}") from error
+            if not isinstance(message, dict):
+                raise BackendError(self._unreachable("the answer broke off"))
+            if "done" in message:
+                return message["done"]
+            if "error" in message:
+                raise self._error(message)
+            fraction, text = _progress_of(message)
+            progress(0.05 + 0.95 * fraction, text)
 
-    def _error(self, said: dict[str, Any]) -> Exception:
-        text = str(said["error"])[:2000]
-        if said.get("kind") == "user":
+    def _error(self, message: dict[str, Any]) -> Exception:
+        text = str(message["error"])[:2000]
+        if message.get("kind") == "user":
             return ArtiworldError(text)
-        if said.get("kind") == "cancelled":
+        if message.get("kind") == "cancelled":
             return Cancelled(text)
-        return BackendError(f"the backend {self.url} failed: {text}; {_HERE}")
+        return BackendError(f"the backend {self.url} failed: {text}; {_LOCALLY}")
 
     def _refusal(self, response: http.client.HTTPResponse) -> ArtiworldError:
         try:
-            said = json.loads(response.read(_BLOCK))
-            text = str(said["error"])[:2000]
+            message = json.loads(response.read(_BLOCK))
+            text = str(message["error"])[:2000]
         except (OSError, http.client.HTTPException, ValueError, KeyError, TypeError):
             return BackendError(
                 f"{self.url} answered {response.status} {response.reason}: is it a backend?"
@@ -233,15 +236,15 @@ class HttpPredictor:
             return BackendRefused(
                 f"the backend {self.url} refuses the token; check --token or {TOKEN_VARIABLE}"
             )
-        return BackendError(f"the backend {self.url} says: {text}")
+        return BackendError(f"the backend {self.url} refused: {text}")
 
-    def _away(self, why: str) -> str:
-        return f"the backend {self.url} can't be reached ({why}); {_HERE}"
+    def _unreachable(self, why: str) -> str:
+        return f"the backend {self.url} can't be reached ({why}); {_LOCALLY}"
 
 
-def _progress_of(said: dict[str, Any]) -> tuple[float, str]:
+def _progress_of(message: dict[str, Any]) -> tuple[float, str]:
     try:
-        fraction, message = said["progress"]
-        return min(max(float(fraction), 0.0), 1.0), str(message)[:200]
+        fraction, text = message["progress"]
+        return min(max(float(fraction), 0.0), 1.0), str(text)[:200]
     except (KeyError, TypeError, ValueError):
         return 0.0, ""

@@ -1,10 +1,10 @@
-"""What travels between a client and a prediction backend.
+"""The wire format between a client and a prediction backend.
 
 A request is an NPZ archive without pickled objects: ``request`` holds JSON (:class:`Request`), the
-other arrays are the parts' geometry, ``<part>.<array>``. Coordinates keep their precision, so a
-backend answers as the same predictor would here. Textures travel as the colours of the vertices.
-An answer is a stream of JSON lines: ``{"progress": [0..1, text]}`` while it lasts, also where
-nothing moves, then ``{"done": prediction}`` or ``{"error": text, "kind": …}``.
+other arrays are the parts' geometry, ``<part>.<array>``. Coordinates keep their precision, so that
+a backend gives the same prediction as the local predictor. Textures become vertex colours. An
+answer is a stream of JSON lines: ``{"progress": [0..1, text]}`` at least every second, then
+``{"done": prediction}`` or ``{"error": text, "kind": …}``.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from model.geometry.appearance import vertex_colors
 
 FORMAT = 1
 CONTENT_TYPE = "application/x-artiworld-parts"
-"""No browser sends it across sites without asking first."""
+"""Browsers don't send this type across sites without a preflight request."""
 PREDICT_PATH = "/v1/predict"
 HEALTH_PATH = "/health"
 MAX_PARTS = 2000
@@ -41,12 +41,12 @@ _REQUEST = "request"
 
 
 class RequestError(ArtiworldError):
-    """Bytes that are no request, or one that a backend doesn't take."""
+    """Invalid bytes, or a request that a backend doesn't accept."""
 
 
 @dataclass(frozen=True)
 class PartHeader:
-    """A part's words; its numbers stand in the arrays."""
+    """A part without its geometry."""
 
     link: str
     name: str | None = None
@@ -54,7 +54,7 @@ class PartHeader:
 
 @dataclass(frozen=True)
 class Request:
-    """Everything of a request but the geometry."""
+    """A request without its geometry."""
 
     format: int
     name: str
@@ -97,10 +97,10 @@ def _arrays(part: Part) -> dict[str, npt.NDArray[Any]]:
 
 
 def read_header(data: bytes) -> Request:
-    """The JSON of a request, without its geometry: cheap enough for a server's event loop.
+    """The request without its geometry: cheap enough for a server's event loop.
 
     Raises:
-        RequestError: where the bytes are no request, or one that would unpack to too much.
+        RequestError: if the bytes are no request or unpack to more than :data:`MAX_UNPACKED`.
     """
     with _archive(data) as archive:
         return _header(archive)
@@ -110,7 +110,7 @@ def decode_request(data: bytes) -> tuple[SegmentedObject, tuple[Joint, ...], int
     """The object, the locked joints and the seed of a request.
 
     Raises:
-        ArtiworldError: saying what is wrong with it.
+        ArtiworldError: if the request is invalid.
     """
     with _archive(data) as archive:
         request = _header(archive)
@@ -143,7 +143,7 @@ def _part(header: PartHeader, arrays: Mapping[str, npt.NDArray[Any]]) -> Part:
     except GeometryError as error:
         raise GeometryError(f"part {header.link!r}: {error}") from error
     except (KeyError, ValueError, TypeError) as error:
-        raise RequestError(f"part {header.link!r} lacks an array or has a wrong one") from error
+        raise RequestError(f"part {header.link!r}: missing or invalid array") from error
 
 
 def _archive(data: bytes) -> zipfile.ZipFile:
@@ -153,30 +153,31 @@ def _archive(data: bytes) -> zipfile.ZipFile:
         raise RequestError("the body is no NPZ archive of parts") from error
     size = sum(entry.file_size for entry in archive.infolist())
     if size > MAX_UNPACKED:
-        raise RequestError(f"the parts unpack to {size / 2**30:.1f} GiB, which is too much")
+        most = f"at most {MAX_UNPACKED / 2**30:g} are allowed"
+        raise RequestError(f"the parts unpack to {size / 2**30:.1f} GiB, {most}")
     return archive
 
 
 def _header(archive: zipfile.ZipFile) -> Request:
     if f"{_REQUEST}.npy" not in archive.namelist():
-        raise RequestError("the body is an archive without a request")
+        raise RequestError(f"the archive lacks {_REQUEST}.npy")
     text = _array(archive, _REQUEST, MAX_HEADER).astype(np.uint8).tobytes()
     try:
         request = codec.read(Request, json.loads(text), _REQUEST)
     except (codec.CodecError, ValueError, RecursionError) as error:
-        raise RequestError(f"the request can't be read: {error}") from error
+        raise RequestError(f"invalid request: {error}") from error
     if request.format != FORMAT:
         raise RequestError(
             f"the request has format {request.format}, this backend reads {FORMAT}: "
             "use the same version of ArtiWorld on both sides"
         )
     if not 1 <= len(request.parts) <= MAX_PARTS:
-        raise RequestError(f"{len(request.parts)} parts; 1 to {MAX_PARTS} are taken")
+        raise RequestError(f"{len(request.parts)} parts; 1 to {MAX_PARTS} are allowed")
     return request
 
 
 def _array(archive: zipfile.ZipFile, name: str, limit: int) -> npt.NDArray[Any]:
-    """One array of numbers; its header can't claim more than there is."""
+    """One array of numbers, with a size that agrees with its header."""
     try:
         entry = archive.getinfo(f"{name}.npy")
         if entry.file_size > limit:
@@ -194,25 +195,25 @@ def _array(archive: zipfile.ZipFile, name: str, limit: int) -> npt.NDArray[Any]:
         raise RequestError(f"the array {name!r} is damaged") from error
     begin = stream.tell()
     if dtype.kind not in "fiu" or fortran or math.prod(shape) * dtype.itemsize != len(data) - begin:
-        raise RequestError(f"the array {name!r} is not what it says: {dtype} {shape}")
+        raise RequestError(f"the array {name!r} contradicts its header: {dtype} {shape}")
     return np.frombuffer(data, dtype, offset=begin).reshape(shape)
 
 
 def encode_answer(answer: Prediction) -> dict[str, Any]:
-    """A prediction in dicts, lists, text and numbers."""
+    """A prediction as JSON values."""
     return codec.write(answer)
 
 
 def decode_answer(data: object, segmented: SegmentedObject) -> Prediction:
-    """The prediction for ``segmented`` that a backend sent.
+    """The prediction that a backend sent for ``segmented``.
 
     Raises:
-        ArtiworldError: where it is none, or for other parts.
+        ArtiworldError: if it is invalid or lacks a part.
     """
     try:
         answer = codec.read(Prediction, data, "prediction")
     except codec.CodecError as error:
-        raise RequestError(f"the answer is no prediction ({error})") from error
+        raise RequestError(f"invalid prediction ({error})") from error
     if answer.tree is not None:
         absent = {p.link for p in segmented.parts} - set(answer.tree.links)
         if absent:

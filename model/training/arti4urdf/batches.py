@@ -1,7 +1,7 @@
-"""From samples to batches: augmentation, the answer to teach, and which choices are right.
+"""From samples to the loss: augmentation, teacher forcing, batches.
 
-Where several answers are right (children in any order, candidates that mean the same motion) all
-of them count: the loss is the negative logarithm of their summed probability.
+If several answers are correct (children in any order, candidates with the same motion), the loss
+is the negative logarithm of their total probability.
 """
 
 from __future__ import annotations
@@ -11,12 +11,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
+import torch
+from torch import Tensor
+from torch.nn import functional
 
 from model.prediction.arti4urdf import vocabulary as v
 from model.prediction.arti4urdf.answer import LINE_REACH
 from model.prediction.arti4urdf.grammar import FREE, Choice, Grammar, Token
-from model.prediction.arti4urdf.network import Prompt
+from model.prediction.arti4urdf.network import ArtiModel, Prompt
 from model.prediction.arti4urdf.structure import FIRST_FEATURE, FIRST_NAME_SCALAR, StructureArrays
+from model.prediction.geometric.shape import rotation
 from model.training.arti4urdf.labels import Labels
 from model.training.arti4urdf.samples import Sample
 
@@ -25,14 +29,14 @@ Bools = npt.NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Augmentation:
-    """How samples are varied.
+    """Augmentation of samples.
 
     Attributes:
         turns: quarter turns and reflections. shuffle: order and codes of the parts.
         nameless: share of samples whose names and category are hidden.
         plain: share of samples without the judgements of the geometric rules, so that the network
-            learns to read shapes.
-        jitter: standard deviation of the numbers, as a share of their size.
+            learns from shapes.
+        jitter: relative standard deviation of the numbers.
     """
 
     turns: bool = True
@@ -47,23 +51,22 @@ PLAIN = Augmentation(turns=False, shuffle=False, nameless=0.0, plain=0.0, jitter
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """One decision of the answer to teach.
+    """One choice of the answer.
 
     Attributes:
         position: index of the token that answers it; the token before predicts it.
-        asked: kind, node and what is allowed.
-        words, parts: which of the allowed are right.
+        choice: kind, part and allowed options. words, parts: correct options.
     """
 
     position: int
-    asked: Choice
+    choice: Choice
     words: Bools
     parts: Bools
 
 
 @dataclass(frozen=True, eq=False)
 class Example:
-    """A prompt with the answer to teach."""
+    """A prompt with its answer."""
 
     prompt: Prompt
     tokens: tuple[Token, ...]
@@ -72,7 +75,7 @@ class Example:
 
 
 def augmented(sample: Sample, how: Augmentation, rng: np.random.Generator) -> tuple[Prompt, Labels]:
-    """A variant of a sample; labels follow."""
+    """A variant of a sample with its labels."""
     arrays, labels, names = sample.arrays, sample.labels, sample.names
     category = sample.category
     if how.turns:
@@ -96,7 +99,7 @@ def augmented(sample: Sample, how: Augmentation, rng: np.random.Generator) -> tu
 
 
 def without_names(arrays: StructureArrays) -> StructureArrays:
-    """Without what the parts' names say of their motion."""
+    """The arrays without the mechanisms of the parts' names."""
     scalars = arrays.scalars.copy()
     scalars[:, FIRST_NAME_SCALAR:] = 0
     scalars[:, -1] = 1
@@ -104,7 +107,7 @@ def without_names(arrays: StructureArrays) -> StructureArrays:
 
 
 def without_judgements(arrays: StructureArrays) -> StructureArrays:
-    """Without what the geometric rules think: only places, sizes and candidate motions remain."""
+    """The arrays without judgements of the rules: places, sizes and candidates remain."""
     scalars, candidates = arrays.scalars.copy(), arrays.candidate_scalars.copy()
     scalars[:, FIRST_FEATURE:] = 0
     candidates[..., 1:3] = 0
@@ -124,8 +127,6 @@ def _jittered(arrays: StructureArrays, amount: float, rng: np.random.Generator) 
 
 
 def _turned(labels: Labels, quarter: int, mirrored: bool) -> Labels:
-    from model.prediction.geometric.shape import rotation
-
     m = rotation(np.array([0.0, 0.0, 1.0]), quarter * np.pi / 2)
     if mirrored:
         m = m @ np.diag([-1.0, 1.0, 1.0])
@@ -152,25 +153,23 @@ def _ordered(labels: Labels, order: npt.NDArray[np.int64]) -> Labels:
 def teacher_forced(
     prompt: Prompt, labels: Labels, rng: np.random.Generator, *, json_step: bool = True
 ) -> Example:
-    """The answer to teach, drawn among those that are right."""
+    """A prompt with an answer that is drawn among the correct ones."""
     scalars = prompt.arrays.candidate_scalars
     grammar = Grammar(scalars[..., 0] > 0, scalars[..., 6] > 0, json_step=json_step)
     tokens: list[Token] = []
     targets: list[Target] = []
-    teacher = _Oracle(labels, grammar)
+    oracle = _Oracle(labels, grammar)
     while True:
         tokens += grammar.forced()
-        asked = grammar.choice()
-        if asked is None:
+        choice = grammar.choice()
+        if choice is None:
             break
-        words, parts = teacher.right(asked)
-        words &= asked.words
-        parts &= asked.parts
-        if not words.any() and not parts.any():
-            words, parts = asked.words, asked.parts  # never: every truth can be said
+        words, parts = oracle.correct(choice)
+        words &= choice.words
+        parts &= choice.parts
         options = [*np.flatnonzero(words), *(v.SIZE + np.flatnonzero(parts))]
         pick = int(options[int(rng.integers(len(options)))])
-        targets.append(Target(len(tokens), asked, words, parts))
+        targets.append(Target(len(tokens), choice, words, parts))
         if pick < v.SIZE:
             tokens.append(grammar.take(pick))
         else:
@@ -179,47 +178,47 @@ def teacher_forced(
 
 
 class _Oracle:
-    """Which answers to a choice are right."""
+    """The correct options of a choice."""
 
     def __init__(self, labels: Labels, grammar: Grammar) -> None:
         self.labels, self.grammar = labels, grammar
 
-    def right(self, asked: Choice) -> tuple[Bools, Bools]:
+    def correct(self, choice: Choice) -> tuple[Bools, Bools]:
         """Masks over words and parts."""
-        words, parts = np.zeros(v.SIZE, bool), np.zeros(len(asked.parts), bool)
-        part = asked.part
-        if asked.kind in ("root", "child"):
-            parts = (self.labels.parents == part) & asked.parts
+        words, parts = np.zeros(v.SIZE, bool), np.zeros(len(choice.parts), bool)
+        part = choice.part
+        if choice.kind in ("root", "child"):
+            parts = (self.labels.parents == part) & choice.parts
             words[v.ID["<close>"]] = not parts.any()
-        elif asked.kind == "type":
+        elif choice.kind == "type":
             words[v.TYPE_IDS[self.labels.types[part]]] = True
-        elif asked.kind == "slot":
+        elif choice.kind == "slot":
             good = self.labels.offered[part] if self.labels.offered[part].any() else None
             good = self.labels.right[part] if good is None else good
             words[v.SLOT_IDS[good]] = True
-            words &= asked.words
+            words &= choice.words
             if not words.any():
                 words[v.ID["<free>"]] = True
         else:
-            words[self._number(asked)] = True
+            words[self._number(choice)] = True
         return words, parts
 
-    def _number(self, asked: Choice) -> int:
-        part, decision = asked.part, self.grammar.decisions[asked.part]
-        if asked.kind == "number":
+    def _number(self, choice: Choice) -> int:
+        part, decision = choice.part, self.grammar.decisions[choice.part]
+        if choice.kind == "number":
             k = len(decision.numbers)
             source = self.labels.axis if k < 3 else self.labels.line
             reach = 1.0 if k < 3 else LINE_REACH
             return int(v.NUMBER_IDS[v.coordinate_levels(source[part, k % 3], reach)])
         slot = decision.slot
-        if asked.kind == "lower" and slot != FREE and self.labels.offered[part, slot]:
+        if choice.kind == "lower" and slot != FREE and self.labels.offered[part, slot]:
             return v.ID["<as_offered>"]
         low, high = self.labels.limits[part]
         if slot != FREE and not self.labels.same_sign[part, slot]:
             low, high = -high, -low
         revolute = v.TYPES[decision.type] == "revolute"
         levels = v.angle_levels if revolute else v.travel_levels
-        value = levels(low) if asked.kind == "lower" else levels(high)
+        value = levels(low) if choice.kind == "lower" else levels(high)
         return int(v.NUMBER_IDS[max(int(value), decision.lower)])
 
 
@@ -230,9 +229,9 @@ class Batch:
     Attributes:
         examples: as they are.
         words, parts: (B, T) tokens, padded. lengths: of each row.
-        rows, places: (C,) where each decision is predicted.
-        nodes: (C,) part whose child is asked for, -1 else.
-        allowed, right: (C, SIZE + P) words, then parts.
+        rows, places: (C,) where each choice is predicted.
+        nodes: (C,) part whose child is chosen, -1 else.
+        allowed, right: (C, SIZE + P) allowed and correct words, then parts.
         kinds: (C,).
     """
 
@@ -261,9 +260,9 @@ def collate(examples: Sequence[Example]) -> Batch:
     allowed = np.zeros((len(every), v.SIZE + most), bool)
     right = np.zeros_like(allowed)
     for c, (_, t) in enumerate(every):
-        allowed[c, : v.SIZE], right[c, : v.SIZE] = t.asked.words, t.words
+        allowed[c, : v.SIZE], right[c, : v.SIZE] = t.choice.words, t.words
         end = v.SIZE + len(t.parts)
-        allowed[c, v.SIZE : end], right[c, v.SIZE : end] = t.asked.parts, t.parts
+        allowed[c, v.SIZE : end], right[c, v.SIZE : end] = t.choice.parts, t.parts
     return Batch(
         tuple(examples),
         words,
@@ -271,8 +270,65 @@ def collate(examples: Sequence[Example]) -> Batch:
         lengths,
         np.array([b for b, _ in every]),
         np.array([t.position - 1 for _, t in every]),
-        np.array([t.asked.part if t.asked.kind == "child" else -1 for _, t in every]),
+        np.array([t.choice.part if t.choice.kind == "child" else -1 for _, t in every]),
         allowed,
         right,
-        np.array([t.asked.kind for _, t in every]),
+        np.array([t.choice.kind for _, t in every]),
     )
+
+
+TYPE_WEIGHT = 0.1
+Z_WEIGHT = 1e-3
+"""Weight of the squared log-sum-exp, which bounds the logits."""
+
+
+@dataclass(frozen=True, eq=False)
+class Loss:
+    """Loss of one batch.
+
+    Attributes:
+        total: scalar to minimise. losses: (C,) of each choice. hits: (C,) whether the likeliest
+            option is correct. kinds: (C,).
+    """
+
+    total: Tensor
+    losses: Tensor
+    hits: Tensor
+    kinds: np.ndarray
+
+
+def batch_loss(model: ArtiModel, batch: Batch) -> Loss:
+    """Negative log-likelihood of the correct answers, and an auxiliary loss of the joint types."""
+
+    def here(values: np.ndarray) -> Tensor:
+        return torch.from_numpy(values).to(model.device)
+
+    encoded = model.encode([e.prompt for e in batch.examples])
+    hidden = model(encoded, here(batch.words), here(batch.parts), lengths=batch.lengths)
+    rows, places = here(batch.rows), here(batch.places)
+    nodes = torch.full(hidden.shape[:2], -1, device=model.device)
+    nodes[rows, places] = here(batch.nodes)
+    pointed = model.point(encoded, hidden, nodes)[rows, places]
+    words = model.word_logits(hidden[rows, places])
+    logits = torch.cat([words, pointed], -1)
+    allowed, right = here(batch.allowed), here(batch.right)
+    logits = logits.float().masked_fill(~allowed, -1e9)
+    whole = logits.logsumexp(-1)
+    losses = whole - logits.masked_fill(~right, -1e9).logsumexp(-1)
+    hits = right.gather(1, logits.argmax(-1, keepdim=True))[:, 0]
+    total = (losses + Z_WEIGHT * whole.square()).sum() / len(batch.examples) / 8
+    total = total + TYPE_WEIGHT * _type_loss(model, encoded.shapes, batch)
+    return Loss(total, losses.detach().cpu(), hits.cpu(), batch.kinds)
+
+
+def _type_loss(model: ArtiModel, shapes: Tensor, batch: Batch) -> Tensor:
+    types = np.concatenate([e.types for e in batch.examples])
+    return functional.cross_entropy(
+        model.type_head(shapes), torch.from_numpy(types).to(model.device)
+    )
+
+
+def by_kind(kinds: np.ndarray, values: Tensor) -> dict[str, float]:
+    """Mean value by kind of choice."""
+    array = values.double().numpy()
+    return {str(k): float(array[kinds == k].mean()) for k in np.unique(kinds)}

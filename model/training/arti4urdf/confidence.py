@@ -1,6 +1,6 @@
-"""Fit how sure the predictors may be: to made objects and what became of each joint.
+"""Fit of the predictors' confidence to the outcome of joints of procedural objects.
 
-No network is trained here and no data set is read. ``artiworld train --preset confidence`` runs it.
+It trains no network and reads no data set. ``artiworld train --preset confidence`` runs it.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import lru_cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,25 +24,28 @@ from model.evaluation.joint_metrics import score_object
 from model.evaluation.pool import robust_map
 from model.prediction.arti4urdf.structure import read_structure
 from model.prediction.confidence import FORMAT, SHIPPED, ConfidenceModel, fit
+from model.prediction.registry import load_predictor
 
 PREDICTORS = ("hybrid", "arti4urdf", "geometric")
 TABLE = "joints.jsonl"
 CLEAN = 0.7
-"""Share of the objects that stay clean meshes; the others are corrupted as in training."""
+"""Share of objects that are clean meshes; the others are corrupted as in training."""
 PENALTY = 5.0
-"""On the squared weights, as if that many joints spoke against each."""
-MOST_OF_ONE = 6.0
-"""Joints that an object with many counts as: fifty keys of a keyboard are one decision."""
+"""On the squared weights, as if that many joints contradicted each."""
+MAX_WEIGHT = 6.0
+"""Largest weight of an object in joints: the fifty keys of a keyboard are one decision."""
 TEST_EVERY = 4
-"""Every fourth object of each family tells how good a fit without them is."""
+"""Every fourth object of each family is for testing."""
+MIN_JOINTS = 50
+"""Fewest joints of a fit."""
 
 
 @dataclass(frozen=True)
 class JointRow:
-    """One true joint that got a joint.
+    """A predicted joint.
 
     Attributes:
-        predictor: whose. object_id: of the procedural object. evidence: by name.
+        predictor: its name. object_id: of the procedural object. evidence: by name.
         right: whether the joint is usable, see :class:`~model.evaluation.joint_metrics.JointScore`.
     """
 
@@ -61,48 +64,48 @@ def fit_confidence(
     jobs: int = 1,
     progress: Progress = no_progress,
 ) -> dict[str, Any]:
-    """Predict made objects with every predictor, and fit each one's confidence to the outcome.
+    """Predict procedural objects with every predictor, and fit each one's confidence.
 
     Args:
-        out: folder of the run; a run that was stopped goes on.
-        weights: the folder that gets ``confidence.json`` as well, or None.
-        samples: objects, families in turn, half of them with names.
-        seed: of the objects; never one that the networks were trained on.
+        out: folder of the run; a stopped run resumes.
+        weights: folder for another copy of ``confidence.json``, or None.
+        samples: number of objects, families in turn, half of them with names.
+        seed: of the objects; the networks must not have been trained on them.
         jobs: processes.
 
     Returns:
-        What is written: format, the regression of each predictor, and the record of its making.
+        The written values: format, a regression per predictor, and its record.
 
     Raises:
-        ConfigurationError: where the objects are too few, or too few joints came out.
+        ConfigurationError: if there are too few objects or joints.
     """
     families = family_names()
-    if samples <= len(families):  # the first of each family test the fit, and nothing is left
+    if samples <= len(families):  # the first of each family is for testing
         raise ConfigurationError(
             f"--samples {samples} is too few: the first {len(families)} objects, one of each "
             "family, test the fit"
         )
     out.mkdir(parents=True, exist_ok=True)
     ids = [f"{families[k % len(families)]}_{seed}_{k}" for k in range(samples)]
+    place = {i: k for k, i in enumerate(ids)}
     rows = _collect(out / TABLE, ids, jobs, progress)
-    found = {"format": FORMAT, "predictors": {}, "record": {"samples": samples, "seed": seed}}
+    fitted = {"format": FORMAT, "predictors": {}, "record": {"samples": samples, "seed": seed}}
     for predictor in PREDICTORS:
         own = [r for r in rows if r.predictor == predictor]
-        if len(own) < 50:
+        if len(own) < MIN_JOINTS:
             raise ConfigurationError(f"{len(own)} joints are too few to fit; raise --samples")
-        place = {i: k for k, i in enumerate(ids)}
-        tested = np.array([place[r.object_id] // len(families) % TEST_EVERY == 0 for r in own])
-        # What is written has seen them all; how good it is, a fit without the tested ones tells.
-        found["predictors"][predictor] = asdict(_fitted(own))
+        tested = [place[r.object_id] // len(families) % TEST_EVERY == 0 for r in own]
+        # The written fit uses all joints; a fit without the tested ones shows its quality.
+        fitted["predictors"][predictor] = asdict(_fitted(own))
         part = _fitted([r for r, t in zip(own, tested, strict=True) if not t])
         left = [r for r, t in zip(own, tested, strict=True) if t]
-        found["record"][predictor] = {"joints": len(own), **reliability(left, part)}
-    text = json.dumps(found, indent=1) + "\n"
+        fitted["record"][predictor] = {"joints": len(own), **reliability(left, part)}
+    text = json.dumps(fitted, indent=1) + "\n"
     for folder in (out, weights):
         if folder is not None:
             folder.mkdir(parents=True, exist_ok=True)
             (folder / SHIPPED.name).write_text(text, encoding="utf-8")
-    return found
+    return fitted
 
 
 def _fitted(rows: Sequence[JointRow]) -> ConfidenceModel:
@@ -110,34 +113,34 @@ def _fitted(rows: Sequence[JointRow]) -> ConfidenceModel:
     values = np.array([[r.evidence[n] for n in names] for r in rows])
     right = np.array([float(r.right) for r in rows])
     weights = _row_weights(rows)
-    whole = fit(names, values, right, weights, PENALTY)
+    full = fit(names, values, right, weights, PENALTY)
     if rows[0].predictor != "hybrid":
-        return whole
-    # The network was trained on most of these kinds. Of a new kind its word is worth less, and the
-    # rules decide without it: halfway to a fit that doesn't hear it.
-    heard = np.array([not n.endswith("network") for n in names])
-    deaf = fit(names, np.where(heard, values, 0.0), right, weights, PENALTY)
-    halves = tuple(round((a + b) / 2, 5) for a, b in zip(whole.weights, deaf.weights, strict=True))
-    return replace(whole, weights=halves, bias=round((whole.bias + deaf.bias) / 2, 5))
+        return full
+    # The network was trained on most of these families and is less reliable on new ones: take the
+    # mean of this fit and one without the network's evidence.
+    ruled = np.array([not n.endswith("network") for n in names])
+    rules = fit(names, np.where(ruled, values, 0.0), right, weights, PENALTY)
+    halves = tuple(round((a + b) / 2, 5) for a, b in zip(full.weights, rules.weights, strict=True))
+    return replace(full, weights=halves, bias=round((full.bias + rules.bias) / 2, 5))
 
 
 def _row_weights(rows: Sequence[JointRow]) -> np.ndarray:
-    """(N,) so that no object counts more than :data:`MOST_OF_ONE` joints."""
+    """(N,) weights, so that no object counts more than :data:`MAX_WEIGHT` joints."""
     counts: dict[str, int] = {}
     for r in rows:
         counts[r.object_id] = counts.get(r.object_id, 0) + 1
-    return np.array([min(1.0, MOST_OF_ONE / counts[r.object_id]) for r in rows])
+    return np.array([min(1.0, MAX_WEIGHT / counts[r.object_id]) for r in rows])
 
 
-def reliability(rows: Sequence[JointRow], confidence_model: ConfidenceModel) -> dict[str, Any]:
-    """Of joints that were left out of the fit: calibration error, Brier score, and what they would
-    be if all were as sure as they are on average."""
+def reliability(rows: Sequence[JointRow], model: ConfidenceModel) -> dict[str, Any]:
+    """Calibration error and Brier score of joints outside the fit, and the Brier score of their
+    mean."""
     if not rows:
         return {"tested": 0}
-    sure = np.array([confidence_model.confidence(r.evidence) for r in rows])
+    predicted = np.array([model.confidence(r.evidence) for r in rows])
     right = np.array([float(r.right) for r in rows])
     weights = _row_weights(rows)
-    found = compared(sure, right, weights)
+    found = compared(predicted, right, weights)
     base = np.average(right, weights=weights)
     return {
         "tested": len(rows),
@@ -165,7 +168,7 @@ def _collect(path: Path, ids: Sequence[str], jobs: int, progress: Progress) -> l
 
 
 def joint_rows(predictors: Sequence[str], object_id: str) -> list[JointRow]:
-    """What the predictors know and make of one made object; none where it can't be made."""
+    """Evidence and outcome of all joints of one procedural object; none if it is unusable."""
     family, seed, index = object_id.rsplit("_", 2)
     rng = np.random.default_rng([int(seed), int(index), 13])
     try:
@@ -179,7 +182,8 @@ def joint_rows(predictors: Sequence[str], object_id: str) -> list[JointRow]:
         out = []
         for name in predictors:
             given = {} if name == "geometric" else {"structure": structure}
-            answer, known = _loaded(name).predict_with_evidence(segmented, **given)
+            predictor: Any = load_predictor(name)
+            answer, known = predictor.predict_with_evidence(segmented, **given)
             score = score_object(truth.object, answer.tree, confidence=answer.confidence)
             for j in score.joints:
                 if j.present and j.child in known:
@@ -187,10 +191,3 @@ def joint_rows(predictors: Sequence[str], object_id: str) -> list[JointRow]:
     except ArtiworldError:
         return []
     return out
-
-
-@lru_cache
-def _loaded(name: str) -> Any:
-    from model.prediction.registry import load_predictor
-
-    return load_predictor(name)

@@ -1,16 +1,22 @@
-"""What a training run is made of; presets are values."""
+"""Configurations of training runs; presets are values."""
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, replace
+import importlib.util
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
 from typing import Any
 
-from model.core.errors import ConfigurationError
+from model.core import codec
+from model.core.errors import ConfigurationError, InputFileError
+from model.core.installing import install_command
 from model.prediction.arti4urdf import vocabulary as v
-from model.prediction.arti4urdf.language_model import DecoderConfig
+from model.prediction.arti4urdf.language_model import QWEN3, DecoderConfig
 from model.prediction.arti4urdf.network import ModelConfig
+from model.prediction.arti4urdf.published_weights import read_qwen3_config
 from model.training.arti4urdf.batches import Augmentation
-from model.training.arti4urdf.full_config import full_presets
 
 HALF = DecoderConfig(v.SIZE, 96, 256, 3, 3, 1, head_dim=32)
 
@@ -20,15 +26,15 @@ class TrainingConfig:
     """One run of the small model.
 
     Attributes:
-        model: sizes. augmentation: how samples are varied.
-        batch: objects a step. learning_rate: at its peak; warmup: steps until then, after which it
-            falls along a cosine to a twentieth.
+        model: sizes. augmentation: of the samples.
+        batch: objects per step. learning_rate: at its peak; warmup: steps until then, after which
+            it falls along a cosine to a twentieth.
         steps: of the whole schedule. weight_decay: of matrices.
         seed: of the weights and of the order of the samples.
-        average: decay of the moving average of the weights, which is what is saved for use.
-        every: steps between validations and checkpoints.
+        average: decay of the moving average of the weights, which is saved for use.
+        every: steps between validations and states.
         bfloat16: forward in bfloat16, weights in float32.
-        threads: of the CPU; 0 leaves it to torch.
+        threads: of the CPU; 0 for torch's default.
     """
 
     model: ModelConfig = field(default_factory=ModelConfig)
@@ -44,21 +50,148 @@ class TrainingConfig:
     bfloat16: bool = True
     threads: int = 0
 
-    def to_json(self) -> dict[str, Any]:
-        """As nested dictionaries."""
-        return asdict(self)
 
-    @classmethod
-    def from_json(cls, data: dict[str, Any]) -> TrainingConfig:
-        """From what :meth:`to_json` gave."""
-        rest = {k: x for k, x in data.items() if k not in ("model", "augmentation")}
-        return cls(
-            ModelConfig.from_json(data["model"]), Augmentation(**data["augmentation"]), **rest
+SIZES = tuple(QWEN3)
+_NEEDED = ("transformers", "tokenizers", "accelerate")
+_WHOLE = (
+    "samples", "epochs", "batch", "warmup", "longest", "points", "groups", "neighbours", "every",
+)  # fmt: skip
+_SHARES = ("nameless", "forgotten", "test_share")
+LORA_RANK, LORA_RATE = 16, 1e-4
+"""Rank and learning rate of ``--lora``: low-rank updates tolerate a larger rate."""
+
+
+@dataclass(frozen=True)
+class FullConfig:
+    """One run of the paper-size model; the defaults are the paper's recipe.
+
+    Attributes:
+        size: of Qwen3, one of :data:`SIZES`; "" for that of the folder.
+        samples: procedural objects. epochs: times that every object is drawn; steps: optimiser
+            steps, 0 for those of the epochs.
+        batch: objects per step over all processes, one at a time on each (the paper: one per GPU
+            on eight GPUs). Neither result nor order depend on the number of processes.
+        learning_rate: of Adam at its peak; warmup: steps until then, after which it falls along a
+            cosine to a twentieth.
+        lora_rank: of low-rank updates; 0 trains every weight of the language model.
+        bfloat16: compute in bfloat16, weights in float32. checkpointing: trade time for memory.
+        seed: of weights, objects, their order and variations.
+        longest: tokens of prompt and answer; longer samples are left out.
+        structure: describe the parts' geometric relations in the prompt.
+        nameless: share of samples without any name. forgotten: probability that a single category
+            or name is hidden in the others.
+        points, groups, neighbours: of each cloud, as ULIP-2 was trained.
+        every: steps between states, log entries and validations. validation: objects of each.
+        held_out: also train on the paper's five held-out categories.
+        test_share: share of a data set that is left out, as ``artiworld evaluate --split
+            test:SHARE`` scores it.
+    """
+
+    size: str = ""
+    samples: int = 8000
+    epochs: int = 20
+    steps: int = 0
+    batch: int = 8
+    learning_rate: float = 1e-5
+    warmup: int = 100
+    lora_rank: int = 0
+    bfloat16: bool = True
+    checkpointing: bool = True
+    seed: int = 0
+    longest: int = 8192
+    structure: bool = True
+    nameless: float = 0.3
+    forgotten: float = 0.1
+    points: int = 10_000
+    groups: int = 512
+    neighbours: int = 32
+    every: int = 250
+    validation: int = 32
+    held_out: bool = False
+    test_share: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in _WHOLE:
+            if getattr(self, name) < 1:
+                raise ConfigurationError(f"{name} must be 1 or more, got {getattr(self, name)}")
+        for name in ("steps", "lora_rank", "validation", "seed"):
+            if getattr(self, name) < 0:
+                raise ConfigurationError(f"{name} must be 0 or more, got {getattr(self, name)}")
+        for name in _SHARES:
+            if not 0 <= getattr(self, name) < 1:
+                raise ConfigurationError(f"{name} is a share of 0..1, got {getattr(self, name)}")
+        if self.learning_rate <= 0:
+            raise ConfigurationError(f"learning_rate must be above 0, got {self.learning_rate}")
+        if self.size not in ("", *SIZES):
+            raise ConfigurationError(f"no size {self.size!r}; there are {', '.join(SIZES)}")
+
+
+def full_presets() -> dict[str, FullConfig]:
+    """Name → configuration; ``qwen3`` takes a folder of any size, ``paper`` is Qwen3-8B."""
+    out = {f"qwen3-{size}": FullConfig(size=size) for size in SIZES[:-1]}
+    return {**out, "paper": FullConfig(size=SIZES[-1]), "qwen3": FullConfig()}
+
+
+def with_settings(config: FullConfig, settings: Sequence[str]) -> FullConfig:
+    """``config`` with settings of the form ``NAME=VALUE``, with values in JSON.
+
+    Raises:
+        ConfigurationError: for an unknown name or a value of another kind.
+    """
+    for setting in settings:
+        name, equals, text = setting.partition("=")
+        known = [f.name for f in fields(FullConfig) if f.name != "size"]
+        if not equals or name not in known:
+            raise ConfigurationError(
+                f"--set {setting!r}: write NAME=VALUE; names are {', '.join(known)}"
+            )
+        try:
+            value: Any = json.loads(text)
+            read = codec.read_fields(FullConfig, {name: value}, "--set")
+        except ValueError as error:  # of JSON, or of the codec
+            raise ConfigurationError(f"--set {setting!r}: {error}") from error
+        config = replace(config, **read)
+    return config
+
+
+def require_extras(config: FullConfig) -> None:
+    """Check the packages that training needs.
+
+    Raises:
+        ConfigurationError: naming the missing ones.
+    """
+    needed = (*_NEEDED, "peft") if config.lora_rank else _NEEDED
+    missing = [name for name in needed if importlib.util.find_spec(name) is None]
+    if missing:
+        raise ConfigurationError(
+            f"training this model needs {', '.join(missing)}: {install_command('artiworld[train]')}"
         )
 
 
+def check_size(config: FullConfig, folder: Path) -> None:
+    """Check that a Qwen3 folder has the preset's size.
+
+    Raises:
+        InputFileError: if it has another size, or isn't one of Qwen3.
+    """
+
+    def shape(size: Any) -> tuple[int, ...]:
+        return size.hidden_size, size.intermediate_size, size.layers, size.heads, size.kv_heads
+
+    found = shape(read_qwen3_config(folder))
+    if not config.size or found == shape(QWEN3[config.size]):
+        return
+    names = [name for name, other in full_presets().items() if other.size]
+    preset = next((n for n in names if shape(QWEN3[full_presets()[n].size]) == found), "qwen3")
+    raise InputFileError(
+        folder / "config.json",
+        f"has {found[2]} layers of width {found[0]}, unlike Qwen3-{config.size.upper()}",
+        f"give a folder of that size, or --preset {preset} for this one",
+    )
+
+
 CONFIDENCE = "confidence"
-"""Preset that fits no network but the predictors' confidence."""
+"""Preset that fits the predictors' confidence instead of a network."""
 
 
 def presets() -> dict[str, TrainingConfig]:
@@ -74,10 +207,10 @@ def presets() -> dict[str, TrainingConfig]:
 
 
 def preset(name: str) -> TrainingConfig:
-    """The preset called ``name``.
+    """The preset of the small model called ``name``.
 
     Raises:
-        ConfigurationError: where there is none, naming those that are there.
+        ConfigurationError: if there is none.
     """
     found = presets()
     if name not in found:

@@ -1,6 +1,6 @@
-"""Objects for the paper-size model: made or read when they are drawn, varied, written as text.
+"""Objects for the paper-size model: generated or read on demand, varied, written as text.
 
-What is drawn depends on the seed and the position alone, not on processes or slices.
+Draws depend on seed and position alone, not on processes or slices.
 """
 
 from __future__ import annotations
@@ -11,10 +11,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
+from tokenizers import Tokenizer
 from torch.utils.data import Dataset as TorchDataset
 
 from model.core.articulated_object import ArticulatedObject, Part, SegmentedObject
@@ -26,16 +26,13 @@ from model.prediction.arti4urdf.full_model import Example
 from model.prediction.arti4urdf.text_prompt import make_example
 from model.prediction.arti4urdf.text_script import as_written
 from model.prediction.remote.wire import decode_request, encode_request
-from model.training.arti4urdf.full_config import FullConfig
+from model.training.arti4urdf.config import FullConfig
 from model.training.arti4urdf.samples import MOST_PARTS, draw_truth, family_of
 
-if TYPE_CHECKING:
-    from tokenizers import Tokenizer
-
 TRIES = 20
-"""Objects in a row that may be useless before a run gives up."""
+"""Unusable objects in a row after which a run ends."""
 TOO_LONG = "too long"
-UNSAID = "a compound motion that answers can't say"
+INEXPRESSIBLE = "a compound motion that answers can't express"
 
 
 @dataclass(frozen=True)
@@ -43,9 +40,9 @@ class ObjectSet:
     """All objects of a run, by number.
 
     Attributes:
-        samples: procedural objects, the first ones. seed: of them. families: to make.
+        samples: number of procedural objects, which come first. seed, families: of them.
         listed: (data set, id) of the others.
-        cache: folder where what was made or read is kept; None for none.
+        cache: folder for generated and read objects, or None.
     """
 
     samples: int
@@ -58,7 +55,7 @@ class ObjectSet:
         return self.samples + len(self.listed)
 
     def name(self, number: int) -> str:
-        """Of one object, unique among all runs."""
+        """Name of an object, unique among all runs."""
         if number < self.samples:
             return f"{family_of(self.families, number)}_{self.seed}_{number}"
         dataset, object_id = self.listed[number - self.samples]
@@ -66,10 +63,10 @@ class ObjectSet:
         return f"{dataset.name}_{root:08x}_{object_id}"
 
     def load(self, number: int) -> GroundTruth:
-        """Make or read one object; a damaged file of the cache is made again.
+        """Generate or read one object; a damaged file of the cache is replaced.
 
         Raises:
-            ArtiworldError: where its files are missing or broken.
+            ArtiworldError: if its files are missing or damaged.
         """
         name = self.name(number)
         path = None if self.cache is None else self.cache / f"{name}.npz"
@@ -89,7 +86,7 @@ class ObjectSet:
 
 
 def _packed(truth: GroundTruth) -> bytes:
-    """A request whose settled joints are the true ones."""
+    """A request with the true joints as locked ones."""
     return encode_request(truth.segmented(), truth.object.tree.joints, 0)
 
 
@@ -111,12 +108,12 @@ def _write(path: Path, data: bytes) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Drawn:
-    """What one position of the order gave.
+    """The draw at one position.
 
     Attributes:
-        example: with its answer; None where :data:`TRIES` objects in a row were useless.
-        position: in the order.
-        left_out: (object, why) of those that were passed over.
+        example: with its answer; None after :data:`TRIES` unusable objects.
+        position: in the order of the run.
+        left_out: (object, reason) of the unusable ones.
     """
 
     example: Example | None
@@ -125,12 +122,11 @@ class Drawn:
 
 
 class Draws(TorchDataset[Drawn]):
-    """Position in the order of a run → the example to train on.
+    """Position in the order of a run → example.
 
     Args:
-        objects: to draw from. config: how they are varied.
-        tokenizer: counts the tokens.
-        count: positions there are.
+        objects: to draw from. config: of their variations. tokenizer: for lengths.
+        count: of positions.
     """
 
     def __init__(
@@ -150,7 +146,7 @@ class Draws(TorchDataset[Drawn]):
                 example, why = self._example(number, position)
             except ArtiworldError as error:
                 example, why = None, str(error)
-            except Exception as error:  # whatever is wrong with one object, the run goes on
+            except Exception as error:  # one bad object must not end the run
                 example, why = None, f"{type(error).__name__}: {error}"
             if example is not None:
                 return Drawn(example, position, tuple(left_out))
@@ -158,7 +154,7 @@ class Draws(TorchDataset[Drawn]):
         return Drawn(None, position, tuple(left_out))
 
     def _number(self, position: int, attempt: int) -> int:
-        """Every object once an epoch, in an order of its own; a substitute for useless ones."""
+        """Number of the object: each one once per epoch, or a substitute for an unusable one."""
         seed, count = self.config.seed, len(self.objects)
         if attempt:
             return int(np.random.default_rng([seed, position, attempt, 5]).integers(count))
@@ -173,8 +169,9 @@ class Draws(TorchDataset[Drawn]):
             return None, f"{parts} parts, not 2 to {MOST_PARTS}"
         rng = np.random.default_rng([config.seed, position, 3])
         segmented, tree = varied(truth.object, config, rng)
-        if unsaid := [x for x in tree.links if not (x.startswith("link_") or _is_screw(tree, x))]:
-            return None, f"{UNSAID}: joints at {', '.join(unsaid)}"
+        helpers = [x for x in tree.links if not x.startswith("link_")]
+        if other := [x for x in helpers if not _is_screw(tree, x)]:
+            return None, f"{INEXPRESSIBLE}: joints at {', '.join(other)}"
         example = make_example(
             segmented, config.points, structure=config.structure, seed=int(rng.integers(2**31))
         )
@@ -189,7 +186,7 @@ class Draws(TorchDataset[Drawn]):
 
 
 def positions(batch: int, steps: range, process: int, processes: int) -> list[int]:
-    """What one of ``processes`` draws in ``steps`` of ``batch`` objects, in its order."""
+    """The positions that one of ``processes`` draws in ``steps`` of ``batch`` objects, in order."""
     return [step * batch + k for step in steps for k in range(process, batch, processes)]
 
 
@@ -201,11 +198,10 @@ def _order(seed: int, epoch: int, count: int) -> npt.NDArray[np.int64]:
 def varied(
     obj: ArticulatedObject, config: FullConfig, rng: np.random.Generator
 ) -> tuple[SegmentedObject, KinematicTree]:
-    """The parts in a random order, numbered anew, some without their names; and their true tree.
+    """The parts in a random order, renumbered, some without names, and their true tree.
 
-    The motions are said as :func:`model.prediction.arti4urdf.text_script.as_written` says them,
-    and children
-    stand in the order of their numbers: no name and no order is left to be guessed.
+    Motions have the form of :func:`model.prediction.arti4urdf.text_script.as_written` and children
+    are sorted by number, so that no name and no order has to be guessed.
     """
     order = [int(k) for k in rng.permutation(len(obj.parts))]
     nameless = rng.random() < config.nameless
@@ -214,35 +210,35 @@ def varied(
         replace(obj.parts[k], link=f"link_{i}", name=None if hidden[i] else obj.parts[k].name)
         for i, k in enumerate(order)
     )
-    said = as_written(obj.tree, {p.link for p in obj.parts})
-    tree = renumbered(said, [obj.parts[k] for k in order])
+    written = as_written(obj.tree, {p.link for p in obj.parts})
+    tree = renumbered(written, [obj.parts[k] for k in order])
     category = None if hidden[-1] else obj.category
     return SegmentedObject("object", parts, category), tree
 
 
 def renumbered(tree: KinematicTree, parts: Sequence[Part]) -> KinematicTree:
-    """The tree with ``parts[i]`` as ``link_i``, its helpers and joints named after them."""
+    """The tree with ``parts[i]`` as ``link_i``, and helpers and joints named after the parts."""
     number = {p.link: i for i, p in enumerate(parts)}
     below = {link: _first_part(tree, link, number) for link in tree.links}
-    called: dict[str, str] = {}
+    renamed: dict[str, str] = {}
     taken: set[str] = set()
     for link in reversed(tree.order):
         name = f"link_{number[link]}" if link in number else f"helper_{max(below[link], 0)}"
         while name in taken:  # a second helper above the same part
             name += "_above"
-        called[link] = name
+        renamed[link] = name
         taken.add(name)
     joints = tuple(
         replace(
-            j, name=f"joint_{called[j.child]}", parent=called[j.parent], child=called[j.child]
+            j, name=f"joint_{renamed[j.child]}", parent=renamed[j.parent], child=renamed[j.child]
         )
         for j in sorted(tree.joints, key=lambda j: below[j.child])
     )  # fmt: skip
-    return KinematicTree(tuple(called[link] for link in tree.links), joints)
+    return KinematicTree(tuple(renamed[link] for link in tree.links), joints)
 
 
 def _is_screw(tree: KinematicTree, helper: str) -> bool:
-    """Whether a helper slides and one part turns on it, as :func:`as_written` leaves a screw."""
+    """Whether a helper has a prismatic joint and carries one part on a continuous joint."""
     first, below = tree.joint_of.get(helper), tree.children(helper)
     return (
         first is not None
@@ -254,7 +250,7 @@ def _is_screw(tree: KinematicTree, helper: str) -> bool:
 
 
 def _first_part(tree: KinematicTree, link: str, number: Mapping[str, int]) -> int:
-    """The number of a part, or of the first part that a helper carries; -1 for one without any."""
+    """The number of a part, or of the first part that a helper carries; -1 if it carries none."""
     if link in number:
         return number[link]
     below = (_first_part(tree, child, number) for child in tree.children(link))

@@ -1,4 +1,4 @@
-"""What the network should have chosen: the truth in terms of the structure prompt's candidates."""
+"""Labels: the true joints in terms of the structure prompt's candidates."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ Array = npt.NDArray[np.float64]
 
 GOOD_AXIS = 0.06
 GOOD_LINE = 0.025
-"""A candidate is an answer where its axis is this near (rad) and its line this near (diagonals):
-half of what counts as usable."""
+"""Largest errors of a correct candidate's axis (rad) and line (diagonals): half those of a usable
+joint."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,12 +30,12 @@ class Labels:
     Attributes:
         parents: (P,), -1 for the root.
         types: (P,) index into ``TYPES``; "fixed" for the root.
-        right: (P, SLOTS) candidates whose axis and line are right.
-        offered: (P, SLOTS) those of them whose own limits are right too.
+        right: (P, SLOTS) candidates with a correct axis and line.
+        offered: (P, SLOTS) those with correct limits of their own.
         limits: (P, 2) true limits (rad or diagonals) about the true axis.
-        axis: (P, 3) true axis, working frame. line: (P, 3) nearest point of the axis line to the
-            part's centre, less the centre; 0 for slides.
-        same_sign: (P, SLOTS) the candidate's axis points along the true one.
+        axis: (P, 3) true axis, working frame. line: (P, 3) point of its line nearest to the part's
+            centre, relative to the centre; 0 for prismatic joints.
+        same_sign: (P, SLOTS) the candidate's axis has the direction of the true one.
     """
 
     parents: npt.NDArray[np.int64]
@@ -49,7 +49,7 @@ class Labels:
 
 
 def label(structure: Structure, truth: ArticulatedObject) -> Labels | None:
-    """Labels of ``truth``; None where its tree can't be said in the model's words."""
+    """Labels of ``truth``; None if the vocabulary can't express its tree."""
     sampled = structure.sampled
     links = [s.link for s in sampled.shapes]
     index = {link: i for i, link in enumerate(links)}

@@ -33,11 +33,10 @@ MOST_PARTS = 40
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """One object as the network sees it, with its labels.
+    """The network's input for one object, with its labels.
 
     Attributes:
-        id: family, seed and index.
-        category, names: "" where they are not given.
+        id: family, seed and index. category, names: "" if unknown.
     """
 
     id: str
@@ -48,17 +47,17 @@ class Sample:
 
 
 def training_families() -> tuple[str, ...]:
-    """All families but those held out; composites are drawn more often."""
+    """All families but those held out."""
     return tuple(f for f in family_names() if f not in HELD_OUT)
 
 
 def family_of(families: Sequence[str], index: int) -> str:
-    """What the object with this index is: composites every fourth, the families in turn."""
+    """Family of the object with this index: every fourth is a composite."""
     return COMPOSITE if index % 4 == 3 else families[index % len(families)]
 
 
 def draw_truth(family: str, seed: int, index: int) -> tuple[GroundTruth, bool]:
-    """A procedural object, one time in three clean, else corrupted, and whether it has names."""
+    """A procedural object, 35 % clean, else corrupted, and whether it has names."""
     rng = np.random.default_rng([seed, index, 7])
     made = make(family, seed, index)
     named = bool(rng.random() < 0.5)
@@ -69,7 +68,7 @@ def draw_truth(family: str, seed: int, index: int) -> tuple[GroundTruth, bool]:
 
 
 def make_sample(truth: GroundTruth, *, named: bool, seed: int) -> Sample | None:
-    """The structure prompt and labels of one object; None where it can't serve."""
+    """The structure prompt and labels of one object; None if it is unusable."""
     segmented = truth.segmented(names=named)
     if not 2 <= len(segmented.parts) <= MOST_PARTS:
         return None
@@ -86,7 +85,7 @@ def make_sample(truth: GroundTruth, *, named: bool, seed: int) -> Sample | None:
 def generate_samples(
     families: Sequence[str], seed: int, indices: Sequence[int]
 ) -> Iterator[Sample | None]:
-    """Samples one by one; None for a failure."""
+    """Samples one by one; None for unusable objects."""
     for index in indices:
         truth, named = draw_truth(family_of(families, index), seed, index)
         yield make_sample(truth, named=named, seed=index)
@@ -126,7 +125,7 @@ def read_shard(path: Path) -> list[Sample]:
     """Read what :func:`write_shard` wrote.
 
     Raises:
-        ConfigurationError: where the file is of another version.
+        ConfigurationError: if the file is of another version.
     """
     with np.load(path, allow_pickle=False) as data:
         if int(data["version"]) != VERSION:
@@ -162,28 +161,6 @@ def read_shard(path: Path) -> list[Sample]:
     return out
 
 
-def write_shards(
-    folder: Path,
-    count: int,
-    *,
-    seed: int = 0,
-    shard: int = 100,
-    families: Sequence[str] | None = None,
-    progress: Progress = no_progress,
-) -> int:
-    """Fill ``folder`` with shards of ``shard`` objects; those that are there are kept.
-
-    Returns:
-        Objects written now.
-    """
-    folder.mkdir(parents=True, exist_ok=True)
-    written = 0
-    for first in range(math.ceil(count / shard)):
-        written += _write_one(folder, count, seed, shard, families, first)
-        progress((first + 1) * shard / count, f"{written} objects")
-    return written
-
-
 def make_shards(
     folder: Path,
     count: int,
@@ -194,35 +171,37 @@ def make_shards(
     families: Sequence[str] | None = None,
     progress: Progress = no_progress,
 ) -> None:
-    """:func:`write_shards` in ``jobs`` processes (0: one a core)."""
-    jobs = jobs or os.cpu_count() or 1
-    missing = sum(
-        not (folder / f"{seed:04d}_{k:05d}.npz").exists() for k in range(math.ceil(count / shard))
-    )
-    if jobs == 1 or missing <= 1:
-        write_shards(folder, count, seed=seed, shard=shard, families=families, progress=progress)
-        return
+    """Fill ``folder`` with shards of ``shard`` objects in ``jobs`` processes (0: one per core).
+
+    Existing shards are kept.
+    """
     folder.mkdir(parents=True, exist_ok=True)
-    firsts = range(math.ceil(count / shard))
+    numbers = [k for k in range(math.ceil(count / shard)) if not _path(folder, seed, k).exists()]
     write = partial(_write_one, folder, count, seed, shard, families)
-    with in_processes(write, firsts, min(jobs, missing), "spawn") as waiting:
+    jobs = min(jobs or os.cpu_count() or 1, len(numbers))
+    if jobs <= 1:
+        for done, number in enumerate(numbers):
+            write(number)
+            progress((done + 1) / len(numbers), f"{(done + 1) * shard} objects")
+        return
+    with in_processes(write, numbers, jobs, "spawn") as waiting:
         for done, job in enumerate(as_completed(waiting)):
             job.result()
             progress((done + 1) / len(waiting), f"{(done + 1) * shard} objects")
 
 
+def _path(folder: Path, seed: int, number: int) -> Path:
+    return folder / f"{seed:04d}_{number:05d}.npz"
+
+
 def _write_one(
     folder: Path, count: int, seed: int, shard: int, families: Sequence[str] | None, number: int
-) -> int:
-    path = folder / f"{seed:04d}_{number:05d}.npz"
-    if path.exists():
-        return 0
+) -> None:
     indices = range(number * shard, min(count, (number + 1) * shard))
     found = generate_samples(families or training_families(), seed, indices)
     kept = [s for s in found if s is not None]
     if kept:
-        write_shard(kept, path)
-    return len(kept)
+        write_shard(kept, _path(folder, seed, number))
 
 
 def write_dataset(
@@ -238,13 +217,13 @@ def write_dataset(
     Args:
         root: of PartNet-Mobility or PhysXNet. folder: of the shards.
         held_out, test_share: see :func:`model.data.splits.training_ids`.
-        progress: told each object.
+        progress: reports each object.
 
     Returns:
-        Samples written, and what couldn't be read and why.
+        Number of samples, and the errors of unreadable objects.
 
     Raises:
-        InputFileError: where ``root`` is no such folder.
+        InputFileError: if ``root`` is no such folder.
     """
     dataset = recognised(root)
     ids = training_ids(dataset, held_out=held_out, test_share=test_share)

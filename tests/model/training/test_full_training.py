@@ -23,9 +23,9 @@ from model.prediction.arti4urdf.answer import JSON_END, parse_answer, write_answ
 from model.prediction.arti4urdf.full_model import SPECIAL_TOKENS  # noqa: E402
 from model.prediction.arti4urdf.point_bert import ULIP2, PointBert  # noqa: E402
 from model.prediction.arti4urdf.published_weights import ENCODER_PREFIX, load_tokenizer  # noqa: E402
-from model.prediction.arti4urdf.text_script import Author  # noqa: E402
+from model.prediction.arti4urdf.text_script import AnswerScript  # noqa: E402
 from model.prediction.registry import load_predictor  # noqa: E402
-from model.training.arti4urdf.full_config import (  # noqa: E402
+from model.training.arti4urdf.config import (  # noqa: E402
     FullConfig,
     check_size,
     full_presets,
@@ -33,7 +33,7 @@ from model.training.arti4urdf.full_config import (  # noqa: E402
     with_settings,
 )
 from model.training.arti4urdf.full_data import Draws, ObjectSet, positions, varied  # noqa: E402
-from model.training.arti4urdf.full_loop import LEFT_OUT, Sources, train_full  # noqa: E402
+from model.training.arti4urdf.full_trainer import LEFT_OUT, Sources, train_full  # noqa: E402
 from model.training.arti4urdf.samples import training_families, write_dataset  # noqa: E402
 from tests.app.run_cli import artiworld, assert_users_mistake  # noqa: E402
 from tests.model.prediction.arti4urdf.tiny_qwen3 import write_tiny_qwen3  # noqa: E402
@@ -170,7 +170,7 @@ def test_an_object_and_its_answer_mean_the_same_whatever_the_order(tokenizer):
             for part in segmented.parts:
                 same = (p for p in truth.parts if p.mesh is part.mesh and p.cloud is part.cloud)
                 assert motions(said, part.link) == motions(truth.tree, next(same).link)
-            assert_sayable(said, segmented)
+            assert_writable(said, segmented)
     assert len(orders) > 12, "parts come in many orders"
     prompts = {drawn.example.prompt for drawn in map(draws.__getitem__, range(16))}
     assert len(prompts) > 12, "the second epoch draws other variants"
@@ -186,19 +186,19 @@ def motions(tree, link: str) -> list[tuple[object, ...]]:
     return sorted(out, key=str)  # the two of a screw may change places
 
 
-def assert_sayable(tree, segmented) -> None:
+def assert_writable(tree, segmented) -> None:
     """Constrained decoding can write the answer's tree, word for word."""
-    target, said = write_answer(tree, segmented), ""
-    steps = Author(segmented).script()
+    target, text = write_answer(tree, segmented), ""
+    steps = AnswerScript(segmented).steps()
     step = next(steps)
-    while JSON_END not in said:
+    while JSON_END not in text:
         if isinstance(step, str):
-            said, step = said + step, steps.send("")
+            text, step = text + step, steps.send("")
         else:
-            rest = target[len(said) :]
+            rest = target[len(text) :]
             chosen = next(t for t in step.texts if rest.startswith(t))
-            said, step = said + chosen, steps.send(chosen)
-    assert target.startswith(said)
+            text, step = text + chosen, steps.send(chosen)
+    assert target.startswith(text)
 
 
 @pytest.mark.parametrize("processes", [1, 2, 4])
@@ -299,7 +299,7 @@ def write_physxnet_box(root: Path, lid: list[object] | None = None) -> None:
 
 def test_mistakes_are_named(weights, tmp_path, monkeypatch):
     assert set(full_presets()) == {"qwen3-0.6b", "qwen3-1.7b", "qwen3-4b", "paper", "qwen3"}
-    with pytest.raises(InputFileError, match=r"isn't Qwen3-8B.*--preset qwen3 for this one"):
+    with pytest.raises(InputFileError, match=r"unlike Qwen3-8B.*--preset qwen3 for this one"):
         check_size(full_presets()["paper"], weights[1])
     config = json.loads((weights[1] / "config.json").read_text())
     config |= {
@@ -333,7 +333,7 @@ def test_a_state_that_is_damaged_and_another_run_in_the_folder(weights, tmp_path
         train_full(SMALL, sources(weights), tmp_path)
 
 
-def test_the_command_line_says_what_is_wrong(weights, tmp_path, capsys):
+def test_the_command_line_names_mistakes(weights, tmp_path, capsys):
     out = ["--out", str(tmp_path)]
     for more, said in (
         (["--preset", "paper"], "--language-model, a folder of Qwen3, and --point-encoder"),

@@ -26,11 +26,16 @@ from model.prediction.arti4urdf.weights import load_weights
 from model.prediction.builder import PredictionBuilder
 from model.prediction.confidence import load_confidence
 from model.training.arti4urdf import batches, confidence
-from model.training.arti4urdf.batches import Augmentation, augmented, collate, teacher_forced
+from model.training.arti4urdf.batches import (
+    Augmentation,
+    augmented,
+    batch_loss,
+    collate,
+    teacher_forced,
+)
 from model.training.arti4urdf.config import TrainingConfig
 from model.training.arti4urdf.labels import label
-from model.training.arti4urdf.loop import LOG, export_weights, rate, train
-from model.training.arti4urdf.loss import batch_loss
+from model.training.arti4urdf.loop import LOG, rate
 from model.training.arti4urdf.samples import (
     HELD_OUT,
     Sample,
@@ -40,6 +45,7 @@ from model.training.arti4urdf.samples import (
     training_families,
     write_shard,
 )
+from model.training.arti4urdf.small_trainer import export_weights, train
 
 TINY = TrainingConfig(
     ModelConfig(

@@ -27,7 +27,7 @@ from model.prediction.arti4urdf.point_bert import ULIP2, PointBert  # noqa: E402
 from model.prediction.arti4urdf.published_weights import ENCODER_PREFIX, load_qwen3  # noqa: E402
 from model.prediction.arti4urdf.text_engine import Generated, LocalEngine, VllmEngine  # noqa: E402
 from model.prediction.arti4urdf.text_prompt import make_example, plain, prompt_text  # noqa: E402
-from model.prediction.arti4urdf.text_script import Author  # noqa: E402
+from model.prediction.arti4urdf.text_script import AnswerScript  # noqa: E402
 from model.prediction.registry import load_predictor  # noqa: E402
 from tests.model.prediction.arti4urdf.tiny_qwen3 import write_tiny_qwen3  # noqa: E402
 
@@ -148,11 +148,9 @@ def test_the_local_engine_continues_as_transformers_does(folder, reader):
     theirs = reader.language_model.generate(
         inputs_embeds=prompt[None], max_new_tokens=15, do_sample=False
     )[0]
-    said = words.tokenizer.decode(theirs.tolist(), skip_special_tokens=False)
-    assert answer.text == said.removesuffix("<|im_end|>")
+    expected = words.tokenizer.decode(theirs.tolist(), skip_special_tokens=False)
+    assert answer.text == expected.removesuffix("<|im_end|>")
     assert seen == sorted(seen) and answer.log_probability < 0
-    drawn = [engine.generate(prompt, max_tokens=8, temperature=1.0, seed=s).text for s in (1, 1, 2)]
-    assert drawn[0] == drawn[1] != drawn[2]
 
     def stop(_: float, __: str) -> None:
         raise Cancelled
@@ -182,7 +180,7 @@ def test_forced_spans_are_read_in_one_pass_and_change_nothing(folder, reader):
     words = load_qwen3(folder / "language_model", dtype=torch.float32)
     engine = LocalEngine(words.decoder, words.tokenizer, reader.end)
     prompt = reader.prompt_embeddings(make_example(chest(), 64))
-    written = engine.write(prompt, Author(chest()))
+    written = engine.write(prompt, AnswerScript(chest()))
     tokens = words.tokenizer.encode(written.text, add_special_tokens=False).ids
     assert written.passes < len(tokens) / 4
     # The sum of the choices' probabilities is what one pass over the whole text would give or

@@ -86,9 +86,9 @@ def test_settled_parts_in_a_circle_end_and_do_not_hang() -> None:
 def test_what_is_not_allowed_is_refused() -> None:
     grammar = _grammar(np.random.default_rng(0), 3, {})
     grammar.forced()
-    with pytest.raises(ValueError, match="may come here"):
+    with pytest.raises(ValueError, match="allows neither"):
         grammar.take(v.ID["<close>"])
-    with pytest.raises(ValueError, match="may come here"):
+    with pytest.raises(ValueError, match="allows neither"):
         grammar.take(-1, 3)
 
 

@@ -16,32 +16,32 @@ from model.core.tree import KinematicTree
 from model.data.procedural.generate import COMPOSITE, make
 from model.data.protocol import GroundTruth
 from model.prediction.arti4urdf.answer import parse_answer, rounded, write_answer
-from model.prediction.arti4urdf.text_script import Author, Numbers, OneOf, as_written
+from model.prediction.arti4urdf.text_script import AnswerScript, Numbers, OneOf, as_written
 
 Choose = Callable[[OneOf | Numbers, str], str]
 
 
-def write(author: Author, choose: Choose) -> str:
-    """Run the script; ``choose`` gets the question and what stands before it."""
-    steps, said = author.script(), ""
+def write(script: AnswerScript, choose: Choose) -> str:
+    """Run the script; ``choose`` gets each choice and the text before it."""
+    steps, text = script.steps(), ""
     step = next(steps)
     while True:
-        answer = step if isinstance(step, str) else choose(step, said)
+        answer = step if isinstance(step, str) else choose(step, text)
         if isinstance(step, OneOf):
             assert answer in step.texts
             assert not any(a != b and b.startswith(a) for a in step.texts for b in step.texts)
-        said += answer
+        text += answer
         try:
             step = steps.send("" if isinstance(step, str) else answer)
         except StopIteration:
-            return said
+            return text
 
 
 def following(target: str) -> Choose:
-    """Chooses what leads to ``target``."""
+    """Choices that lead to ``target``."""
 
-    def choose(step: OneOf | Numbers, said: str) -> str:
-        rest = target[len(said) :]
+    def choose(step: OneOf | Numbers, text: str) -> str:
+        rest = target[len(text) :]
         if isinstance(step, OneOf):
             return next(t for t in step.texts if rest.startswith(t))
         text = rest[: rest.index('"')]
@@ -55,7 +55,7 @@ def following(target: str) -> Choose:
 def at_random(rng: np.random.Generator) -> Choose:
     letters = np.array(list("0123456789-. "))
 
-    def choose(step: OneOf | Numbers, said: str) -> str:
+    def choose(step: OneOf | Numbers, text: str) -> str:
         if isinstance(step, OneOf):
             return str(rng.choice(list(step.texts)))
         text = ""
@@ -71,7 +71,7 @@ def at_random(rng: np.random.Generator) -> Choose:
 
 
 def truth_of(family: str, index: int) -> tuple[KinematicTree, SegmentedObject]:
-    """A made object, its motions said as a model is to say them."""
+    """A procedural object with its motions in the form of the training answers."""
     truth = GroundTruth("made", make(family, 5, index).object)
     segmented = truth.segmented(names=True)
     return as_written(truth.object.tree, {p.link for p in segmented.parts}), segmented
@@ -80,15 +80,15 @@ def truth_of(family: str, index: int) -> tuple[KinematicTree, SegmentedObject]:
 @pytest.mark.parametrize(
     "family", ["WashingMachine", "Bottle", "Lamp", "StorageFurniture", COMPOSITE]
 )
-def test_the_steps_write_what_the_writer_writes(family: str) -> None:
+def test_the_steps_equal_the_written_answer(family: str) -> None:
     for index in range(4):
         tree, segmented = truth_of(family, index)
         helpers = {k for k in tree.links if k not in {p.link for p in segmented.parts}}
         target = rounded(write_answer(tree, segmented))
-        # Where a part's origin is said twice, the second time follows from the first.
-        said = write(Author(segmented), _forgiving(target))
-        assert _without_origins(said) == _without_origins(target)
-        found, problems = parse_answer(said)
+        # Of an origin that occurs twice, the second is forced.
+        text = write(AnswerScript(segmented), _forgiving(target))
+        assert _without_origins(text) == _without_origins(target)
+        found, problems = parse_answer(text)
         assert problems == () and found is not None
         for joint in tree.joints:
             mine = found.joint_of[joint.child]
@@ -99,7 +99,7 @@ def test_the_steps_write_what_the_writer_writes(family: str) -> None:
 
 
 def _forgiving(target: str) -> Choose:
-    """Follows the target by what is asked in which order, not by its place."""
+    """Follows the target by the order of the choices, not by their position."""
     asked = iter(re.findall(r'<visual[^>]*>\s*<origin xyz="([^"]*)"', target)[1:])
     tree, urdf = target.split("<urdf_start>")
     moves = re.findall(
@@ -108,9 +108,9 @@ def _forgiving(target: str) -> Choose:
     values = iter([x for row in moves for x in row if x])
     json = following(tree)
 
-    def choose(step: OneOf | Numbers, said: str) -> str:
+    def choose(step: OneOf | Numbers, text: str) -> str:
         if isinstance(step, OneOf):
-            return json(step, said)
+            return json(step, text)
         return next(asked if step.kind == "origin" else values)
 
     return choose
@@ -120,7 +120,7 @@ def _without_origins(text: str) -> str:
     return re.sub(r'<origin xyz="[^"]*"', "<origin", text)
 
 
-def test_whatever_is_chosen_parses() -> None:
+def test_random_choices_parse() -> None:
     rng = np.random.default_rng(0)
     for index in range(40):
         family = ("WashingMachine", "Bottle", COMPOSITE, "StorageFurniture")[index % 4]
@@ -128,7 +128,7 @@ def test_whatever_is_chosen_parses() -> None:
         locked: tuple[Joint, ...] = ()
         if index % 2:
             locked = tuple(j for j in tree.joints if rng.random() < 0.4)
-        found, problems = parse_answer(write(Author(segmented, locked), at_random(rng)))
+        found, problems = parse_answer(write(AnswerScript(segmented, locked), at_random(rng)))
         assert not problems
         assert found is not None
         ArticulatedObject(segmented.name, segmented.parts, found)

@@ -11,7 +11,8 @@ pytest.importorskip("torch", reason="torch is not installed")
 from model.core.errors import InputFileError
 from model.prediction.arti4urdf.vocabulary import SIZE, TOKENS
 from model.prediction.arti4urdf.weights import SHIPPED, load_weights, vocabulary_hash
-from model.training.arti4urdf.probes import (
+from model.training.arti4urdf.samples import Sample, draw_truth, make_sample, training_families
+from tests.model.prediction.arti4urdf.probes import (
     both,
     foreign_wholes,
     probe,
@@ -19,7 +20,6 @@ from model.training.arti4urdf.probes import (
     shuffled_shapes,
     without_rules,
 )
-from model.training.arti4urdf.samples import Sample, draw_truth, make_sample, training_families
 
 MOST_BYTES = 25 * 2**20
 

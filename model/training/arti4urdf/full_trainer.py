@@ -1,7 +1,7 @@
-"""The training loop of the paper-size model, on one process or many (Hugging Face accelerate).
+"""Training of the paper-size model, in one process or many (Hugging Face accelerate).
 
 Source: ArtiWorld (CVPR 2026), training: Adam, learning rate 1e-5, 20 epochs, bfloat16, gradient
-checkpointing, one object a GPU on eight GPUs. The encoder stays as ULIP-2 publishes it.
+checkpointing, one object per GPU on eight GPUs. The encoder is frozen.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ import math
 import os
 import pickle
 import shutil
-import time
 import zlib
 from collections.abc import Iterator
 from contextlib import nullcontext
@@ -25,9 +24,16 @@ from torch.utils.data import DataLoader
 from model.core.errors import ConfigurationError
 from model.core.progress import Progress, no_progress
 from model.prediction.arti4urdf.full_model import FullModel, LoraSettings, make_full_model
-from model.training.arti4urdf.full_config import FullConfig, check_size, require_extras
+from model.training.arti4urdf.config import FullConfig, check_size, require_extras
 from model.training.arti4urdf.full_data import TOO_LONG, Drawn, Draws, ObjectSet, positions
-from model.training.arti4urdf.loop import CONFIG, LOG, rate, same_config, to_board
+from model.training.arti4urdf.loop import (
+    CONFIG,
+    append_entry,
+    rate,
+    run_steps,
+    same_config,
+    set_rate,
+)
 
 STATE = "state.json"
 LEFT_OUT = "left_out.jsonl"
@@ -35,12 +41,12 @@ LEFT_OUT = "left_out.jsonl"
 
 @dataclass(frozen=True)
 class Sources:
-    """Where a run's weights and objects come from.
+    """Weights and objects of a run.
 
     Attributes:
         point_encoder: a checkpoint of ULIP-2. language_model: a folder of Qwen3.
-        objects: to train on. held: to validate on, never trained on.
-        jobs: processes that make objects beside each training process; 0 for none.
+        objects: for training. held: for validation.
+        jobs: processes that make objects for each training process; 0 for none.
     """
 
     point_encoder: Path
@@ -52,12 +58,12 @@ class Sources:
 
 @dataclass(frozen=True)
 class Finished:
-    """What a slice came to.
+    """The result of a slice.
 
     Attributes:
         step: that was reached. steps: of the whole run.
-        loss: mean since the last log entry; NaN where no step was made.
-        left_out: why → how many objects, over all slices.
+        loss: mean of the last log entry; NaN without a step.
+        left_out: reason → number of objects, over all slices.
     """
 
     step: int
@@ -75,36 +81,37 @@ def train_full(
     weights: Path | None = None,
     progress: Progress = no_progress,
 ) -> Finished:
-    """Train, or go on where the last slice ended.
+    """Train, or resume where the last slice ended.
 
     Args:
         config: the run; it is written beside the state and must not change between slices.
         sources: weights and objects.
         out: folder of the run. seconds: stop (and save) after this long.
-        weights: write the model here for use at the end of the slice.
+        weights: folder for the model at the end of the slice.
         progress: of the main process.
 
     Raises:
-        InputFileError: where weights are absent or don't fit the preset.
-        ConfigurationError: where packages are missing, the batch can't be shared among the
+        InputFileError: if weights are absent or don't fit the preset.
+        ConfigurationError: if packages are missing, the batch can't be shared among the
             processes, ``out`` holds another run, or no object is usable.
     """
     require_extras(config)
     from transformers.utils.logging import disable_progress_bar
 
-    disable_progress_bar()  # there is one already
+    disable_progress_bar()  # progress reports the same
     check_size(config, sources.language_model)
     config = _resolved(config, len(sources.objects))
-    trainer = _Trainer(config, sources, out)
-    loss = trainer.train(seconds, progress if trainer.main else no_progress)
+    trainer = _FullTrainer(config, sources, out)
+    means = run_steps(trainer, config, seconds, progress if trainer.main else no_progress)
     if weights is not None:
         trainer.export(weights)
     trainer.accelerator.end_training()
+    loss = means.get("loss", math.nan)
     return Finished(trainer.step, config.steps, loss, trainer.left_out())
 
 
 def _resolved(config: FullConfig, objects: int) -> FullConfig:
-    """With the number of steps, and a warm-up that fits into it."""
+    """The configuration with its number of steps, and a warm-up within them."""
     steps = config.steps or math.ceil(config.epochs * objects / config.batch)
     return replace(config, steps=steps, warmup=min(config.warmup, steps))
 
@@ -112,7 +119,7 @@ def _resolved(config: FullConfig, objects: int) -> FullConfig:
 def load_model(config: FullConfig, point_encoder: Path, language_model: Path) -> FullModel:
     """The untrained model, ready for the optimiser.
 
-    What is trained is in float32: a step of 1e-5 would vanish in bfloat16's rounding.
+    Trained parameters are in float32: a step of 1e-5 would vanish in bfloat16's rounding.
     """
     lora = LoraSettings(config.lora_rank, 2 * config.lora_rank) if config.lora_rank else None
     torch.manual_seed(config.seed)
@@ -125,22 +132,23 @@ def load_model(config: FullConfig, point_encoder: Path, language_model: Path) ->
     return model
 
 
-class _Trainer:
-    """One process of a run."""
+class _FullTrainer:
+    """One process of a run; see :class:`model.training.arti4urdf.loop.Trainer`."""
 
     def __init__(self, config: FullConfig, sources: Sources, out: Path) -> None:
         from accelerate import Accelerator
         from accelerate.utils import DistributedType
 
         self.config, self.sources, self.out = config, sources, out
-        # accelerate's own launcher has said which precision it wants; the configuration decides.
+        # The configuration decides on the precision, not accelerate's launcher.
         self.accelerator: Any = Accelerator(mixed_precision="bf16" if config.bfloat16 else "no")
         self.main = self.accelerator.is_main_process
-        self.share, rest = divmod(config.batch, self.accelerator.num_processes)
+        processes = self.accelerator.num_processes
+        self.share, rest = divmod(config.batch, processes)
         if rest:
             raise ConfigurationError(
-                f"a batch of {config.batch} can't be shared by {self.accelerator.num_processes} "
-                f"processes: --set batch={self.accelerator.num_processes * (self.share + 1)}"
+                f"a batch of {config.batch} can't be divided among {processes} processes: "
+                f"--set batch={processes * (self.share + 1)}"
             )
         if self.main:
             out.mkdir(parents=True, exist_ok=True)
@@ -152,7 +160,7 @@ class _Trainer:
         self.tokenizer = model.tokenizer
         self.sharded = self.accelerator.distributed_type == DistributedType.FSDP
         if self.sharded:
-            # It isn't trained, and small: every process keeps the whole.
+            # Small and frozen: every process holds it in full.
             model.encoder.to(self.accelerator.device)
             self.accelerator.state.fsdp_plugin.ignored_modules = [model.encoder]
         optimizer = torch.optim.Adam(model.trained_parameters(), lr=config.learning_rate)
@@ -162,11 +170,15 @@ class _Trainer:
             for name, value in self.model.named_parameters(remove_duplicate=False)
             if not value.requires_grad
         }
-        self._told: set[str] = set()
+        self._reported: set[str] = set()
         self.step = self._restored()
+        self.model.train()
+        count = config.steps * config.batch
+        draws = Draws(sources.objects, config, self.tokenizer, count)
+        self.batches = self._batches(draws, range(self.step, config.steps))
 
     def _record(self) -> dict[str, Any]:
-        """The resolved configuration; objects by a number that tells other ones apart."""
+        """The resolved configuration, with a checksum of the objects."""
         objects, paths = self.sources.objects, self.sources
         names = "\n".join(objects.name(k) for k in range(len(objects)))
         return {
@@ -180,49 +192,14 @@ class _Trainer:
             },
         }
 
-    # --- training -----------------------------------------------------------------------------
-
-    def train(self, seconds: float, progress: Progress) -> float:
-        """Steps until the end or the time is over; gives the mean loss since the last entry."""
-        config, end, began, first = self.config, time.monotonic() + seconds, time.monotonic(), 0
-        losses: list[float] = []
-        mean = math.nan
-        skipped = 0
-        self.model.train()
-        draws = Draws(self.sources.objects, config, self.tokenizer, config.steps * config.batch)
-        batches = self._batches(draws, range(self.step, config.steps))
-        for step in range(self.step, config.steps):
-            loss = self._one_step(step, batches)
-            losses += [loss] if math.isfinite(loss) else []
-            skipped += not math.isfinite(loss)
-            self.step, first = step + 1, first + 1
-            speed = first * config.batch / (time.monotonic() - began)
-            progress(
-                self.step / config.steps,
-                f"step {self.step} of {config.steps}, loss {loss:.3f}, {speed:.2g} objects/s",
-            )
-            stop = self._any(time.monotonic() > end) or self.step == config.steps
-            if stop or self.step % config.every == 0:
-                mean = sum(losses) / len(losses) if losses else math.nan
-                self._log(mean, speed, skipped)
-                losses, skipped = [], 0
-                self._save()
-            if stop:
-                break
-        return mean
-
-    def _one_step(self, step: int, batches: Iterator[list[Drawn]]) -> float:
-        """One step of the optimiser over ``share`` objects here; gives the loss over all.
-
-        NaN where the gradient isn't finite and nothing was changed.
-        """
+    def train_step(self, step: int) -> dict[str, float] | None:
+        """One step of the optimiser over ``share`` objects here; the loss over all processes."""
         config, total = self.config, torch.zeros((), device=self.accelerator.device)
-        for group in self.optimizer.param_groups:
-            group["lr"] = rate(config, step)
+        set_rate(self.optimizer, config, step)
         self.optimizer.zero_grad(set_to_none=True)
         for turn in range(self.share):
-            drawn = self._taken(next(batches))
-            # Dropout depends on the object's place alone; a resumed run draws the same.
+            drawn = self._taken(next(self.batches))
+            # Dropout depends on the object's position alone, so that a resumed run draws the same.
             torch.manual_seed(config.seed * 1_000_003 + drawn.position)
             last = turn + 1 == self.share
             with nullcontext() if last else self.accelerator.no_sync(self.model):
@@ -230,13 +207,13 @@ class _Trainer:
                 self.accelerator.backward(loss / self.share)
             total += loss.detach().float() / self.share
         norm = self.accelerator.clip_grad_norm_(self.model.parameters(), 1.0)
-        if not bool(torch.isfinite(norm)):  # one bad sample must not end the run
-            return math.nan
+        if not bool(torch.isfinite(norm)):
+            return None
         self.optimizer.step()
-        return float(self.accelerator.reduce(total, "mean"))
+        return {"loss": float(self.accelerator.reduce(total, "mean"))}
 
     def _batches(self, draws: Draws, steps: range) -> Iterator[list[Drawn]]:
-        """Examples one by one, this process's share of every step."""
+        """Examples one by one: this process's share of every step."""
         accelerator = self.accelerator
         order = positions(
             self.config.batch, steps, accelerator.process_index, accelerator.num_processes
@@ -254,27 +231,27 @@ class _Trainer:
 
     def _taken(self, batch: list[Drawn]) -> Drawn:
         (drawn,) = batch
-        new = [(name, why) for name, why in drawn.left_out if name not in self._told]
+        new = [(name, why) for name, why in drawn.left_out if name not in self._reported]
         if new:
-            self._told |= {name for name, _ in new}
+            self._reported |= {name for name, _ in new}
             with (self.out / LEFT_OUT).open("a") as stream:
                 stream.writelines(json.dumps({"object": n, "why": w}) + "\n" for n, w in new)
         if drawn.example is None:
             name, why = drawn.left_out[-1]
             raise ConfigurationError(
-                f"{len(drawn.left_out)} objects in a row can't be trained on, see "
-                f"{self.out / LEFT_OUT}; the last was {name}: {why}"
+                f"{len(drawn.left_out)} objects in a row are unusable, see {self.out / LEFT_OUT}; "
+                f"the last was {name}: {why}"
             )
         return drawn
 
-    def _any(self, here: bool) -> bool:
-        """Whether it is so in any process: all of them must stop at the same step."""
-        flag = torch.tensor(float(here), device=self.accelerator.device)
-        return bool(self.accelerator.reduce(flag, "sum") > 0)
+    def any_process(self, flag: bool) -> bool:
+        """See the protocol: all processes must stop at the same step."""
+        found = torch.tensor(float(flag), device=self.accelerator.device)
+        return bool(self.accelerator.reduce(found, "sum") > 0)
 
     @torch.no_grad()
     def _validation(self) -> float:
-        """Mean loss over held-out objects, shared among the processes."""
+        """Mean loss over validation objects, divided among the processes."""
         world = self.accelerator.num_processes
         count = len(self.sources.held) // world
         draws = Draws(self.sources.held, self.config, self.tokenizer, count * world)
@@ -286,34 +263,32 @@ class _Trainer:
         self.model.train()
         return float(self.accelerator.reduce(total, "mean")) if count else math.nan
 
-    def _log(self, loss: float, speed: float, skipped: int) -> None:
-        values = {"loss": loss, "valid loss": self._validation()}
+    def save_entry(self, means: dict[str, float], speed: float, skipped: int) -> None:
+        """See the protocol."""
+        values = {**means, "valid loss": self._validation()}
         entry: dict[str, float] = {k: round(v, 4) for k, v in values.items() if math.isfinite(v)}
-        if not self.main:
-            return
         entry |= {"step": self.step, "speed": round(speed, 3), "skipped": skipped}
         entry |= {"rate": rate(self.config, self.step - 1), **self.left_out()}
-        with (self.out / LOG).open("a") as log:
-            log.write(json.dumps(entry) + "\n")
-        to_board(self.out, entry)
+        if self.main:
+            append_entry(self.out, entry)
+        self._save()
 
     def left_out(self) -> dict[str, int]:
-        """Why → objects that were passed over so far, each once."""
+        """Reason → number of objects that were left out so far."""
         path = self.out / LEFT_OUT
-        said = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
-        reasons = {entry["object"]: entry["why"].partition(":")[0] for entry in said}
+        lines = path.read_text().splitlines() if path.exists() else []
+        entries = map(json.loads, lines)
+        reasons = {entry["object"]: entry["why"].partition(":")[0] for entry in entries}
         long = sum(why == TOO_LONG for why in reasons.values())
         return {TOO_LONG: long, "unusable": len(reasons) - long}
 
-    # --- state --------------------------------------------------------------------------------
-
     def _save(self) -> None:
-        """Write the state; the last one stays until this one is whole."""
+        """Write the state; the previous one stays until this one is complete."""
         accelerator, folder = self.accelerator, self.out / f"state-{self.step:08d}"
         if self.main:
             shutil.rmtree(folder, ignore_errors=True)
         accelerator.wait_for_everyone()
-        # What isn't trained is read from its own files again.
+        # Frozen weights are read from their own files again.
         hook = accelerator.register_save_state_pre_hook(self._only_trained)
         accelerator.save_state(str(folder), safe_serialization=False)
         hook.remove()
@@ -333,27 +308,27 @@ class _Trainer:
                 del state[name]
 
     def _restored(self) -> int:
-        """Read the last state; gives its step, 0 for a new run."""
+        """Read the last state; returns its step, 0 for a new run."""
         path = self.out / STATE
         if not path.exists():
             return 0
         try:
-            said = json.loads(path.read_text())
+            saved = json.loads(path.read_text())
             options = {} if self.sharded else {"strict": False}
-            self.accelerator.load_state(str(self.out / said["folder"]), **options)
-            return int(said["step"])
+            self.accelerator.load_state(str(self.out / saved["folder"]), **options)
+            return int(saved["step"])
         except (
             OSError, EOFError, pickle.UnpicklingError, RuntimeError, ValueError, KeyError,
             TypeError,
         ) as error:  # fmt: skip
             first = str(error).strip().splitlines()[:1] or [type(error).__name__]
             raise ConfigurationError(
-                f"the state that {path} names can't be read ({first[0][:200]}); delete that file "
-                "to begin anew"
+                f"the state of {path} can't be read ({first[0][:200]}); delete that file to start "
+                "again"
             ) from error
 
     def export(self, folder: Path) -> None:
-        """Write what ``qwen3:FOLDER`` reads, with the configuration beside it."""
+        """Write a folder for ``qwen3:FOLDER``, with the configuration of the run."""
         state = self.accelerator.get_state_dict(self.model)
         if self.main:
             model = load_model(self.config, self.sources.point_encoder, self.sources.language_model)

@@ -13,11 +13,12 @@ from model.prediction.arti4urdf.structure import POINTS
 from model.training.arti4urdf.batches import (
     PLAIN,
     augmented,
+    batch_loss,
+    by_kind,
     collate,
     teacher_forced,
     without_judgements,
 )
-from model.training.arti4urdf.loss import batch_loss, by_kind
 from model.training.arti4urdf.samples import Sample
 
 Change = Callable[[Sequence[Prompt], np.random.Generator], list[Prompt]]
