@@ -145,6 +145,16 @@ def test_the_panel_of_the_documents_draws() -> None:
     assert tab.client.gui.add_markdown().content == "3 parts"
 
 
+def test_the_proposal_source_of_the_documents_proposes() -> None:
+    (code,) = (b for b in blocks("docs/architecture.md", "python") if "propose" in b)
+    names: dict[str, Any] = {}
+    exec(compile(code, "remainder.py", "exec"), names)
+    source = names["Remainder"](range(5))
+    (proposals,) = source.first(3, (0, 1))
+    assert proposals.masks.tolist() == [[False, False, True, True, True]]
+    assert source.later(None, None, 3, True) == []
+
+
 def headings(document: Path) -> set[str]:
     """The anchors of a document's headings, as GitHub and the site make them."""
     text = re.sub(r"```.*?```", "", document.read_text(), flags=re.DOTALL)
