@@ -1,1 +1,1 @@
-"""The gate before accepting: does every joint move as it should?"""
+"""Validation before accepting: does every joint move as it should?"""
