@@ -11,7 +11,7 @@ from pathlib import Path
 from model.core.errors import InputFileError
 from model.io.geometry_files import FOLDER_SUFFIXES
 from model.io.part_folder import is_part_folder
-from model.io.urdf.files import MOBILITY
+from model.io.urdf.files import MOBILITY, URDF_SUFFIX
 
 _URDF_NAMES = (MOBILITY, "object.urdf")
 
@@ -54,8 +54,8 @@ class AssetIndex:
 def index_assets(folders: Iterable[str | Path]) -> AssetIndex:
     """Search folders in depth for assets.
 
-    An asset is a folder with a ``mobility.urdf`` or ``object.urdf``, a folder of part meshes, or a
-    mesh file.
+    An asset is a folder with a ``mobility.urdf`` or ``object.urdf``, a folder of part meshes, another
+    URDF, or a mesh file.
 
     Raises:
         InputFileError: where a folder isn't there.
@@ -88,7 +88,7 @@ def _assets_in(root: Path) -> Iterable[Path]:
             yield folder
             continue
         for name in sorted(files):
-            if Path(name).suffix.lower() in FOLDER_SUFFIXES:
+            if Path(name).suffix.lower() in (*FOLDER_SUFFIXES, URDF_SUFFIX):
                 yield folder / name
 
 

@@ -28,6 +28,11 @@ _UNREADABLE = {
     "KHR_draco_mesh_compression": "Draco compression",
     "EXT_meshopt_compression": "meshopt compression",
 }
+_READ = (
+    "EXT_mesh_gpu_instancing", "KHR_mesh_quantization", "KHR_texture_transform", "KHR_materials_",
+    "KHR_lights_punctual", "KHR_xmp", "KHR_animation_pointer", "EXT_texture_webp",
+)  # fmt: skip
+"""Beginnings of the required extensions that are read, or that change no shape."""
 _MAX_NODES = 200_000
 
 
@@ -58,8 +63,19 @@ def open_gltf(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Gltf:
     for extension in tree.get("extensionsRequired") or ():
         if extension in _UNREADABLE:
             raise InputFileError(
-                path, f"uses {_UNREADABLE[extension]}", "export it without compression"
+                path,
+                f"uses {_UNREADABLE[extension]} ({extension})",
+                "export it without compression",
             )
+        if not str(extension).startswith(_READ):
+            raise InputFileError(
+                path, f"needs the extension {extension!r}, which is not read", "export it without"
+            )
+    views = tree.get("bufferViews")
+    for view in views if isinstance(views, list) else ():
+        for extension in set(as_dict(as_dict(view).get("extensions"))) & set(_UNREADABLE):
+            what = f"uses {_UNREADABLE[extension]} ({extension})"
+            raise InputFileError(path, what, "export it without compression")
     return Gltf(path, tree, binary, max_bytes)
 
 
@@ -120,7 +136,8 @@ class Gltf:
         self.path, self.tree, self.binary = path, tree, binary
         self._buffers = GltfBuffers(path, tree, binary, max_bytes)
         self._materials = GltfMaterials(self._buffers)
-        self._meshes: dict[int, list[Loaded]] = {}
+        self._meshes: dict[tuple[int, tuple[float, ...], int | None], list[Loaded]] = {}
+        self._passed_over = 0
 
     def scene(self) -> Loaded:
         """All meshes of the scene in the root's frame."""
@@ -136,6 +153,8 @@ class Gltf:
     def warnings(self) -> tuple[str, ...]:
         """What was left out of the meshes that were read so far."""
         warnings = list(dict.fromkeys(self._materials.warnings))
+        if self._passed_over:
+            warnings.append(f"{self._passed_over} pieces of lines are left out")
         if self._materials.left:
             warnings.append(left_out(self._materials.left))
         return tuple(warnings)
@@ -147,6 +166,7 @@ class Gltf:
         corners = visited = 0
         stack: list[tuple[int, Array, int]] = [(n, np.eye(4), 0) for n in self.roots()]
         nodes = self.tree.get("nodes") or []
+        self._check_tree(nodes)
         while stack:
             index, parent, depth = stack.pop()
             node = nodes[index]
@@ -155,12 +175,15 @@ class Gltf:
                 raise InputFileError(self.path, "its nodes form a cycle", "export it again")
             world = parent @ node_matrix(node)
             if "mesh" in node:
-                pieces = [piece.moved(world) for piece in self.mesh(node["mesh"])]
-                corners += sum(p.faces.size + len(p.vertices) for p in pieces)
+                own, places = self.meshes_of(node, world)
+                size = sum(p.faces.size + len(p.vertices) for p in own)
+                corners += size * len(places)
+                if corners > MAX_VALUES:
+                    raise InputFileError(self.path, "its nodes repeat too many triangles")
                 name = node.get("name") or self.tree["meshes"][node["mesh"]].get("name")
-                out.append((name if isinstance(name, str) else "", pieces))
-            if corners > MAX_VALUES:
-                raise InputFileError(self.path, "its nodes repeat too many triangles")
+                for place in places:
+                    pieces = [piece.moved(place) for piece in own]
+                    out.append((name if isinstance(name, str) else "", pieces))
             stack.extend((c, world, depth + 1) for c in reversed(node.get("children") or []))
         return out
 
@@ -173,9 +196,84 @@ class Gltf:
         children = {c for n in nodes for c in n.get("children") or []}
         return [i for i in reversed(range(len(nodes))) if i not in children]
 
-    def mesh(self, index: int) -> list[Loaded]:
-        """Its primitives in its own frame."""
-        if index not in self._meshes:
+    def meshes_of(self, node: Json, world: Array) -> tuple[list[Loaded], list[Array]]:
+        """A node's primitives, and where each copy of them stands.
+
+        The joints place the vertices of a skin, whatever the node's own transform is.
+
+        Args:
+            world: (4, 4) of the node.
+        """
+        own = self.mesh(node["mesh"], node.get("weights"), node.get("skin"))
+        return own, [np.eye(4)] if "skin" in node else self._instances(node, world)
+
+    def _check_tree(self, nodes: list[Json]) -> None:
+        """Refuse nodes with two parents: what they carry would be repeated without end."""
+        seen: set[int] = set()
+        for node in nodes:
+            for child in node.get("children") or ():
+                if child in seen:
+                    raise InputFileError(
+                        self.path, f"node {child} has two parents or is in a cycle",
+                        "export it again",
+                    )  # fmt: skip
+                seen.add(child)
+
+    def _instances(self, node: Json, world: Array) -> list[Array]:
+        """Where the copies of a node's mesh stand (``EXT_mesh_gpu_instancing``)."""
+        extension = as_dict(as_dict(node.get("extensions")).get("EXT_mesh_gpu_instancing"))
+        given = {
+            key: self._buffers.accessor(index).astype(np.float64)
+            for key, index in as_dict(extension.get("attributes")).items()
+            if key in ("TRANSLATION", "ROTATION", "SCALE")
+        }
+        if not given:
+            return [world]
+        count = max(map(len, given.values()))
+        if count > _MAX_NODES:
+            raise InputFileError(self.path, f"has {count} copies of one mesh", "cut the scene")
+        rows = {key: value.tolist() for key, value in given.items()}
+        return [
+            world @ node_matrix({key.lower(): value[k] for key, value in rows.items()})
+            for k in range(count)
+        ]
+
+    def _joint_matrices(self, skin: int) -> Array:
+        """(J, 4, 4) joint's global transform times its inverse bind matrix."""
+        entry = self.tree["skins"][skin]
+        joints = entry["joints"]
+        world = self._global_transforms()
+        bind = np.tile(np.eye(4), (len(joints), 1, 1))
+        if "inverseBindMatrices" in entry:
+            columns = self._buffers.accessor(entry["inverseBindMatrices"], 16).astype(np.float64)
+            bind = columns.reshape(-1, 4, 4).transpose(0, 2, 1)[: len(joints)]
+        return np.stack([world[j] for j in joints]) @ bind
+
+    def _global_transforms(self) -> dict[int, Array]:
+        nodes = self.tree.get("nodes") or []
+        self._check_tree(nodes)
+        children = {c for n in nodes for c in n.get("children") or ()}
+        stack = [(i, np.eye(4)) for i in range(len(nodes)) if i not in children]
+        out: dict[int, Array] = {}
+        while stack:
+            index, parent = stack.pop()
+            out[index] = parent @ node_matrix(nodes[index])
+            stack.extend((c, out[index]) for c in nodes[index].get("children") or ())
+        return out
+
+    def mesh(
+        self, index: int, weights: list[float] | None = None, skin: int | None = None
+    ) -> list[Loaded]:
+        """Its primitives in its own frame, or placed by a skin's joints.
+
+        Args:
+            weights: of its morph targets; by default the mesh's own.
+            skin: whose joints move it.
+        """
+        key = (index, tuple(weights or ()), skin)
+        if key not in self._meshes:
+            weights = weights or self.tree["meshes"][index].get("weights") or []
+            joints = None if skin is None else self._joint_matrices(skin)
             found = []
             for primitive in self.tree["meshes"][index]["primitives"]:
                 compressed = set(primitive.get("extensions") or {}) & set(_UNREADABLE)
@@ -185,18 +283,39 @@ class Gltf:
                         f"uses {_UNREADABLE[compressed.pop()]}",
                         "export it without compression",
                     )
-                piece = self._primitive(primitive)
+                piece = self._primitive(primitive, weights, joints)
                 if piece is not None:
                     found.append(piece)
-            self._meshes[index] = found
-        return self._meshes[index]
+            self._meshes[key] = found
+        return self._meshes[key]
 
-    def _primitive(self, primitive: Json) -> Loaded | None:
+    def _skinned(self, points: Array, attributes: Json, joints: Array) -> Array:
+        """Vertices moved by the weighted joints (glTF 2.0, section 3.7.3.3)."""
+        total = np.zeros((len(points), 4, 4))
+        for k in range(8):
+            if f"JOINTS_{k}" not in attributes:
+                break
+            index = self._buffers.accessor(attributes[f"JOINTS_{k}"], 4).astype(np.int64)
+            weight = self._buffers.accessor(attributes[f"WEIGHTS_{k}"], 4).astype(np.float64)
+            total += np.einsum("nk,nkij->nij", weight, joints[index])
+        bare = total[:, 3, 3] < 1e-6  # no joint holds them
+        total[bare] = np.eye(4)
+        return np.einsum("nij,nj->ni", total[:, :3, :3], points) + total[:, :3, 3]
+
+    def _primitive(
+        self, primitive: Json, weights: list[float], joints: Array | None
+    ) -> Loaded | None:
         mode = primitive.get("mode", 4)
         attributes = primitive["attributes"]
         if "POSITION" not in attributes or mode in (1, 2, 3):
+            self._passed_over += 1
             return None
         points = self._buffers.accessor(attributes["POSITION"], 3).astype(np.float64)
+        for weight, target in zip(weights, primitive.get("targets") or (), strict=False):
+            if weight and "POSITION" in target:
+                points = points + weight * self._buffers.accessor(target["POSITION"], 3)
+        if joints is not None:
+            points = self._skinned(points, attributes, joints)
         order = np.arange(len(points))
         if "indices" in primitive:
             order = self._buffers.accessor(primitive["indices"], 1)[:, 0].astype(np.int64)

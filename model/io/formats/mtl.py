@@ -10,9 +10,12 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 from PIL import Image
 
 from model.core.errors import InputFileError
@@ -49,10 +52,27 @@ class MaterialFiles:
         self._textures: dict[Path, Image.Image] = {}
         self._maps: dict[Path, ImageFile] = {}
         self._plain: dict[str, Material] = {}
+        self._uv: dict[int, tuple[float, float, float, float]] = {}
 
     def plain(self, name: str) -> Material:
         """The same grey material for the same name."""
         return self._plain.setdefault(name, Material(name or "material"))
+
+    def library_names(self, text: str, folder: Path) -> list[str]:
+        """The files that the words of a ``mtllib`` line name: one, whose name may hold spaces, or
+        several."""
+        words = text.split()
+        with suppress(ReferenceRefused, OSError):
+            if len(words) < 2 or resolve(text, folder, self.root).is_file():
+                return [text]
+        return words if all(w.lower().endswith(".mtl") for w in words) else [text]
+
+    def uv_transforms(self, materials: Sequence[Material]) -> npt.NDArray[np.float64] | None:
+        """(M, 4) scale and offset of u and v by the options ``-s`` and ``-o`` of ``map_Kd``; None
+        where no material has any."""
+        if not any(id(m) in self._uv for m in materials):
+            return None
+        return np.array([self._uv.get(id(m), (1.0, 1.0, 0.0, 0.0)) for m in materials])
 
     def read(self, library: str, obj: Path, warnings: list[str]) -> dict[str, Material]:
         """Materials of the file ``library`` as named in ``obj``; {} where it can't be used."""
@@ -62,7 +82,7 @@ class MaterialFiles:
         if path not in self._libraries:
             mine: list[str] = []
             try:
-                text = read_bytes(path, _MAX_MTL).decode("utf-8", "replace")
+                text = read_bytes(path, _MAX_MTL).decode("utf-8-sig", "replace")
                 self._libraries[path] = (self._parse(text, path, mine), tuple(mine))
                 self.paths.append(path)
             except InputFileError as error:
@@ -136,7 +156,11 @@ class MaterialFiles:
         color = WHITE if texture is not None and opacity == 255 else (red, green, blue, opacity)
         metallic, roughness = (_share(rows.get(key, "")) for key in ("pm", "pr"))
         maps = self._surface_maps(rows, path, warnings, left)
-        return Material(name or "material", color, texture, metallic, roughness, maps)
+        material = Material(name or "material", color, texture, metallic, roughness, maps)
+        move = _uv_transform(rows.get("map_kd", ""))
+        if move != (1.0, 1.0, 0.0, 0.0):
+            self._uv[id(material)] = move
+        return material
 
     def _surface_maps(
         self, rows: dict[str, str], path: Path, warnings: list[str], left: set[str]
@@ -225,6 +249,19 @@ def _map_file(value: str) -> str:
             at += 1
             room -= 1
     return " ".join(words[at:]).strip()
+
+
+def _uv_transform(value: str) -> tuple[float, float, float, float]:
+    """Scale and offset of u and v in the options of a map's line."""
+    words = value.lower().split()
+    found = {"-s": [1.0, 1.0], "-o": [0.0, 0.0]}
+    for name, numbers in found.items():
+        at = words.index(name) + 1 if name in words else len(words)
+        for k, word in enumerate(words[at : at + 2]):
+            if not _NUMBER.match(word):
+                break
+            numbers[k] = float(word)
+    return found["-s"][0], found["-s"][1], found["-o"][0], found["-o"][1]
 
 
 def _option(value: str, name: str, default: float) -> float:

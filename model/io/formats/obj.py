@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,8 @@ from model.io.formats.mtl import MaterialFiles
 from model.io.formats.triangulate import triangulate
 
 Array = npt.NDArray[Any]
+
+_COMMENT = re.compile(r"(?m)(?:^|(?<=\s))#.*$")
 
 
 @dataclass
@@ -76,11 +79,16 @@ def read_obj(
     if textured and lines.vt and (uv_index >= 0).any():
         uv = _uv(path, lines.vt)
         check_indices(path, uv_index[uv_index >= 0][:, None], len(uv))
-        key = corner_v[flat] * (len(uv) + 1) + uv_index + 1
+        moves = files.uv_transforms(materials)
+        own = np.repeat(face_material, 3) if moves is not None else np.zeros(len(flat), np.int64)
+        key = (corner_v[flat] * (len(uv) + 1) + uv_index + 1) * len(materials) + own
         unique, inverse = np.unique(key, return_inverse=True)
+        unique, own = np.divmod(unique, len(materials))
         which, t = unique // (len(uv) + 1), unique % (len(uv) + 1) - 1
         vertices, colors = vertices[which], None if colors is None else colors[which]
         uv = np.where((t >= 0)[:, None], uv[t], 0.0)
+        if moves is not None:
+            uv = uv * moves[own, :2] + moves[own, 2:]
         faces = inverse.reshape(-1, 3)
     else:
         uv, faces = None, corner_v[flat].reshape(-1, 3)
@@ -90,7 +98,7 @@ def read_obj(
 
 
 def _sort_lines(data: bytes) -> _Lines:
-    text = data.decode("utf-8", "replace")
+    text = _COMMENT.sub("", data.decode("utf-8-sig", "replace"))
     if "\\\n" in text or "\\\r\n" in text:
         text = text.replace("\\\r\n", " ").replace("\\\n", " ")
     out = _Lines()
@@ -226,8 +234,9 @@ def _materials(
     """The materials that faces use, and each face's."""
     known: dict[str, Material] = {}
     for library in lines.libraries:
-        for name, material in files.read(library, path, warnings).items():
-            known.setdefault(name, material)
+        for each in files.library_names(library, path.parent):
+            for name, material in files.read(each, path, warnings).items():
+                known.setdefault(name, material)
     kept, face_material = np.unique(used, return_inverse=True)
     out = []
     for k in kept:

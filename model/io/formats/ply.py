@@ -13,6 +13,7 @@ from model.core.mesh import Material
 from model.core.textures import TextureError, open_texture
 from model.io.formats.loaded import (
     DEFAULT_MAX_BYTES,
+    GREY,
     WHITE,
     Loaded,
     check_indices,
@@ -156,7 +157,8 @@ def _assemble(path: Path, tables: dict[str, Table], comments: list[str]) -> Load
     warnings: list[str] = []
     faces, polygon, corner = _faces(path, tables.get("face", {}), points)
     if not len(faces):
-        return Loaded(points, normals=normals, colors=colors)
+        strips = _strips(path, tables.get("tristrips", {}), len(points))
+        return Loaded(points, strips, None if len(strips) else normals, colors)
     face = tables["face"]
     face_colors = _colors(face)
     wedge = face.get("texcoord")
@@ -171,17 +173,24 @@ def _assemble(path: Path, tables: dict[str, Table], comments: list[str]) -> Load
     if colors is None and face_colors is not None and uv is None:
         colors = np.repeat(face_colors[polygon], 3, axis=0)
         points, faces = points[faces.reshape(-1)], np.arange(faces.size).reshape(-1, 3)
-    material = _material(path, comments, warnings) if uv is not None else None
-    if material is None:
+    materials = _materials(path, comments, warnings) if uv is not None else ()
+    if not materials:
         uv = None
+    number = face.get("texnumber")
+    material_of = np.zeros(len(faces), np.int32)
+    if len(materials) > 1 and isinstance(number, np.ndarray) and len(number) > polygon.max():
+        material_of = np.clip(number[polygon], 0, len(materials) - 1).astype(np.int32)
+    elif len(materials) > 1:
+        warnings.append(f"only the first of {len(materials)} textures is used")
+        materials = materials[:1]
     return Loaded(
         points,
         faces,
         None,
-        colors if material is None else None,
+        None if materials else colors,
         uv,
-        np.zeros(len(faces), np.int32),
-        (material,) if material is not None else (),
+        material_of,
+        materials,
         tuple(warnings),
     )
 
@@ -223,16 +232,35 @@ def _colors(table: Table) -> Array | None:
     return colors_from(rgb)
 
 
-def _material(path: Path, comments: list[str], warnings: list[str]) -> Material | None:
-    """MeshLab and many scanners name the texture in a comment."""
+def _strips(path: Path, table: Table, count: int) -> Array:
+    """(F, 3) triangles of triangle strips, whose parts -1 divides (Stanford's range scans)."""
+    lists = _face_lists(table)
+    with np.errstate(invalid="ignore"):
+        order = lists.values.astype(np.int64)
+    ends = np.cumsum(lists.sizes)
+    out: list[Array] = []
+    for strip in np.split(order, ends[:-1]) if len(order) else ():
+        for part in np.split(strip, np.flatnonzero(strip < 0)):
+            run = part[part >= 0]
+            if len(run) >= 3:
+                faces = np.stack([run[:-2], run[1:-1], run[2:]], axis=1)
+                faces[1::2] = faces[1::2, ::-1]
+                out.append(faces)
+    faces = np.concatenate(out) if out else np.zeros((0, 3), np.int64)
+    check_indices(path, faces, count)
+    repeats = (faces == np.roll(faces, 1, axis=1)).any(axis=1)  # they turn a strip around
+    return faces[~repeats]
+
+
+def _materials(path: Path, comments: list[str], warnings: list[str]) -> tuple[Material, ...]:
+    """MeshLab and many scanners name the textures in comments."""
     named = [c.split(None, 1)[1] for c in comments if c.lower().startswith("texturefile ")]
-    if not named:
-        return None
-    if len(named) > 1:
-        warnings.append(f"only the first of {len(named)} textures is used")
-    try:
-        texture = open_texture(resolve(named[0], path.parent, path.parent))
-    except (ReferenceRefused, TextureError) as error:
-        warnings.append(f"texture not used: {error}")
-        return None
-    return Material("textured", WHITE, texture)
+    out: list[Material] = []
+    for name in named:
+        try:
+            texture = open_texture(resolve(name, path.parent, path.parent))
+        except (ReferenceRefused, TextureError) as error:
+            warnings.append(f"texture not used: {error}")
+            texture = None
+        out.append(Material("textured", WHITE if texture else GREY, texture))
+    return tuple(out) if any(m.texture for m in out) else ()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 from pathlib import Path
 
 import numpy as np
@@ -19,13 +20,13 @@ def read_stl(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
     Raises:
         InputFileError: where it is no STL, or cut off.
     """
-    data = read_bytes(path, max_bytes)
+    data = read_bytes(path, max_bytes).removeprefix(codecs.BOM_UTF8)
     promised = int.from_bytes(data[80:84], "little") if len(data) >= 84 else -1
     room = (len(data) - 84) // _RECORD.itemsize
     # Binary files may begin with "solid" too, so the size decides.
     if promised >= 0 and 84 + promised * _RECORD.itemsize == len(data):
         corners = np.frombuffer(data, _RECORD, promised, 84)["corners"].reshape(-1, 3)
-    elif data.lstrip()[:5].lower() == b"solid" and (b"vertex" in data or b"endsolid" in data):
+    elif data.lstrip()[:5].lower() == b"solid" and _is_ascii(data):
         corners = _ascii(path, data)
     elif 0 < promised <= room:
         corners = np.frombuffer(data, _RECORD, promised, 84)["corners"].reshape(-1, 3)
@@ -39,6 +40,11 @@ def read_stl(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
         )
     first, inverse = same_points(corners)
     return Loaded(corners[first], inverse.reshape(-1, 3))
+
+
+def _is_ascii(data: bytes) -> bool:
+    words = data.lower()
+    return b"vertex" in words or b"endsolid" in words
 
 
 def _ascii(path: Path, data: bytes) -> np.ndarray:

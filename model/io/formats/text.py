@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from model.core.errors import InputFileError
 from model.io.formats.loaded import DEFAULT_MAX_BYTES, Loaded, colors_from, numbers, read_bytes
 
 Array = npt.NDArray[Any]
+_COMMA_NUMBER = re.compile(r"[-+]?\d+(,\d+)?([eE][-+]?\d+)?")
 _SEPARATORS = str.maketrans({",": " ", ";": " ", "\t": " ", "|": " "})
 _NAMES = {
     "x": ("x", "px", "//x", "x [m]"), "y": ("y", "py", "y [m]"), "z": ("z", "pz", "z [m]"),
@@ -34,7 +36,10 @@ def read_text(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
     data = read_bytes(path, max_bytes)
     if b"\0" in data[:4096]:
         raise InputFileError(path, "is not text", "a text cloud has a row x y z for each point")
-    text = data.decode("utf-8-sig", "replace").translate(_SEPARATORS)
+    text = data.decode("utf-8-sig", "replace")
+    if _decimal_commas(text):
+        text = text.replace(",", ".")
+    text = text.translate(_SEPARATORS)
     head, text = _heading(text)
     values, width = _rows(path, text)
     table = values.reshape(-1, width)
@@ -47,6 +52,18 @@ def read_text(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
             path, f"has {width} columns", "a text cloud has a row x y z for each point"
         )
     return _guess(table, path.suffix.lower() == ".pts")
+
+
+def _decimal_commas(text: str) -> bool:
+    """Whether numbers are written as in 0,55: each word of the first rows is one number."""
+    rows = [
+        w
+        for line in text.split("\n", 50)[:50]
+        if len(w := re.split(r"[\s;|]+", line.strip(" ;"))) > 1
+    ]
+    words = [w for row in rows for w in row if any(c.isdigit() for c in w)]
+    numbers_ = [w for w in words if _COMMA_NUMBER.fullmatch(w)]
+    return len(numbers_) > 2 and len(numbers_) == len(words) and any("," in w for w in words)
 
 
 def _heading(text: str) -> tuple[list[str] | None, str]:

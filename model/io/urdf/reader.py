@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -10,13 +11,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial.transform import Rotation
 
 from model.core.articulated_object import ArticulatedObject
 from model.core.errors import InputFileError, KinematicsError
 from model.core.joint import Joint, JointType, Mimic
+from model.core.mesh import Material
 from model.core.progress import Progress, no_progress
 from model.core.rotations import rotation_from_rpy
+from model.core.textures import TextureError, open_texture
 from model.core.tree import KinematicTree, tree_problems
+from model.io.formats.loaded import WHITE
 from model.io.formats.references import ReferenceRefused
 from model.io.urdf.collision import DeclaredCollision, repeats
 from model.io.urdf.declared_physics import read_declared_physics
@@ -39,6 +44,41 @@ _MOVING: dict[str, JointType] = {
     "continuous": "continuous",
     "prismatic": "prismatic",
 }
+_PASSED_OVER = (
+    "gazebo", "transmission", "sensor", "ros2_control", "mujoco", "drake", "safety_controller",
+    "calibration", "verbose", "contact_coefficients",
+)  # fmt: skip
+"""Elements that say nothing of shapes and motion."""
+_KNOWN: dict[str, tuple[frozenset[str], frozenset[str]]] = {
+    tag: (frozenset(children.split()), frozenset(attributes.split()))
+    for tag, children, attributes in (
+        ("robot", "link joint material", "name version"),
+        ("link", "inertial visual collision", "name type"),
+        ("joint", "origin parent child axis limit mimic dynamics", "name type"),
+        ("inertial", "origin mass inertia", ""),
+        ("visual", "origin geometry material", "name"),
+        ("collision", "origin geometry material", "name"),
+        ("geometry", "mesh box cylinder sphere capsule", ""),
+        ("material", "color texture", "name"),
+        ("origin", "", "xyz rpy quat_xyzw"),
+        ("mass", "", "value"),
+        ("inertia", "", "ixx ixy ixz iyy iyz izz"),
+        ("mesh", "", "filename scale"),
+        ("box", "", "size"),
+        ("cylinder", "", "radius length"),
+        ("sphere", "", "radius"),
+        ("capsule", "", "radius length"),
+        ("color", "", "rgba"),
+        ("texture", "", "filename"),
+        ("parent", "", "link"),
+        ("child", "", "link"),
+        ("axis", "", "xyz"),
+        ("limit", "", "lower upper effort velocity acceleration deceleration jerk"),
+        ("mimic", "", "joint multiplier offset"),
+        ("dynamics", "", "damping friction"),
+    )
+}
+"""Element → the elements and attributes that it may have; others are counted in a remark."""
 _TO_FIXED = ("planar", "floating")
 _REMEDIES = {
     "at least one link": "of a xacro file, give the URDF that xacro makes of it",
@@ -105,7 +145,9 @@ class _Reader:
         self.problems: list[str] = []
         self.notes: list[str] = []
         self.colors: dict[str, tuple[int, int, int, int]] = {}
+        self.textures: dict[str, Material] = {}
         self.commas = False
+        self.unlimited: list[str] = []  # followers whose range is their leader's
 
     def read(self) -> UrdfModel:
         robot = parse(self.path, ("robot",), "a URDF")
@@ -113,6 +155,9 @@ class _Reader:
             color = self._color(material)
             if color is not None and material.get("name"):
                 self.colors[material.get("name", "")] = color
+            textured = self._texture(material, f"material {material.get('name', '')!r}")
+            if textured is not None:
+                self.textures[material.get("name", "")] = textured
         links = [self._name(e, "link") for e in robot.findall("link")]
         most = max(len(links), len(robot.findall("joint")))
         if most > MOST_LINKS:
@@ -120,7 +165,9 @@ class _Reader:
             raise InputFileError(self.path, what, f"an object has {MOST_LINKS:,} at most")
         locals_: dict[str, npt.NDArray[np.float64]] = {}
         joints = [j for e in robot.findall("joint") if (j := self._joint(e, locals_)) is not None]
+        joints = [self._followed(j, joints) for j in joints]
         geometry = self._geometry(robot)
+        self._count_unknown(robot)
         self.problems += tree_problems(tuple(links), tuple(joints))
         self._raise()
         object_from_link = _compose(KinematicTree(tuple(links), tuple(joints)), locals_)
@@ -221,7 +268,14 @@ class _Reader:
     def _pose(self, element: Element, where: str) -> npt.NDArray[np.float64]:
         origin = element.find("origin")
         out = np.eye(4)
-        out[:3, :3] = rotation_from_rpy(self._numbers(origin, "rpy", 3, [0, 0, 0], where))
+        if origin is not None and origin.get("quat_xyzw") is not None:  # URDF 1.1
+            turn = self._numbers(origin, "quat_xyzw", 4, [0, 0, 0, 1], where)
+            if not np.linalg.norm(turn) > 1e-9:
+                self.problems.append(f"{where}: quat_xyzw must not be zero")
+                turn = np.array([0.0, 0.0, 0.0, 1.0])
+            out[:3, :3] = Rotation.from_quat(turn).as_matrix()
+        else:
+            out[:3, :3] = rotation_from_rpy(self._numbers(origin, "rpy", 3, [0, 0, 0], where))
         out[:3, 3] = self._numbers(origin, "xyz", 3, [0, 0, 0], where)
         if np.abs(out[:3, 3]).max() > LARGEST:
             self.problems.append(f"{where}: an origin can be {LARGEST:g} m away at most")
@@ -259,6 +313,40 @@ class _Reader:
             return Joint(name or "?", "fixed", parent, child)
         return Joint(name, type_, parent, child, (x, y, z), (0, 0, 0), lower, upper, mimic)
 
+    def _followed(self, joint: Joint, joints: Sequence[Joint]) -> Joint:
+        """A follower without limits has its leader's range times the multiplier."""
+        leader = next((j for j in joints if joint.mimic and j.name == joint.mimic.joint), None)
+        if joint.name not in self.unlimited or joint.mimic is None or leader is None:
+            return joint
+        if leader.lower is None or leader.upper is None:
+            if joint.type != "revolute":
+                return joint
+            return replace(joint, type="continuous", lower=None, upper=None)
+        ends = [joint.mimic.multiplier * q + joint.mimic.offset
+                for q in (leader.lower, leader.upper)]  # fmt: skip
+        return replace(joint, lower=min(ends), upper=max(ends))
+
+    def _count_unknown(self, robot: Element) -> None:
+        """One note that counts the elements and attributes that URDF hasn't."""
+        found: Counter[str] = Counter()
+        stack = [robot]
+        while stack:
+            element = stack.pop()
+            children, attributes = _KNOWN[element.tag]
+            found.update(f"attribute {a!r} of <{element.tag}>" for a in element.attrib
+                         if a not in attributes and "}" not in a)  # fmt: skip
+            for child in element:
+                if not isinstance(child.tag, str) or child.tag in _PASSED_OVER:
+                    continue
+                if child.tag in children and child.tag in _KNOWN:
+                    stack.append(child)
+                else:
+                    found[f"<{child.tag}> in <{element.tag}>"] += 1
+        if found:
+            listed = ", ".join(f"{what} ({n})" for what, n in found.most_common(5))
+            rest = f" and {len(found) - 5} kinds more" if len(found) > 5 else ""
+            self.notes.append(f"not read: {listed}{rest}")
+
     def _end(self, element: Element, end: str, where: str) -> str:
         found = element.find(end)
         link = "" if found is None else found.get("link", "")
@@ -294,6 +382,15 @@ class _Reader:
         if type_ not in ("revolute", "prismatic"):
             return None, None
         limit = element.find("limit")
+        stated = limit is not None and ("lower" in limit.attrib or "upper" in limit.attrib)
+        if not stated and element.find("mimic") is not None:
+            self.unlimited.append(element.get("name", ""))
+            return 0.0, 0.0
+        if limit is not None and not stated:
+            self.notes.append(
+                f"{where}: <limit> states neither lower nor upper; it doesn't move until a range "
+                "is set"
+            )
         if limit is None:
             self.problems.append(f"{where}: a {type_} joint needs <limit lower=… upper=…/>")
             return None, None
@@ -381,7 +478,9 @@ class _Reader:
                 self.problems.append(f"{where}: a mesh's scale can be {LARGEST:g} at most")
             if file is None:
                 return None
-            return UrdfVisual(link, name, pose @ np.diag([*scale, 1.0]), file, None, color)
+            material = self._texture(element.find("material"), where)
+            frame = pose @ np.diag([*scale, 1.0])
+            return UrdfVisual(link, name, frame, file, None, color, material=material)
         sizes: tuple[float, ...]
         if shape.tag == "box":
             sizes = tuple(self._numbers(shape, "size", 3, [1, 1, 1], where).tolist())
@@ -409,6 +508,22 @@ class _Reader:
             return resolve_mesh(filename, self.path.parent, self.root)
         except ReferenceRefused as error:
             self.problems.append(f"{where}: mesh {error}")
+            return None
+
+    def _texture(self, material: Element | None, where: str) -> Material | None:
+        """The material of a ``<texture>``, by its own element or by name; None without one."""
+        if material is None:
+            return None
+        texture = material.find("texture")
+        if texture is None:
+            return self.textures.get(material.get("name", ""))
+        file = self._resolve(texture.get("filename", ""), where)
+        if file is None:
+            return None
+        try:
+            return Material("urdf", WHITE, open_texture(file))
+        except TextureError as error:
+            self.notes.append(f"{where}: texture not used: {error}")
             return None
 
     def _color(self, material: Element | None) -> tuple[int, int, int, int] | None:

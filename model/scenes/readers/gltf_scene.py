@@ -157,11 +157,14 @@ def _pieces_of(
         out: list[tuple[str | None, Loaded]] = []
         stack = [(index, start)]
         while stack:
-            at, world = stack.pop()
-            node = nodes[at]
+            number, world = stack.pop()
+            node = nodes[number]
             if "mesh" in node:
                 name = maybe_text(node.get("name"))
-                out += [(name, p.moved(world)) for p in _solid(gltf.mesh(node["mesh"]))]
+                own, places = gltf.meshes_of(node, world)
+                if "skin" in node:  # its joints stand in the scene, not below this node
+                    places = [start @ np.linalg.inv(parent @ _matrix(nodes[index]))]
+                out += [(name, p.moved(at)) for at in places for p in _solid(own)]
             below = [(c, world @ node_matrix(nodes[c])) for c in node.get("children") or []]
             stack += reversed(below)
         return out

@@ -1,18 +1,21 @@
 """LISDF and SDF worlds: XML that places URDFs by ``<include>`` and plain boxes by ``<model>``.
 
-Metres, radians, +z up. A pose that is left out is the identity, as SDF has it.
+Metres, radians unless ``degrees`` says otherwise, +z up. A pose that is left out is the identity,
+as SDF has it; ``relative_to`` names a frame, a model or an include of the world.
 """
 
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from model.core.errors import InputFileError
-from model.scenes.poses import from_rpy
+from model.scenes.poses import from_rpy, pose, rotation_from_quaternion
 from model.scenes.scene import FloatArray, Scene, SceneObject, SceneObjectError, upright
 from model.scenes.values import collect, numbers, read_text, shown
 
@@ -43,7 +46,7 @@ class LisdfReader:
             for tag in ("include", "model")
             for i, element in enumerate(world.findall(tag))
         ]
-        objects, problems = collect(entries, _object, _name)
+        objects, problems = collect(entries, partial(_object, _frames(world)), _name)
         return Scene(world.get("name") or path.stem, path, self.name, objects, problems)
 
 
@@ -68,7 +71,19 @@ def _name(element: Element) -> str | None:
     return element.get("name") or (element.findtext("name") or "").strip() or None
 
 
-def _object(place: tuple[str | int, ...], element: Element) -> SceneObject:
+def _frames(world: Element) -> dict[str, Element]:
+    """Name → element of the world to whose pose another may be relative."""
+    return {
+        name: element
+        for tag in ("frame", "model", "include")
+        for element in world.findall(tag)
+        if (name := _name(element)) is not None
+    }
+
+
+def _object(
+    frames: Mapping[str, Element], place: tuple[str | int, ...], element: Element
+) -> SceneObject:
     name = _name(element)
     if name is None:
         raise SceneObjectError("has no name; each object needs one")
@@ -78,7 +93,7 @@ def _object(place: tuple[str | int, ...], element: Element) -> SceneObject:
         "static": {"true": True, "1": True, "false": False, "0": False}.get(static),
         "place": place,
     }
-    world = _pose(element, "pose")
+    world = _placed(frames, element)
     if element.tag == "model":
         local, size = _box(element)
         return SceneObject(
@@ -107,9 +122,39 @@ def _floats(text: str, what: str) -> list[float]:
         raise SceneObjectError(f"{what} is {shown(text)}; numbers are needed") from None
 
 
-def _pose(element: Element, tag: str) -> FloatArray:
-    text = element.findtext(tag)
-    return np.eye(4) if text is None else from_rpy(numbers(_floats(text, tag), 6, tag))
+def _placed(frames: Mapping[str, Element], element: Element) -> FloatArray:
+    """(4, 4) world_from_element along the chain of ``relative_to`` (and ``attached_to``)."""
+    out, seen = _pose(element), set[str]()
+    while True:
+        given = element.find("pose")
+        above = "" if given is None else given.get("relative_to", "")
+        above = above or element.get("attached_to", "")
+        if above in ("", "world", "__root__"):
+            return out
+        if above not in frames or above in seen:
+            what = "is in a cycle of frames" if above in seen else "is no frame of the world"
+            raise SceneObjectError(f"its pose is relative to {shown(above)}, which {what}")
+        seen.add(above)
+        element = frames[above]
+        out = _pose(element) @ out
+
+
+def _pose(element: Element) -> FloatArray:
+    """(4, 4) of its ``<pose>``: Euler angles, in degrees where it says so, or a quaternion."""
+    given = element.find("pose")
+    if given is None or not (given.text or "").strip():
+        return np.eye(4)
+    values = _floats(given.text or "", "pose")
+    style = given.get("rotation_format", "euler_rpy")
+    if style == "quat_xyzw":
+        table = numbers(values, 7, "pose")
+        return pose(table[:3], rotation_from_quaternion(table[3:]))
+    if style != "euler_rpy":
+        raise SceneObjectError(f"its rotation_format {shown(style)} is unknown")
+    table = numbers(values, 6, "pose")
+    if given.get("degrees", "").strip().lower() in ("true", "1"):
+        table[3:] = np.radians(table[3:])
+    return from_rpy(table)
 
 
 def _scale(element: Element) -> FloatArray:
@@ -127,7 +172,7 @@ def _box(model: Element) -> tuple[FloatArray, tuple[float, float, float]]:
                 size = shape.findtext("geometry/box/size")
                 if size is not None:
                     x, y, z = numbers(_floats(size, "box size"), 3, "box size")
-                    return _pose(link, "pose") @ _pose(shape, "pose"), (x, y, z)
+                    return _pose(link) @ _pose(shape), (x, y, z)
     raise SceneObjectError("is a <model> without a box; boxes and <include> are read")
 
 
