@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import viser
@@ -14,6 +15,7 @@ from app.viewer.input.keys import KeySheet, add_keys
 from app.viewer.input.pointing import PointerActions, Pointing
 from app.viewer.input.queries import Point, PointerQueries
 from app.viewer.navigation import Memory, Navigation
+from app.viewer.panels.history import History
 from app.viewer.panels.object_header import HeaderActions, ObjectHeader
 from app.viewer.panels.queue_panel import QueuePanel
 from app.viewer.panels.widgets import put
@@ -25,12 +27,15 @@ from app.viewer.steps.annotate import AnnotateStep
 from app.viewer.steps.joints import JointsStep
 from app.viewer.steps.review import ReviewActions, ReviewStep
 from app.viewer.steps.scene import SceneHost, SceneStep
-from app.viewer.tab import STEPS, Tab
+from app.viewer.tab import STEPS, Panel, Step, Tab
 from app.viewer.words import common as words
+
+PANELS: tuple[tuple[Step, Callable[[Tab], Panel]], ...] = (("Review", History),)
+"""Panels that need only the tab, below the other widgets of their step."""
 
 
 class ClientApp:
-    """The whole application as one tab sees it.
+    """The user interface of one tab.
 
     Attributes:
         tab: the browser, its user, and what is selected.
@@ -129,11 +134,15 @@ class ClientApp:
                 accept=self._accept_seen,
                 reject=self._reject_seen,
                 go_on=self.commands.go_on,
-                history=app_state.store.history,
                 name_of=app_state.display_name,
                 drawn=lambda: self.drawing.drawn,
             )
             self.review = ReviewStep(tab, self.motion, self.commands.rejecting, review)
+
+        self._panels = []
+        for step, make in PANELS:
+            with self._folders[step]:
+                self._panels.append((step, make(tab)))
 
     def _accept_seen(self) -> None:
         self.guard.decide(self.commands.accept)
@@ -241,7 +250,7 @@ class ClientApp:
         put(self._object_folder, "visible", obj is not None)
         broken = obj is not None and obj.problem is not None
         for step, folder in self._folders.items():
-            # There is nothing to click on where the file can't be opened.
+            # An unreadable file has nothing to click on.
             put(folder, "visible", step == selection.step and not (broken and step == "Annotate"))
         if obj is None:
             self.drawing.clear()
@@ -255,9 +264,12 @@ class ClientApp:
         self.joints.draw(obj)
         if selection.step == "Review":  # it reads the history, which no click should pay for
             self.review.draw(obj)
+        for step, panel in self._panels:
+            if step == selection.step:
+                panel.draw(obj)
 
     def _follow_prediction(self, obj: OpenObject) -> None:
-        """A new prediction is what the person waited for: show its joints."""
+        """Show the joints of a new prediction."""
         prediction = obj.document.prediction
         before, self._prediction = self._prediction, (obj.record.id, prediction)
         if prediction is None or before is None or before[0] != obj.record.id:
@@ -274,7 +286,7 @@ class ClientApp:
         self.pointing.clicked(event, True)
 
     def _subject(self) -> Any:
-        """What a decision made now would be about, as far as a person can see it."""
+        """The subject of a decision made now, as far as the user can see it."""
         if self.scene is not None and self.scene.in_front:
             return self.scene.subject
         obj = self.tab.selection.object

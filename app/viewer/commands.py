@@ -1,4 +1,4 @@
-"""What keys and buttons ask for, in an object as in the scene around it."""
+"""Commands of keys and buttons, for an object or the scene around it."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _WITHOUT_COMMAND = ("cut", "rectangle", NEXT_MASK)
 
 
 class Commands:
-    """One tab's commands. Where no object is open they are for the chosen ones of the scene.
+    """Commands of one tab, for the open object or, where none is open, for the scene.
 
     Attributes:
         rejecting: asks why something is rejected.
@@ -87,7 +87,7 @@ class Commands:
                 obj.jobs.cancel(what)
 
     def accept(self) -> None:
-        """Accept the object, or the chosen one of the scene."""
+        """Accept the object, or the selected one of the scene."""
         if self._overview is not None:
             self.rejecting.cancel()
             self._overview.review.accept()
@@ -95,7 +95,7 @@ class Commands:
             self._review.accept()
 
     def _subject(self) -> tuple[Any, ...]:
-        """What a decision made now would be about."""
+        """The subject of a decision made now."""
         scene, obj = self._overview, self._tab.selection.object
         if scene is not None:
             return "scene", scene.choice.selected
@@ -118,7 +118,7 @@ class Commands:
             self._review.reject(reason)
 
     def go_on(self) -> None:
-        """Go to the object that wants a decision most, after one was made."""
+        """Go to the next object to decide."""
         if self._scene is None:
             self._navigation.go_on()
         else:
@@ -135,7 +135,7 @@ class Commands:
             self._tab.selection.choose_part(number)
 
     def name_by_key(self, number: int) -> None:
-        """Shift and a number: what a part, or with 0 the object, is. Says what came of it."""
+        """Name the selected part by a digit; 0 takes the suggested category."""
         selection = self._tab.selection
         if selection.object is None or selection.picking:
             return
@@ -145,7 +145,7 @@ class Commands:
             self._tab.say(text)
 
     def next_choice(self) -> None:
-        """The next mask for the part, the next joint, or the next one to look at (Tab)."""
+        """Show the next mask, joint or finding (Tab)."""
         step = self._tab.selection.step
         if step == "Annotate":
             self._annotate.next_mask(1)
@@ -155,7 +155,7 @@ class Commands:
             self._joints.choose_next()
 
     def choice_before(self) -> None:
-        """The mask before this one (Shift+Tab)."""
+        """Show the previous mask (Shift+Tab)."""
         if self._tab.selection.step == "Annotate":
             self._annotate.next_mask(-1)
 
@@ -239,7 +239,7 @@ def _playing(
 
 
 def _framing(tab: Tab, scene: SceneStep | None, picture: ObjectPicture) -> Callable[[], None]:
-    """Aim at the open object, at the chosen one of the scene, or at all of it."""
+    """Aim at the open object, at the selected one of the scene, or at all of it."""
 
     def frame() -> None:
         if scene is None or tab.selection.object is not None:

@@ -1,4 +1,4 @@
-"""Which object a tab shows, and what is remembered of that."""
+"""Opening objects in a tab, and what its browser remembers."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Memory:
         object: id of the open object, or "".
         inside: the object of a scene that is worked on, or "".
         light: "plain" where there are no reflections.
-        chosen: the chosen object of a scene, or "".
+        chosen: the selected object of a scene, or "".
     """
 
     user: str = ""
@@ -126,7 +126,7 @@ class Navigation:
             self._hear_out(obj)
 
     def _hear_out(self, obj: OpenObject) -> None:
-        """Tell here, too, what comes of an acceptance once another object is looked at."""
+        """Show the result of an acceptance also once another object is open."""
         tab = self._tab
 
         def over() -> bool:
@@ -179,7 +179,7 @@ class Navigation:
             self.close_object()
 
     def go_on(self) -> None:
-        """Open the object that wants a decision most, after one was made."""
+        """Open the next object to decide."""
         app_state, selection = self._app_state, self._tab.selection
         current = selection.need_object().record
         waiting = [

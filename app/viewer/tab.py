@@ -112,7 +112,7 @@ class Selection:
 
     @property
     def joint(self) -> Joint | None:
-        """The chosen joint."""
+        """The selected joint."""
         tree = None if self.object is None else self.object.document.tree
         return None if tree is None or self.child is None else tree.joint_of.get(self.child)
 
@@ -148,7 +148,7 @@ class Tab:
         self._threads.act(action)
 
     def on_update(self, handle: Any, action: Callable[[], None]) -> None:
-        """Carry out ``action`` when a person changes a widget, not when we do."""
+        """Carry out ``action`` when the user changes a widget, not when we do."""
         handle.on_update(lambda event: self.act(action) if event.client is not None else None)
 
     def invalidate(self) -> None:

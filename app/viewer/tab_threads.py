@@ -1,6 +1,6 @@
 """The two threads that serve one browser tab.
 
-What a person does is put into a queue and carried out in order by the *action* thread; the *draw*
+What the user does is put into a queue and carried out in order by the *action* thread; the *draw*
 thread brings the screen up to date with the state, however many changes came meanwhile.
 """
 
@@ -24,7 +24,7 @@ class TabThreads:
 
     Args:
         name: of the tab, for the log.
-        notify: shows a person ``(title, body, colour)``.
+        notify: shows the user ``(title, body, color)``.
     """
 
     def __init__(self, name: str, notify: Callable[[str, str, str], None]) -> None:
@@ -61,7 +61,7 @@ class TabThreads:
                 pass
             except ArtiworldError as error:
                 self._notify(words.NOT_POSSIBLE, str(error), "yellow")
-            except Exception:  # the boundary of a person's action: say it and go on
+            except Exception:  # the boundary of the user's action: say it and go on
                 if self.closed:
                     return
                 log.exception("an action in %s failed", self._name)

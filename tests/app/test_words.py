@@ -8,11 +8,13 @@ import itertools
 import pkgutil
 import re
 from collections.abc import Iterator
+from string import Formatter
 from typing import Any
 
 import pytest
 
 from app.viewer import words
+from app.viewer.words.message import Message
 from model.validation.report import Severity
 
 SAMPLES: dict[str, tuple[Any, ...]] = {
@@ -54,6 +56,13 @@ def texts_in(value: Any) -> Iterator[str]:
         yield from (value.label, *value.tools, value.hint)
 
 
+def places(message: Message) -> Iterator[tuple[str, str]]:
+    """Name and format of each place."""
+    for _, name, spec, _ in Formatter().parse(message):
+        if name:
+            yield name, spec or ""
+
+
 def rendered(name: str) -> Iterator[tuple[str, str]]:
     """Name and text of everything that a file of words says."""
     module = module_of(name)
@@ -66,6 +75,9 @@ def rendered(name: str) -> Iterator[tuple[str, str]]:
             ]
             for values in itertools.product(*choices):
                 yield from ((f"{key}{values}", text) for text in texts_in(value(*values)))
+        elif isinstance(value, Message):
+            samples = {name: 7 if spec else "door 1" for name, spec in places(value)}
+            yield key, value(*samples.values())
         elif key.isupper() and not inspect.ismodule(value):
             yield from ((key, text) for text in texts_in(value))
 

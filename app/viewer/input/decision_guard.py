@@ -1,4 +1,4 @@
-"""Whether the person has seen what a decision is about: a double Y decides once."""
+"""Guard against decisions about objects that the user has not seen yet, such as a double Y."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ SILENT_SECONDS = 5.0
 
 
 class DecisionGuard:
-    """Lets decisions through that are about what one tab has shown long enough.
+    """Accepts decisions only once their subject has been visible long enough.
 
     Args:
-        subject: what a decision made now would be about, as far as a person can see it.
+        subject: the subject of a decision made now, as far as the user can see it.
     """
 
     def __init__(self, tab: Tab, subject: Callable[[], Any]) -> None:
@@ -54,7 +54,7 @@ class DecisionGuard:
         set_page_state(self._tab.client, shown=self._number)
 
     def long_enough(self, pressed_at: float) -> bool:
-        """Whether what is there now was seen when a key was pressed, by the monotonic clock."""
+        """Whether the present subject was visible at that time of the monotonic clock."""
         if self._sent != self._subject():
             return False
         since = self._shown_at

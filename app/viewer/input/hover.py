@@ -1,4 +1,4 @@
-"""What a click would take, shown under the pointer before it is made."""
+"""The preview of a click, under the pointer."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Hover:
         clicking: whether a click now would be a prompt.
 
     Attributes:
-        on: whether a person wants it.
+        on: whether previews are shown.
         seconds: from the message to the preview, of the last one; for measuring.
     """
 

@@ -40,10 +40,10 @@ _FACE_APART = 0.02
 
 
 def shares_face(click: Click, earlier: list[Click], apart: float) -> bool:
-    """Whether an earlier click elsewhere on the clicked face says something else of it.
+    """Whether an earlier click elsewhere on the clicked face gives it another label.
 
     Args:
-        apart: metres; nearer clicks say it of the same place.
+        apart: metres; nearer clicks are about the same place.
     """
     return any(
         e.element == click.element
@@ -57,7 +57,7 @@ def shares_face(click: Click, earlier: list[Click], apart: float) -> bool:
 
 @dataclass(frozen=True)
 class PointerActions:
-    """What the pointer and the page's own keys ask of the rest of the tab.
+    """Callbacks of the pointer and of the page's own keys.
 
     Attributes:
         show_keys: shows the sheet of keys.
@@ -82,7 +82,7 @@ class Pointing:
             "" for nothing.
         tool: what a drag draws.
         hover: the preview of a click.
-        tools: that change the chosen part.
+        tools: that change the selected part.
     """
 
     def __init__(
@@ -111,7 +111,7 @@ class Pointing:
             self.disarm()
 
     def listen(self, actions: PointerActions) -> None:
-        """Hear what the browser sends."""
+        """Subscribe to the messages of the browser."""
         self._actions = actions
         tab, scene = self._tab, self._tab.client.scene
 
@@ -159,7 +159,7 @@ class Pointing:
     # --- what the page shows
 
     def set_page_state(self) -> None:
-        """Let the page's script know what a drag means, and what to write below the picture."""
+        """Send the page's script the tool and the hint below the picture."""
         selection = self._selection
         drawing = selection.step == "Annotate" and selection.object is not None
         hint = self._hint() if drawing else ""
@@ -200,7 +200,7 @@ class Pointing:
     # --- tools
 
     def set_tool(self, tool: Tool) -> None:
-        """What a drag draws; the same tool again goes back to clicks."""
+        """Set what a drag draws; the same tool again goes back to clicks."""
         self.tool = "click" if tool == self.tool else tool
         self.armed, self._places, self._shifted = "", [], False
         self._show_places()
@@ -295,7 +295,7 @@ class Pointing:
             self._choose_joint_of(part)
 
     def _choose_joint_of(self, part: int | None) -> None:
-        """Choose the joint that moves a part, where there is one."""
+        """Select the joint that moves a part."""
         tree = self._selection.need_object().document.tree
         link = f"link_{part}"
         if tree is None or part is None:
@@ -306,7 +306,7 @@ class Pointing:
             self._selection.choose_joint(link)
 
     def _tell_of_shared_face(self, click: Click, apart: float) -> None:
-        """A triangle is all one part: who clicks it for two wants it cut."""
+        """Point to the cutting tools where two parts share one triangle."""
         prompts = self._selection.need_object().document.prompts
         if shares_face(click, [p for p in prompts if isinstance(p, Click)], apart):
             self._tab.notify(*words.SHARED_TRIANGLE, "yellow")
@@ -360,7 +360,7 @@ class Pointing:
             self._tab.notify(words.MERGE, words.NO_PARTS, "gray")
 
     def merge(self, other: int) -> None:
-        """Join part ``other`` to the chosen one."""
+        """Join part ``other`` to the selected one."""
         self.armed = ""
         request = ToolRequest("merge", self._selection.part, other=other)
         self.tools.use(request, words.merge_with(other))
@@ -368,7 +368,7 @@ class Pointing:
     # --- boxes and strokes
 
     def _box_drawn(self, low: Any, high: Any, camera: Camera, positive: bool) -> None:
-        """Give everything visible in a rectangle to the chosen part, or take it away."""
+        """Add everything visible in a rectangle to the selected part, or remove it."""
         selection = self._selection
         obj = selection.need_object()
         if obj.asset is None or selection.step != "Annotate":
@@ -383,7 +383,7 @@ class Pointing:
         self._tab.act(lambda: self._stroke_drawn(message, camera))
 
     def _stroke_drawn(self, message: ArtiworldStrokeMessage, camera: Camera) -> None:
-        """Give everything visible in a lasso or under a brush to the chosen part."""
+        """Add everything visible in a lasso or under a brush to the selected part, or remove it."""
         obj = self._selection.need_object()
         if obj.asset is None or self._selection.step != "Annotate":
             return

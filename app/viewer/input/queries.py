@@ -25,7 +25,7 @@ PICK_PRIORITY, FRAME_PRIORITY = 20, 15
 
 
 class PointerQueries:
-    """Asks for one tab what a ray, a box or a stroke meets.
+    """Picks elements by rays, boxes and strokes for one tab.
 
     Args:
         geometry, segmentation: the workers that answer.
@@ -71,7 +71,7 @@ class PointerQueries:
         ).result(PREVIEW_SECONDS)  # fmt: skip
 
     def preview(self, asset: OpenedAsset, doc: Document, click: Click) -> Any:
-        """What a click would give to its part and take from others."""
+        """The elements that a click would add to its part and remove from others."""
         return self._segmentation.submit(
             tool_tasks.hover, asset.folder, self._workspace, self._segmenter, stored_prompts(doc),
             click, key=("hover", self._tab.client.client_id), priority=PREVIEWS,

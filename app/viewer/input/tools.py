@@ -1,4 +1,4 @@
-"""Tools that work on the chosen part, and what is said of their results."""
+"""Tools that change the selected part."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Tools:
         self.use(ToolRequest(NEXT_MASK, self._tab.selection.part, step), words.NEXT)
 
     def use(self, request: ToolRequest, label: str) -> None:
-        """Let a tool work, and say what came of it."""
+        """Run a tool and show its result."""
         tab, selection = self._tab, self._tab.selection
         self._begins()
         obj = selection.need_object()
@@ -50,7 +50,7 @@ class Tools:
             self._say_connected()
 
     def _say_connected(self) -> None:
-        """Say below the picture how much joined the part with the last prompt."""
+        """Show how much the last prompt added."""
         obj = self._tab.selection.need_object()
         asset, last = obj.need_asset(), obj.document.prompts[-1]
         if isinstance(last, RegionRef):

@@ -1,4 +1,4 @@
-"""What an object may be, offered as a guess: it is said with one key or click, never by itself."""
+"""Suggested categories; a key or a click takes one."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def category_guesses(
 
 @lru_cache(maxsize=4096)
 def category_in(text: str) -> str | None:
-    """The category that a file's or folder's name says: "office_chair_02" is a Chair.
+    """The category in the name of a file or folder: "office_chair_02" is a Chair.
 
     As in English the thing comes last, "table_with_lamp" is a table, and words that say nothing
     are passed over: "oven_scan_3".
@@ -93,7 +93,7 @@ def _kinds() -> dict[str, str]:
 
 
 class CategoryGuess:
-    """A row of guesses; what is clicked is said."""
+    """A row of suggested categories."""
 
     def __init__(
         self,
@@ -119,11 +119,11 @@ class CategoryGuess:
 
     @property
     def first(self) -> str | None:
-        """The likeliest of those that are shown."""
+        """The likeliest of the suggestions."""
         return next(iter(self._shown), None)
 
     def show(self, wanted: bool) -> None:
-        """Show guesses for the open object where they are wanted; without any the row is away."""
+        """Show suggestions for the open object, or hide the row."""
         record = self._tab.selection.need_object().record if wanted else None
         self._shown = (
             () if record is None else category_guesses(record, self._records(), self._tab.user)
@@ -133,7 +133,7 @@ class CategoryGuess:
         put(self._row, "visible", bool(self._shown))
 
     def take_first(self) -> str | None:
-        """Say the likeliest; None where nothing is offered."""
+        """Take the likeliest category; None where none is suggested."""
         category = self.first
         if category is not None:
             self._chosen(category)

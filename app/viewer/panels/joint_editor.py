@@ -1,4 +1,4 @@
-"""The editor of the chosen joint: type, parent, axis, origin and limits, by hand or snapped."""
+"""The editor of the selected joint: type, parent, axis, origin and limits, by hand or snapped."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ AXES = {"X": (1.0, 0.0, 0.0), "Y": (0.0, 1.0, 0.0), "Z": (0.0, 0.0, 1.0)}
 
 
 class JointEditor:
-    """The widgets for one joint, and what a person does with them.
+    """The widgets for one joint.
 
     Attributes:
         pose_box: the place for the slider that moves it.
@@ -90,7 +90,7 @@ class JointEditor:
         self._gizmo.on_click(lambda _: tab.act(motion.toggle_handles))
         self._reset.on_click(lambda _: tab.act(self._reset_joint))
 
-    # --- what a person does
+    # --- what the user does
 
     def _on_edit(self, field: Any, edit: Callable[[], None]) -> None:
         """After an edit the field shows what the joint has, even where the edit was refused."""
@@ -129,7 +129,7 @@ class JointEditor:
             self._set(replace(joint, **changes))
 
     def set_type(self, kind: Any) -> None:
-        """Give the chosen joint another type, with the axis, origin and limits that it then has:
+        """Give the selected joint another type, with the axis, origin and limits that it then has:
         as predicted where the prediction was of that type, else as the geometry says."""
         obj, joint = self._tab.selection.need_object(), self._need_joint()
         doc = obj.document

@@ -1,4 +1,4 @@
-"""The joints of a scene's chosen object: each in the colour that its part has in the picture."""
+"""The joints of a scene's selected object: each in the color that its part has in the picture."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SHOWN = 12
 
 
 JointLine = tuple[str, str, palette.Rgb]
-"""Name, words and colour of a joint."""
+"""Name, words and color of a joint."""
 
 
 class JointRows:
@@ -57,7 +57,7 @@ class JointRows:
 
 
 def least_confident(doc: Document, lines: Sequence[JointLine]) -> list[JointLine]:
-    """The lines that are shown, in their order: what wants a look is among them."""
+    """The lines of lowest confidence, in the order of the joints."""
     joints = [j for j in (() if doc.tree is None else doc.tree.joints) if j.moves]
     sure = [
         1.0 if j.child in doc.edited_joints else confidence_of(doc, j.child) or 0.0 for j in joints
@@ -67,7 +67,7 @@ def least_confident(doc: Document, lines: Sequence[JointLine]) -> list[JointLine
 
 
 def joint_lines(doc: Document) -> list[JointLine]:
-    """Name, words and colour of every joint that moves; a part may have several."""
+    """Name, words and color of every joint that moves; a part may have several."""
     out: list[JointLine] = []
     if doc.tree is None:
         return out

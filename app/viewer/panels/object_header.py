@@ -1,4 +1,4 @@
-"""What stands above every step: state of the object, running jobs, undo, steps, playback."""
+"""The widgets above every step: state of the object, running jobs, undo, steps, playback."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from app.viewer.words import common as words
 
 @dataclass(frozen=True)
 class HeaderActions:
-    """What the header's buttons ask for.
+    """Callbacks of the header's buttons.
 
     Attributes:
         cancel: stops the running jobs; called at once, on viser's thread.
@@ -33,7 +33,7 @@ class HeaderActions:
 
 
 class ObjectHeader:
-    """The first widgets of an object; ``name`` gives what it is called."""
+    """The first widgets of an object; ``name`` gives its name."""
 
     def __init__(self, tab: Tab, actions: HeaderActions, name: Callable[[OpenObject], str]) -> None:
         self._tab, self._name = tab, name

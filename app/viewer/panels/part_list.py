@@ -1,4 +1,4 @@
-"""The parts: a button for each, and the name of the chosen one."""
+"""The parts: a button for each, and the name of the selected one."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class PartList:
         return _part_name(self._document(), self._tab.selection.part)
 
     def rename(self, name: str | None) -> None:
-        """Name the chosen part; parts of the same shape get the name too."""
+        """Name the selected part; parts of the same shape get the name too."""
         part = self._tab.selection.part
         if name == self._chosen_name():
             return
@@ -72,7 +72,7 @@ class PartList:
             self.delete()
 
     def delete(self) -> None:
-        """Delete the chosen part with all its prompts, and choose another one."""
+        """Delete the selected part with all its prompts, and choose another one."""
         tab, selection = self._tab, self._tab.selection
         if selection.step != "Annotate":
             tab.notify(words.DELETE, words.DELETE_ELSEWHERE, "gray")
@@ -85,7 +85,7 @@ class PartList:
         selection.choose_part(min((p.id for p in self._document().parts if p.id), default=1))
 
     def toggle_hidden(self) -> None:
-        """Hide the chosen part (its joint's part in the other steps), or show it again."""
+        """Hide the selected part (its joint's part in the other steps), or show it again."""
         selection = self._tab.selection
         part = selection.part
         if selection.step != "Annotate" and selection.child is not None:
@@ -125,7 +125,7 @@ class PartList:
 
 
 def parts_listed(parts: Iterable[int], chosen: int) -> list[int]:
-    """The parts that have a button: the first ``PARTS_SHOWN``, always with the chosen one."""
+    """The parts that have a button: the first ``PARTS_SHOWN``, always with the selected one."""
     ids = sorted({BASE, chosen, *parts})
     return ids if len(ids) <= PARTS_SHOWN else sorted({*ids[: PARTS_SHOWN - 1], chosen})
 

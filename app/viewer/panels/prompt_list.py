@@ -38,7 +38,7 @@ class PromptEntry:
 
 
 class PromptList:
-    """The newest prompts of the chosen part; a click removes one."""
+    """The newest prompts of the selected part; a click removes one."""
 
     def __init__(self, tab: Tab) -> None:
         self._tab = tab

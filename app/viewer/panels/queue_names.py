@@ -1,4 +1,4 @@
-"""What objects are called in the queue: told apart, and short enough for a button."""
+"""Names of objects in the queue: distinct, and short enough for a button."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from sessions.records import ObjectRecord
 
 
 def queue_names(records: Sequence[ObjectRecord]) -> dict[int, str]:
-    """Id → name; those of one name are told apart by their suffix, else by their folders."""
+    """Id → name; the suffix or the folders distinguish equal names."""
     same: dict[str, list[ObjectRecord]] = defaultdict(list)
     for record in records:
         same[record.name].append(record)

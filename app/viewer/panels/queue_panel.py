@@ -1,4 +1,4 @@
-"""The queue at the left: which objects there are, and where each one stands."""
+"""The queue at the left: objects and their states."""
 
 from __future__ import annotations
 
@@ -185,7 +185,7 @@ class QueuePanel:
         )
 
     def _alarm(self, record: ObjectRecord) -> str:
-        """What a person has to know of an object before all else, or ""."""
+        """The reason for attention, or ""."""
         app_state = self._app_state
         if record.id in app_state.queue.unreadable:
             return common.UNREADABLE
@@ -194,7 +194,7 @@ class QueuePanel:
         return words.INTERRUPTED if app_state.was_interrupted(record) else ""
 
     def _draw_held(self, held: list[int], names: Mapping[int, str]) -> None:
-        """The way back to what the gate held back after a person went on."""
+        """Show the button that opens the first object on hold."""
         put(self._again, "visible", bool(held))
         if held:
             name = clipped(names[held[0]], NAME_LENGTH - 10)

@@ -1,4 +1,4 @@
-"""Rejecting asks for a reason and never makes one up: X, then a number."""
+"""Rejecting with a reason: X, then a number."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _ROWS = (words.reason_buttons()[:4], words.reason_buttons()[4:])
 
 
 class Rejecting:
-    """The question of one tab, about what it shows.
+    """The question for a reason in one tab.
 
     Args:
         about: what would be rejected now; a question about something else is off.
@@ -39,7 +39,7 @@ class Rejecting:
         return self._asked is not None
 
     def ask(self) -> None:
-        """Ask what is wrong; asked already, it is taken back."""
+        """Ask for a reason; a second call cancels."""
         if self.asking:
             self.cancel()
             return
@@ -61,7 +61,7 @@ class Rejecting:
         self._reject(tuple(words.REASONS)[number - 1])
 
     def cancel(self) -> None:
-        """Nothing is rejected."""
+        """Cancel the rejection."""
         note, self._note, self._asked = self._note, None, None
         if note is not None:
             note.remove()
@@ -69,7 +69,7 @@ class Rejecting:
 
 
 class RejectButtons:
-    """A button that asks, and one for each reason while it is asked."""
+    """A button that asks for a reason, then one for each reason."""
 
     def __init__(self, tab: Tab, rejecting: Rejecting, clicked: Callable[[], None]) -> None:
         """Make the buttons; ``clicked`` is called where the question is wanted or off."""

@@ -1,4 +1,4 @@
-"""The right side of a scene: the chosen object, decisions for many, and what is saved."""
+"""The right side of a scene: the selected object, decisions for many, and what is saved."""
 
 from __future__ import annotations
 
@@ -28,15 +28,15 @@ Action = Callable[[], None]
 
 @dataclass(frozen=True)
 class SceneActions:
-    """What the widgets of a scene ask for.
+    """Callbacks of the widgets of a scene.
 
     Attributes:
-        classify: gets "Articulable" or "Static" for the chosen object.
+        classify: gets "Articulable" or "Static" for the selected object.
         step: goes to the next object to decide (1) or to the one before (-1).
         accept_above: accepts all predicted objects of at least that confidence, 0..1.
         above: their sessions.
         save: writes the scene; True also with what is only predicted.
-        play_joint: moves one joint of the chosen object.
+        play_joint: moves one joint of the selected object.
     """
 
     undo: Action
@@ -160,8 +160,8 @@ class SceneCard:
             lines.append(f"*{words.job(shown[0], plain(message))}*")
         problems = () if workspace.scene is None else workspace.scene.problems
         if problems:
-            told = [about(plain(p.object, 40), plain(p.text, 200)) for p in problems[:PROBLEMS]]
-            lines.append(words.file_problems(told, max(len(problems) - PROBLEMS, 0)))
+            lines_of = [about(plain(p.object, 40), plain(p.text, 200)) for p in problems[:PROBLEMS]]
+            lines.append(words.file_problems(lines_of, max(len(problems) - PROBLEMS, 0)))
         put(self._status, "content", "\n\n".join(lines))
         put(self._progress, "visible", bool(shown))
         put(self._progress, "value", round(100 * fraction, 1))
@@ -242,8 +242,11 @@ def _about_work(work: Work, refusal: Refusal | None, expected: tuple[str, ...]) 
 
 
 def count_text(rows: Sequence[Row], count: int, above: float, coming: int = 0) -> str:
-    """What is left to decide; ``count`` objects are at least ``above`` sure, 0..1, and ``coming``
-    are still to be predicted."""
+    """What is left to decide.
+
+    Args:
+        count: objects with a confidence of at least ``above``, 0..1.
+        coming: objects to be predicted."""
     shown = Counter(r.shown for r in rows)
     known, going, held, clicks = (shown[s] for s in ("predicted", "validating", "on_hold", "todo"))
     clicks -= coming

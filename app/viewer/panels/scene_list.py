@@ -1,4 +1,4 @@
-"""The left side of a scene: what the colours mean, and its objects, lowest confidence first."""
+"""The left side of a scene: what the colors mean, and its objects, lowest confidence first."""
 
 from __future__ import annotations
 
@@ -157,8 +157,7 @@ def page_buttons(page: int, count: int) -> tuple[str, str, str]:
 
 
 def legend(counts: Counter[Any], original_colors: bool) -> str:
-    """Squares in the colours of those states that give their objects one, hollow ones for the
-    others, with their counts; our own words and numbers only."""
+    """Squares in the colors of the states, hollow where objects keep their own, with counts."""
 
     def square(state: Shown) -> str:
         if original_colors or state in ("static", "failed", "missing"):
@@ -181,7 +180,7 @@ def legend(counts: Counter[Any], original_colors: bool) -> str:
 
 
 def _short(text: str, limit: int) -> str:
-    """The beginning and the end, which tells one "cabinet (kitchen) 1" from the next."""
+    """Beginning and end of a name, which may end in a number."""
     if len(text) <= limit:
         return text
     tail = limit // 3
@@ -189,7 +188,7 @@ def _short(text: str, limit: int) -> str:
 
 
 def _deep(color: palette.Rgb) -> palette.Rgb:
-    """Towards grey: the chosen object alone has the full colour."""
+    """A grayer color, for objects that aren't selected."""
     grey = 0.45
     return tuple(int(c * (1 - grey) + 120 * grey) for c in color)  # type: ignore[return-value]
 

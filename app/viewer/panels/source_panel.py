@@ -1,4 +1,4 @@
-"""How the source is read, and what of a room is looked at."""
+"""Orientation, unit and excluded geometry of the source."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class SourcePanel:
         self._frame.on_click(lambda _: tab.act(self._reload))
 
     def leave_out(self, what: str = words.EXCLUDE_ACTIONS[0]) -> None:
-        """Look no more at the floor and the walls, or at the chosen part."""
+        """Exclude floor and walls, or the selected part."""
         tab, part = self._tab, self._tab.selection.part
         obj = tab.selection.need_object()
         one = what == words.EXCLUDE_ACTIONS[1]
@@ -59,11 +59,11 @@ class SourcePanel:
         leave_out(obj, "part" if one else "floor and walls", part, tab.user)
 
     def restore(self) -> None:
-        """Look at the whole source again."""
+        """Restore the excluded geometry."""
         self._tab.do(cmd.LeaveOut(None))
 
     def cut_out(self) -> None:
-        """Make the chosen part an object of its own and open it."""
+        """Extract the selected part as an object and open it."""
         tab, part = self._tab, self._tab.selection.part
         if tab.in_scene:
             raise CommandError(words.EXTRACT_IN_SCENE)

@@ -14,7 +14,7 @@ class ToolButtons:
     """A row of buttons for each kind of tool.
 
     Attributes:
-        touch: whether taps are heard.
+        touch: whether taps add clicks.
     """
 
     def __init__(self, tab: Tab, pointing: Pointing) -> None:
@@ -34,7 +34,7 @@ class ToolButtons:
         tab.on_update(touch, lambda: setattr(self, "touch", touch.value))
 
     def use(self, label: str) -> None:
-        """Begin what a tool's button says, on the chosen part."""
+        """Start the tool of a button on the selected part."""
         selection, pointing = self._tab.selection, self._pointing
         if selection.step != "Annotate":
             selection.set_step("Annotate")

@@ -1,4 +1,4 @@
-"""The gate in the review step: joint by joint, worst first; a click shows the worst moment."""
+"""Findings of the checks in the review step, worst first; a click shows the worst pose."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _FIX_OF: dict[str, FixKind] = {word: kind for kind, word in words.FIXES.items()}
 
 
 class ValidationList:
-    """Buttons for the joints that the gate doubts, and what they show."""
+    """Buttons for the joints with findings."""
 
     def __init__(self, tab: Tab, motion: Motion, drawn: Callable[[], bool]) -> None:
         """Make the headline; ``drawn`` says whether the open object's picture was sent."""
@@ -38,18 +38,18 @@ class ValidationList:
         self._headline = tab.client.gui.add_markdown("")
 
     def build_list(self) -> None:
-        """Make the list, below what decides: its length is not to move that."""
+        """Make the list, below the buttons so that its length doesn't move them."""
         self._folder = self._tab.client.gui.add_folder(words.FINDINGS, visible=False)
 
-    # --- what a person does
+    # --- what the user does
 
     def looked_at(self, obj: OpenObject) -> ValidationReport | None:
-        """The gate's answer on the present joints, where this tab has shown what it doubts."""
+        """The report on the present joints once this tab has shown a finding of it, else None."""
         report = obj.validation.report
         return next((r for r in self._looked_at if r is report), None)
 
     def show_worst(self) -> None:
-        """The worst moment of the worst joint, as soon as the joints are judged."""
+        """Show the worst pose of the worst joint, once the checks are done."""
         obj = self._tab.selection.need_object()
         report = obj.validation.report
         self._wanted = obj.record.id if report is None else None
@@ -57,11 +57,11 @@ class ValidationList:
             self.show(report.joints[0].joint)
 
     def show_soon(self, obj: OpenObject) -> None:
-        """The same once the object is drawn."""
+        """Do so once the object is drawn."""
         self._wanted = obj.record.id
 
     def show(self, joint: str) -> None:
-        """Pose the object at a joint's worst moment and mark the contact."""
+        """Show a joint's worst pose and mark the contact."""
         selection = self._tab.selection
         obj = selection.need_object()
         report = obj.validation.report
@@ -80,7 +80,7 @@ class ValidationList:
             self._motion.show_moment(worst, words.moment(worst.kind, worst.depth))
 
     def show_next(self) -> None:
-        """The worst moment of the next joint that isn't fine (Tab)."""
+        """Show the worst pose of the next joint with findings (Tab)."""
         report = self._tab.selection.need_object().validation.report
         if report is None:
             raise CommandError(words.STILL_CHECKING)
@@ -114,7 +114,7 @@ class ValidationList:
         put(self._headline, "content", line)
         put(self._headline, "visible", bool(line))
         if self._shown is not None and self._shown[0] is not report:
-            # Other joints, another answer: what was shown is no longer so.
+            # The joints have changed, and what was shown with them.
             self._shown = None
             self._motion.clear_moment()
         key = None if report is None else (report, tuple(doc.part_names.items()))
@@ -152,7 +152,7 @@ class ValidationList:
 
 
 def headline(obj: OpenObject, doc: Document, report: ValidationReport | None) -> str:
-    """The verdict in one line."""
+    """The result of the checks in one line."""
     if doc.tree is None:
         return ""
     if report is None:

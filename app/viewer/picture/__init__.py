@@ -1,1 +1,1 @@
-"""What is drawn in 3D."""
+"""The picture in 3D."""

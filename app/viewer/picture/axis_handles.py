@@ -1,4 +1,4 @@
-"""Handles in 3D for the axis of the chosen joint."""
+"""Handles in 3D for the axis of the selected joint."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ Pose = npt.NDArray[np.float64]
 
 
 class AxisHandles:
-    """Handles that a person drags; letting go of them moves the joint's axis.
+    """Handles that the user drags; letting go of them moves the joint's axis.
 
     Args:
         parent_pose: of a joint: (4, 4) posed_from_rest of its parent now.
-        grabbed: called when a person takes hold of the handles.
+        grabbed: called when the user takes hold of the handles.
 
     Attributes:
-        on: whether the chosen joint has handles.
+        on: whether the selected joint has handles.
     """
 
     def __init__(
@@ -78,7 +78,7 @@ class AxisHandles:
                 self._tab.act(self.release)
 
     def place(self, poses: Mapping[str, Pose]) -> None:
-        """Move the handles with the joint's parent, unless a person drags them."""
+        """Move the handles with the joint's parent, unless the user drags them."""
         joint, handles = self._tab.selection.joint, self._handles
         if handles is None or joint is None or self._dragged or joint.parent not in poses:
             return

@@ -1,4 +1,4 @@
-"""What is drawn about joints: their axes, where they run into something, the worst moment."""
+"""Marks of joints: axes, collisions, the worst pose."""
 
 from __future__ import annotations
 
@@ -95,8 +95,7 @@ class JointMarks:
         )
 
     def show_directions(self, corner: npt.NDArray[np.float64] | None) -> None:
-        """Arrows called X, Y and Z beside the corner (3,) of the object, for what is told in
-        numbers; None takes them away."""
+        """Show arrows X, Y and Z beside the corner (3,) of the object; None removes them."""
         if self._diagonal is None or (corner is None) == (not self._directions):
             return
         gone, self._directions = self._directions, []
@@ -181,7 +180,7 @@ class JointMarks:
         contact.ball.visible = bool(near)
 
     def show_moment(self, where: tuple[float, float, float] | None, text: str) -> None:
-        """Mark one contact so that it is seen through the parts; None takes the mark away."""
+        """Mark one contact, visible through the parts; None removes the mark."""
         gone, self._moment = self._moment, []
         for handle in gone:
             handle.remove()

@@ -1,4 +1,4 @@
-"""The parts' colours laid over the scan of an object, and what of it is hidden.
+"""The overlay of labels on the scan of an object, and its hidden parts.
 
 Only what changed is sent: of hidden parts one bit a displayed face or point.
 """
@@ -22,10 +22,10 @@ Labels = npt.NDArray[np.int16]
 
 
 class LabelOverlay:
-    """The tints of one object in one client's scene.
+    """The label overlay of one object in one client's scene.
 
     Args:
-        scan: the drawn object; of a cloud it is the scan itself that is coloured.
+        scan: the drawn object; of a cloud it is the scan itself that is colored.
 
     Attributes:
         labels: (D,) those that were drawn last, or None.
@@ -47,7 +47,7 @@ class LabelOverlay:
         hide_on_page(client, None)  # what the page hid was of another object
 
     def show(self, labels: Labels | None, hidden: frozenset[int]) -> None:
-        """Tint the parts and leave out the hidden ones. Sends only the parts that changed."""
+        """Color the parts and hide the hidden ones. Sends only the parts that changed."""
         same = self._same(labels)
         if not same or hidden != self._hidden:
             self._hidden = hidden
@@ -59,7 +59,7 @@ class LabelOverlay:
         self.labels = labels  # last: whoever waits for them sees them drawn
 
     def set_visible(self, visible: bool) -> None:
-        """Show the tints of a mesh, but for the hidden parts, or none."""
+        """Show or hide the overlay of a mesh."""
         self._visible = visible
         for part, tint in self._meshes.items():
             tint.visible = visible and part not in self._hidden
@@ -142,7 +142,7 @@ def add_overlay_mesh(
     faces: npt.NDArray[Any],
     opacity: float,
 ) -> Any:
-    """Lay a part's colour over its (F, 3) faces; the handle."""
+    """Draw a part's color over its (F, 3) faces; returns the handle."""
     return scene.add_mesh_simple(
         name,
         vertices,
@@ -156,7 +156,7 @@ def add_overlay_mesh(
 
 
 def overlay_colors(colors: npt.NDArray[np.uint8], labels: Labels | None) -> npt.NDArray[np.uint8]:
-    """Scan colours with the parts' colours laid over; (N, 3) uint8. The base keeps its own."""
+    """Blend the parts' colors into those of a scan; (N, 3) uint8. The base keeps its own."""
     if labels is None:
         return np.array(colors)
     top = int(labels.max()) + 1 if len(labels) else 1

@@ -1,4 +1,4 @@
-"""How a tab is lit: with reflections of surroundings, or plainly for browsers without a GPU."""
+"""The light of a tab: with reflections, or simple for browsers without a GPU."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from app.viewer.tab import Tab
 from app.viewer.words import common as words
 
 PLAIN = "plain"
-"""What the browser remembers where there are no reflections."""
+"""Stored in the browser where there are no reflections."""
 _ABOVE, _BESIDE = (0.0, 0.0, 1.0), (-2.0, -3.0, 2.0)
 """From where sky and lamp shine on the origin."""
 

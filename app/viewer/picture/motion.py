@@ -22,7 +22,7 @@ class Motion:
 
     Attributes:
         q: joint name → radians or metres; a joint that isn't in it rests.
-        handles: of the chosen joint's axis.
+        handles: of the selected joint's axis.
     """
 
     def __init__(self, tab: Tab, picture: ObjectPicture) -> None:
@@ -130,7 +130,7 @@ class Motion:
             self._picture.marks.show_moment(None, "")
 
     def toggle_handles(self) -> None:
-        """Show or hide the handles for the chosen joint's axis."""
+        """Show or hide the handles for the selected joint's axis."""
         tab, joint = self._tab, self._tab.selection.joint
         if joint is None or not joint.moves:
             tab.notify(*SELECT_JOINT, "gray")

@@ -133,7 +133,7 @@ class ObjectPicture:
     # --- labels and parts
 
     def show_labels(self, labels: npt.NDArray[np.int16] | None, hidden: frozenset[int]) -> None:
-        """Tint the parts. Sends only the parts that changed."""
+        """Color the parts. Sends only those that changed."""
         if self._overlay is not None:
             self._overlay.show(labels, hidden)
 
@@ -161,7 +161,7 @@ class ObjectPicture:
     # --- prompts
 
     def show_prompts(self, clicks: Sequence[tuple[int, Click]], visible: bool) -> None:
-        """Draw prompt points: part colour where positive, black where negative."""
+        """Draw prompt points: part color where positive, black where negative."""
         asset = self._asset
         if asset is None:
             return

@@ -1,4 +1,4 @@
-"""What is drawn over an object for a moment: the preview of a click, places of a cut."""
+"""Short-lived marks over an object: the preview of a click, points of a cut."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Overlays:
         lost: npt.NDArray[np.float32] | None,
         color: palette.Rgb,
     ) -> None:
-        """Dots on what a click would give to the part, dark ones on what it would take away."""
+        """Draw dots on elements that a click would add, dark ones on those it would remove."""
         if self._diagonal is None:
             return
         with self._client.atomic():
@@ -85,6 +85,6 @@ class Overlays:
 
 
 def _light(color: palette.Rgb) -> palette.Rgb:
-    """Between the colour and white: a preview is no decision yet."""
+    """A lighter color."""
     r, g, b = (int(c + 0.45 * (255 - c)) for c in color)
     return (r, g, b)

@@ -15,7 +15,7 @@ PART_COLORS: Final[tuple[Rgb, ...]] = (
     (231, 76, 60), (120, 94, 220), (141, 180, 40), (200, 110, 110), (70, 110, 150), (160, 110, 60),
 )  # fmt: skip
 _LIGHTER, _DARKER, _TURN = 0.56, 0.55, 0.065
-"""What further parts have of the first ones' colours: light, and a turn of the hue each round."""
+"""What further parts have of the first ones' colors: light, and a turn of the hue each round."""
 SELECTED: Final[Rgb] = (236, 0, 140)
 GHOST: Final[Rgb] = (150, 150, 160)
 CONTACT: Final[Rgb] = (220, 20, 40)
@@ -59,7 +59,7 @@ SCENE_COLORS: Final[dict[str, Rgb]] = {
 
 
 def albedo(color: Rgb) -> Rgb:
-    """For surfaces: under the lights of the picture they come out in that colour."""
+    """The albedo that appears in that color under the lights of the picture."""
     r, g, b = (int(255 * (c / 255) ** 1.9) for c in color)
     return r, g, b
 
@@ -77,7 +77,7 @@ SEVERITY_COLORS: Final[dict[Severity, Rgb]] = {
 
 
 def part_color(part: int) -> Rgb:
-    """The colour of a part, the same on every screen; the first 36 can all be told apart."""
+    """The color of a part; the first 36 are distinct."""
     if part == 0:
         return BASE_COLOR
     times, which = divmod(part - 1, len(PART_COLORS))

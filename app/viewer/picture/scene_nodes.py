@@ -1,6 +1,6 @@
-"""What of a scene was sent to a browser: merged surroundings, instances of assets, scans.
+"""Nodes of a scene in a browser: merged surroundings, instances of assets, scans.
 
-Each can look three ways: as the source does, in the colours of states, and as a ghost around the
+Each can look three ways: as the source does, in the colors of states, and as a ghost around the
 object that is worked on. What a look needs is sent when it is first wanted.
 """
 
@@ -25,7 +25,7 @@ from model.io.write.glb import mesh_to_glb
 
 GHOST_OPACITY = 0.14
 TINT = 0.6
-"""Share of a state's colour in the points of a scan."""
+"""Share of a state's color in the points of a scan."""
 Array = npt.NDArray[np.float64]
 Ids = tuple[str, ...]
 
@@ -34,7 +34,7 @@ CORNERS = np.array([[i >> k & 1 for k in range(3)] for i in range(8)], np.float3
 
 @dataclass(eq=False)
 class Placement:
-    """Where an object stands: a vertex v is at ``world @ (scale * v)``."""
+    """Pose and scale of an object: a vertex v is at ``world @ (scale * v)``."""
 
     world: Array
     scale: Array
@@ -48,7 +48,7 @@ class Look:
         status: object → where it stands.
         own: everything as the source has it; else the static objects alone.
         ghosted: the object that is worked on among ghosts, or None.
-        chosen: the object whose parts have colours of their own, or None.
+        chosen: the object whose parts have colors of their own, or None.
     """
 
     status: Mapping[str, str]
@@ -57,7 +57,7 @@ class Look:
     chosen: str | None = None
 
     def part(self, id: str, link: str) -> palette.Rgb | None:
-        """The colour of the chosen object's part; None of everything else."""
+        """The color of the selected object's part; None of everything else."""
         number = link.removeprefix("link_")
         if id != self.chosen or self.ghosted is not None or not number.isdigit():
             return None
@@ -197,7 +197,7 @@ class Surroundings(Node):
 
 
 class Instances(Node):
-    """A mesh that is sent once however often it stands there."""
+    """Instances of a mesh, which is sent once."""
 
     def __init__(
         self, client: viser.ClientHandle, name: str, ids: Ids, shape: Shape,
@@ -373,7 +373,7 @@ def first_under(nodes: Sequence[Node], origin: Array, direction: Array) -> str |
 
 
 def colored_glb(shape: Shape) -> bytes:
-    """A shape with faces in their own colours; a vertex is there once for each of its colours."""
+    """A shape with faces in their own colors; a vertex is there once for each of its colors."""
     assert shape.faces is not None
     rgb = _colors(shape, len(shape.faces)).astype(np.int64)
     packed = (rgb[:, 0] << 16) | (rgb[:, 1] << 8) | rgb[:, 2]

@@ -216,7 +216,7 @@ class ScenePicture:
         self._nodes[key] = send(self._client, name, tuple(ids), shape, placements, work, link)
 
     def _paint(self, status: Mapping[str, str], selected: str | None) -> None:
-        """Colours by state, of the chosen object by part, or as the source has them; all ghosts
+        """Colors by state, of the selected object by part, or as the source has them; all ghosts
         while one is worked on."""
         look = Look(status, self.original_colors, self.ghosted, selected)
         if look == self._look:

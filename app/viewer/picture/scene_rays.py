@@ -1,4 +1,4 @@
-"""What of a drawn scene a ray meets first; on the copies that the browser draws."""
+"""Ray casting in a scene, on the shapes that the browser draws."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is around anything that is shown: light, backdrop, and where the camera stands."""
+"""Light, backdrop and camera."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ FIELD_OF_VIEW = 0.7
 SCENE_ROOT = "/world"
 """Node above all that belongs to a scene around the object."""
 LIGHT_ROOT = "/light"
-"""Node above the lights that a person chose."""
+"""Node above the lights that the user chose."""
 
 
 def set_stage(scene: viser.SceneApi) -> None:
@@ -36,8 +36,8 @@ def may_be_a_room(bounds: npt.NDArray[np.floating]) -> bool:
 
 
 def view_direction(front: npt.ArrayLike, aside: float = 0.5, above: float = 0.45) -> Any:
-    """(3,) unit direction from an object to where it is looked at: from its front, a bit from the
-    side and from above, each in parts of the front's."""
+    """(3,) unit direction from an object to the camera: its front, moved aside and above by these
+    shares."""
     ahead = np.asarray(front, np.float64)
     direction = ahead + aside * np.cross(ahead, (0.0, 0.0, 1.0)) + np.array([0.0, 0.0, above])
     return direction / np.linalg.norm(direction)

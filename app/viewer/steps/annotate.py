@@ -55,7 +55,7 @@ class AnnotateStep:
         self._hint = gui.add_markdown("")
         self._unit = UnitHint(tab)
         self._room = gui.add_button("", icon=viser.Icon.SCISSORS, color="gray", visible=False)
-        # Above the parts: however many these are, it stays where it is.
+        # Above the parts, so that it keeps its place.
         self._predict = PredictButtons(tab)
         self._category = Choice(
             tab, words.CATEGORY, palette.CATEGORIES,
@@ -82,10 +82,10 @@ class AnnotateStep:
         self._pointing.tools.next_mask(step)
 
     def name_by_key(self, number: int) -> str:
-        """What Shift and a number says: 0 the guessed category, else a name of the chosen part.
+        """Name the selected part by a digit; 0 takes the suggested category.
 
         Returns:
-            What came of it, for people.
+            The result, for the user.
         """
         if number == 0:
             category = self._guess.take_first()

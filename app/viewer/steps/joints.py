@@ -1,4 +1,4 @@
-"""The kinematic tree and its motion, with the editor of the chosen joint."""
+"""The kinematic tree and its motion, with the editor of the selected joint."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class JointsStep:
     """The second step: how the parts move.
 
     Attributes:
-        editor: of the chosen joint.
+        editor: of the selected joint.
     """
 
     def __init__(
@@ -147,7 +147,7 @@ class JointsStep:
             self._tab.invalidate()  # the picture, which was drawn before, shows its axis
 
     def _unknown(self, doc: Document) -> tuple[list[PartInfo], bool]:
-        """Parts without a name, the chosen joint's first, and whether there is no category."""
+        """Parts without a name, the selected joint's first, and whether there is no category."""
         if doc.tree is None or doc.prediction is None or doc.review.state == "accepted":
             return [], False
         found = [p for p in doc.parts if p.name is None and p.link in doc.tree.joint_of]
@@ -155,7 +155,7 @@ class JointsStep:
         return sorted(found, key=lambda p: p.link != chosen), doc.category is None
 
     def _chosen_part(self, tree: KinematicTree) -> str | None:
-        """The link of the part that the chosen joint moves: of several joints, all that move it."""
+        """The link of the part that the selected joint moves."""
         child = self._tab.selection.child
         return moved_part(tree, child) if child is not None and child in tree.joint_of else None
 
@@ -198,10 +198,10 @@ class JointsStep:
         selection.choose_joint(children[(at + 1) % len(children)])
 
     def name_by_key(self, number: int) -> str:
-        """What Shift and a number says to the question: 0 the guessed category, else a name.
+        """Name the part that is asked for by a digit; 0 takes the suggested category.
 
         Returns:
-            What came of it, for people.
+            The result, for the user.
         """
         if number == 0:
             category = self._guess.take_first()
@@ -229,7 +229,7 @@ class JointsStep:
     def _predict_what_is_known(self) -> None:
         """Predict again once the last name, or the category after it, has been said.
 
-        Where a person has settled joints, they are not predicted in passing.
+        Where the user has settled joints, they are not predicted in passing.
         """
         doc = self._tab.selection.need_object().document
         if self._unknown(doc) == ([], False) and not _settled(doc):
@@ -259,7 +259,7 @@ class JointsStep:
         self._sliders = sliders
 
     def _draw_pose(self, joint: Joint | None) -> None:
-        """The slider of the chosen joint, beside what is edited."""
+        """The slider of the selected joint, beside what is edited."""
         if joint is not None and (not joint.moves or joint.mimic is not None):
             joint = None
         key = None if joint is None else (joint.name, joint.type, joint.lower, joint.upper)
@@ -315,7 +315,7 @@ class JointsStep:
 
 
 def _settled(doc: Document) -> bool:
-    """Whether a person has changed or locked a joint, or a file tells them."""
+    """Whether the user has edited or locked a joint, or the joints come from a file."""
     return bool(doc.joints_file or doc.locked or doc.edited_joints)
 
 

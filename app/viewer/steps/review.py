@@ -5,16 +5,16 @@ from __future__ import annotations
 import datetime
 import io
 import zipfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import viser
 
 from app.server.accepting import accept, withdraw
-from app.server.display_names import display_text, joint_title, part_title
+from app.server.display_names import display_text, joint_title
 from app.server.open_object import OpenObject
 from app.server.validating import UnseenWarningsError
 from app.viewer.panels.joint_text import confidence_text, range_text
@@ -25,30 +25,25 @@ from app.viewer.picture.motion import Motion
 from app.viewer.tab import Tab
 from app.viewer.text import plain
 from app.viewer.words import review as words
-from app.viewer.words.annotate import tool_label
 from app.viewer.words.common import EDITED, STATES
 from model.core.errors import CommandError
 from model.validation.report import Severity
 from sessions import commands as cmd
-from sessions.describe import describe
 from sessions.document import Document
 from sessions.review import RejectReason
-from sessions.store import Entry, ObjectRecord
-from sessions.tool_commands import ApplyTool
+from sessions.store import ObjectRecord
 
-HISTORY_SHOWN = 12
 DOWNLOAD_BYTES = 400_000_000
 DECIDED = ("accepted", "rejected")
 
 
 @dataclass(frozen=True)
 class ReviewActions:
-    """What the review asks of the rest of the tab.
+    """Callbacks of the review.
 
     Attributes:
         accept, reject: what the buttons do, once the object has been seen.
         go_on: goes to the next object after a decision.
-        history: the newest commands of an object, by its id.
         name_of: an object's name on the screens.
         drawn: whether the open object's picture was sent.
     """
@@ -56,7 +51,6 @@ class ReviewActions:
     accept: Callable[[], None]
     reject: Callable[[], None]
     go_on: Callable[[], None]
-    history: Callable[[int], Sequence[Entry]]
     name_of: Callable[[ObjectRecord], str]
     drawn: Callable[[], bool]
 
@@ -95,20 +89,18 @@ class ReviewStep:
         self._download = gui.add_button(
             words.DOWNLOAD, icon=viser.Icon.DOWNLOAD, color="gray", visible=False
         )
-        with gui.add_folder(words.HISTORY, expand_by_default=False):
-            self._history = gui.add_markdown("")
         self._accept.on_click(lambda _: actions.accept())
         self._reopen.on_click(lambda _: tab.act(lambda: tab.do(cmd.Reopen(self.comment_text))))
         self._download.on_click(lambda _: tab.act(self._send))
 
     @property
     def comment_text(self) -> str:
-        """What stands in the comment box."""
+        """The text of the comment box."""
         return self._comment.value
 
     @property
     def override_text(self) -> str:
-        """Why the object is right although the gate calls a joint broken."""
+        """The reason for accepting despite errors."""
         return self._override.value if self._override.visible else ""
 
     # --- decisions
@@ -137,7 +129,7 @@ class ReviewStep:
             self._refused(obj, error)
 
     def _refused(self, obj: OpenObject, error: CommandError) -> None:
-        """Say why, and show what the gate wants to be looked at."""
+        """Say why an acceptance was refused, and show the worst finding."""
         tab, name = self._tab, self._actions.name_of(obj.record)
         self._forget_decision(obj)
         shown = tab.selection.object is obj
@@ -151,7 +143,7 @@ class ReviewStep:
             tab.notify(words.NOT_ACCEPTED, words.about(name, str(error)), "yellow")
 
     def withdraw(self) -> None:
-        """Don't accept the object once its joints are judged. May be called on any thread."""
+        """Withdraw an acceptance that waits for the checks. May be called on any thread."""
         obj = self._tab.selection.object
         if obj is not None and withdraw(obj):
             self._forget_decision(obj)
@@ -168,9 +160,9 @@ class ReviewStep:
 
     @contextmanager
     def _deciding(self) -> Iterator[None]:
-        """Go on once what is asked for within is decided; not where it is refused.
+        """Go on once the decision made within is recorded; not where it is refused.
 
-        Told beforehand: the tab may draw the decision before asking for it returns.
+        Noted beforehand: the tab may draw the decision before the call returns.
         """
         obj = self._tab.selection.need_object()
         self._asked = (obj.record.id, obj.state.seq)
@@ -181,7 +173,7 @@ class ReviewStep:
             raise
 
     def _forget_decision(self, obj: OpenObject) -> None:
-        """What was asked for isn't decided: another one's decision later is none to go on after."""
+        """Don't go on after a decision: the one of this tab was refused."""
         if self._asked is not None and self._asked[0] == obj.record.id:
             self._asked = None
 
@@ -191,7 +183,7 @@ class ReviewStep:
         self._override.value = ""
 
     def _say_again(self, obj: OpenObject) -> None:
-        """What was typed for an acceptance that was cut off."""
+        """Restore the texts of an acceptance that was interrupted or is on hold."""
         pending_acceptance = obj.pending_acceptance
         if pending_acceptance is not None:
             self._comment.value = pending_acceptance.comment
@@ -259,37 +251,17 @@ class ReviewStep:
         put(self._saved, "visible", doc.saved is not None)
         if doc.saved is not None:
             put(self._saved, "content", words.saved_in(plain(doc.saved.folder, 200)))
-        self._draw_history()
         id, before = self._asked or (None, 0)
-        # Nobody need wait for the gate's answer, nor for the asset to be written.
+        # Neither the checks nor writing the asset keep the user waiting.
         done = saving or obj.validation.acceptance_waits
         if id == obj.record.id and (done or (decided and obj.state.seq > before and not saving)):
             self._asked = None
             if self._auto_advance.value:
                 self._tab.act(self._actions.go_on)
 
-    def _draw_history(self) -> None:
-        obj = self._tab.selection.need_object()
-        entries = self._actions.history(obj.record.id)[-HISTORY_SHOWN:]
-        lines = [
-            f"- {plain(e.at[11:19])} {plain(e.who, 24)}: "
-            f"{plain(what_happened(obj.document, e.command), 80)}"
-            for e in reversed(entries)
-        ]
-        put(self._history, "content", "\n".join(lines) or words.HISTORY_EMPTY)
-
-
-def what_happened(doc: Document, command: cmd.Command) -> str:
-    """One line of the history, in the words of the screens."""
-    if isinstance(command, cmd.SetJoint):
-        return words.joint_changed(part_title(doc, command.joint.child))
-    if isinstance(command, ApplyTool):
-        command = replace(command, tool=tool_label(command.tool).lower())
-    return display_text(doc, describe(command))
-
 
 def summary(doc: Document) -> str:
-    """What a reviewer must know before deciding."""
+    """State, reasons, joints and warnings of an object."""
     review = doc.review
     said = words.state(STATES[review.state], plain(review.by) if review.by else "")
     if review.state == "predicted" and doc.joints_file is not None:

@@ -1,4 +1,4 @@
-"""A whole scene in one tab: its list, its picture, and the card of the chosen object."""
+"""A whole scene in one tab: its list, its picture, and the card of the selected object."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from app.viewer.words.common import NO_JOINTS
 
 @dataclass(frozen=True)
 class SceneHost:
-    """What a scene asks of the rest of the tab.
+    """Callbacks of a scene.
 
     Attributes:
         show: gets the session of an object to open, or None to close it, and whether its worst
@@ -42,10 +42,10 @@ class SceneHost:
 
 
 class SceneStep:
-    """What a tab shows of a scene, and what its user does with it.
+    """The screens of a scene.
 
     Attributes:
-        edit: opens objects in place; its ``choice`` is the chosen one.
+        edit: opens objects in place; its ``choice`` is the selected one.
         review: decides about them.
         picture: what is drawn.
         motion: joints that play.
@@ -108,7 +108,7 @@ class SceneStep:
 
     @property
     def subject(self) -> Any:
-        """What a decision made now would be about, as far as a person can see it."""
+        """The subject of a decision made now, as far as the user can see it."""
         selected, workspace = self.choice.selected, self._workspace
         work = None if selected is None else workspace.work(selected)
         if work is None:
@@ -140,7 +140,7 @@ class SceneStep:
             self.card.draw(choice.rows, choice.selected, self.motion.playing)
 
     def _show_moment(self) -> None:
-        """Pose the chosen object as the gate objects to it; everything else rests."""
+        """Show the worst finding of the selected object; everything else rests."""
         workspace, selected = self._workspace, self.choice.selected
         work = None if selected is None or self.edit.inside else workspace.work(selected)
         refusal = None if work is None else workspace.accepting.refusal(work)
@@ -173,7 +173,7 @@ class SceneStep:
     # --- motion and files
 
     def play(self) -> None:
-        """Start or stop moving the joints of the chosen object; of all where none is chosen."""
+        """Start or stop moving the joints of the selected object; of all where none is chosen."""
         selected = self.choice.selected
         work = None if selected is None else self._workspace.work(selected)
         self._play(None if work is None or work.document.tree is None else work)
@@ -183,7 +183,7 @@ class SceneStep:
         self._play(None)
 
     def _play_joint(self, name: str) -> None:
-        """Move one joint of the chosen object, whatever moved before."""
+        """Move one joint of the selected object, whatever moved before."""
         self.motion.stop()
         self._play(self.choice.need_work(), name)
 

@@ -1,4 +1,4 @@
-"""The chosen object of a scene."""
+"""The selected object of a scene."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class SceneChoice:
         remember: keeps the choice in the browser.
 
     Attributes:
-        selected: the chosen object, or None.
+        selected: the selected object, or None.
         rows: all objects as they were drawn last.
     """
 
@@ -79,7 +79,7 @@ class SceneChoice:
         self._tab.invalidate()
 
     def step(self, by: int) -> None:
-        """Choose the next object that wants a decision, or with -1 the one before."""
+        """Choose the next undecided object, or with -1 the one before."""
         ids = order(self._workspace.rows())
         if not ids:
             self.say_end()
@@ -89,11 +89,11 @@ class SceneChoice:
             self.choose(ids[0 if by > 0 else -1], look=True)
 
     def say_end(self) -> None:
-        """Say why no object wants a decision."""
+        """Say why no object is left to decide."""
         self._tab.notify(*_at_the_end(self._workspace))
 
     def need(self) -> str:
-        """The chosen object.
+        """The selected object.
 
         Raises:
             CommandError: where none is chosen.
@@ -103,7 +103,7 @@ class SceneChoice:
         return self.selected
 
     def need_work(self) -> Work:
-        """The chosen object's working copy.
+        """The selected object's working copy.
 
         Raises:
             CommandError: where there is none.

@@ -27,7 +27,7 @@ class SceneEdit:
         stop: ends what moves in the scene.
 
     Attributes:
-        choice: the chosen object.
+        choice: the selected object.
         inside: the object that is worked on, or None.
     """
 
@@ -51,7 +51,7 @@ class SceneEdit:
             self.leave()
 
     def enter(self) -> None:
-        """Work on the chosen object."""
+        """Work on the selected object."""
         id = self.choice.need()
         self._stop()
 
@@ -78,7 +78,7 @@ class SceneEdit:
         self._remember()
 
     def pick(self) -> None:
-        """Open the chosen object as a whole, to pick another one out of it."""
+        """Open the selected object as a whole, to pick another one out of it."""
         id = self.choice.need()
         self._stop()
         self._workspace.picking.open(
@@ -86,7 +86,7 @@ class SceneEdit:
         )
 
     def take_out(self, name: str) -> None:
-        """Make the chosen part an object of the scene, and work on that next.
+        """Make the selected part an object of the scene, and work on that next.
 
         Raises:
             CommandError: where nothing is picked from, or nothing was clicked yet.

@@ -16,18 +16,18 @@ from sessions.state import review_problems
 
 
 class SceneReview:
-    """Accepts and rejects the chosen object, or all above a confidence."""
+    """Accepts and rejects the selected object, or all above a confidence."""
 
     def __init__(self, tab: Tab, workspace: SceneWorkspace, choice: SceneChoice) -> None:
         self._tab, self._workspace, self._choice = tab, workspace, choice
 
     def classify(self, label: str) -> None:
-        """Say whether the chosen object is articulable."""
+        """Say whether the selected object is articulable."""
         articulable = label.removeprefix(CHOSEN) == words.ARTICULABLE
         self._workspace.set_articulable(self._choice.need(), articulable, self._tab.user)
 
     def accept(self) -> None:
-        """Accept the chosen object, and go to the next one."""
+        """Accept the selected object, and go to the next one."""
         work, id, accepting = (
             self._choice.need_work(),
             self._choice.need(),
@@ -49,7 +49,7 @@ class SceneReview:
         self._decide(DecideObjects("accept", (work.id,), looked=confirmed))
 
     def reject(self, reason: RejectReason) -> None:
-        """Reject the chosen object, and go to the next one."""
+        """Reject the selected object, and go to the next one."""
         work = self._choice.need_work()
         self._decide(DecideObjects("reject", (work.id,), reason=reason))
 

@@ -7,6 +7,7 @@ from typing import Final
 
 from app.server.tool_tasks import NEXT_MASK
 from app.viewer.words.common import plural
+from app.viewer.words.message import Message
 
 # --- what to do next
 
@@ -28,21 +29,11 @@ IN_ROOM: Final = (
     "**Click an object**, or Alt+drag a box around it, and extract it. "
     "Shift+click removes; **Tab** shows other masks."
 )
-
-
-def extracting(part: int) -> str:
-    """What to do where an object of a scene is extracted."""
-    return (
-        f"**Part {part}** will be extracted. To separate neighbors with one common front, press "
-        "**K** and click above and below the border."
-    )
-
-
-def question(text: str) -> str:
-    """A question about the source, such as its unit."""
-    return f"**{text}**"
-
-
+extracting = Message(
+    "**Part {part}** will be extracted. To separate neighbors with one common front, "
+    "press **K** and click above and below the border."
+)
+question = Message("**{text}**")
 # --- category and parts
 
 CATEGORY: Final = ("Category", "Other category")
@@ -60,11 +51,7 @@ BASE_HAS_NO_NAME: Final = "Part 0 is the base: select another part"
 DELETE: Final = "Delete"
 DELETE_ELSEWHERE: Final = "Parts are deleted in the Annotate step"
 DELETE_BASE: Final = "Part 0 is the base and can't be deleted"
-
-
-def quick_names(first: int, last: int) -> str:
-    """Keys of a row of names."""
-    return f"Shift+{first}…{last}"
+quick_names = Message("Shift+{first}…{last}")
 
 
 def part_button(part: int, name: str, share: str, hidden: bool) -> str:
@@ -73,14 +60,8 @@ def part_button(part: int, name: str, share: str, hidden: bool) -> str:
     return " · ".join(w for w in words if w) + (" (hidden)" if hidden else "")
 
 
-def category_set(category: str) -> str:
-    """The category was set by a key."""
-    return f"Category: {category}"
-
-
-def name_set(part: int, name: str) -> str:
-    """A part was named by a key."""
-    return f"Part {part}: {name}"
+category_set = Message("Category: {category}")
+name_set = Message("Part {part}: {name}")
 
 
 def named_too(name: str, count: int) -> tuple[str, str]:
@@ -167,11 +148,7 @@ SHARED_TRIANGLE: Final = (
 )
 NOTHING_THERE: Final = "Nothing there"
 BASE_IS_FIXED: Final = "The base doesn't move"
-
-
-def merge_with(part: int) -> str:
-    """The title of notes about a merge."""
-    return f"Merge with part {part}"
+merge_with = Message("Merge with part {part}")
 
 
 def found(count: int) -> str:
@@ -211,11 +188,7 @@ def hint_points(left: int) -> str:
     return f"Cut: {left} more {plural('point', left)} · Esc cancels"
 
 
-def hint_mask(number: int, total: int) -> str:
-    """Which of the masks for the last click is shown, from 1."""
-    return f"Mask {number} of {total} · Tab: next · Shift+Tab: previous"
-
-
+hint_mask = Message("Mask {number} of {total} · Tab: next · Shift+Tab: previous")
 # --- prompts
 
 PROMPTS: Final = "Prompts"
@@ -226,11 +199,7 @@ NONE_ON_PART: Final = "This part has no prompts"
 OTHER_MASK: Final = "other mask"
 OTHER_TOOLS: Final[dict[str, str]] = {"box": "Box", "source": "From the file"}
 """Recorded names that no button has."""
-
-
-def prompt_count(here: int, total: int) -> str:
-    """Above the prompts of the selected part."""
-    return f"{here} on this part, {total} in total. Click one to remove it."
+prompt_count = Message("{here} on this part, {total} in total. Click one to remove it.")
 
 
 def prompt_click(sign: str, position: tuple[float, float, float]) -> str:
@@ -272,11 +241,7 @@ UP_AXIS: Final = "Up axis"
 UNIT: Final = "File's unit"
 APPLY: Final = "Apply and reload"
 RELOAD_NOTE: Final = "Reloading discards parts and joints; undo restores them."
-
-
-def set_unit(unit: str) -> str:
-    """The button that takes the suggested unit."""
-    return f"Use {unit}"
+set_unit = Message("Use {unit}")
 
 
 def extracted_from(scene: str, position: tuple[float, float, float]) -> str:
@@ -290,6 +255,4 @@ def excluded(what: str, count: int) -> str:
     return f"Excluded: {what}, {count:,} {plural('element', count)}."
 
 
-def extracted(names: str) -> str:
-    """The objects that were extracted."""
-    return f"Extracted: {names}."
+extracted = Message("Extracted: {names}.")

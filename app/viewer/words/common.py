@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from app.server.scene_rows import HELD
+from app.viewer.words.message import Message
 
 NONE: Final = "—"
 OTHER: Final = "Other…"
@@ -84,9 +85,7 @@ def rejected_by(user: str, reason: str, comment: str) -> str:
     return f"⚠ Rejected by {user}: {reason}{f': “{comment}”' if comment else ''}".rstrip(": ")
 
 
-def warning(text: str) -> str:
-    """A line that stands out."""
-    return f"⚠ {text}"
+warning = Message("⚠ {text}")
 
 
 def plural(noun: str, count: int) -> str:

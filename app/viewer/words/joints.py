@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Final
 
+from app.viewer.words.message import Message
+
 EMPTY: Final = "No joints yet. Click the moving parts, then predict."
 ASK_CATEGORY: Final = "**What is the object?**"
 PART_NAME: Final = "Part name"
@@ -94,9 +96,7 @@ def confidence(share: float) -> str:
     return f"{100 * share:.0f} %"
 
 
-def span(lower: str, upper: str) -> str:
-    """A range with its unit."""
-    return f"{lower} to {upper}"
+span = Message("{lower} to {upper}")
 
 
 def tree_line(
@@ -123,11 +123,5 @@ def collision(other: str, at: str, millimetres: float) -> str:
     )
 
 
-def no_limits(kind: str) -> str:
-    """Why limits can't be set."""
-    return f"a {kind} joint has no limits: choose another type first"
-
-
-def gone(title: str) -> str:
-    """A part or joint that is no longer there."""
-    return f"{title} no longer exists: select again"
+no_limits = Message("a {kind} joint has no limits: choose another type first")
+gone = Message("{title} no longer exists: select again")

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Final
 
+from app.viewer.words.message import Message
+
 TITLE: Final = "Keys and mouse"
 CLOSE: Final = "Close (Esc)"
 SHEET: Final[tuple[tuple[str, str], ...]] = (
@@ -62,16 +64,6 @@ def select_part(part: int) -> str:
     return f"Select {f'part {part}' if part else 'the base'}"
 
 
-def name_part(name: str) -> str:
-    """Name the selected part."""
-    return f"Name: {name}"
-
-
-def tool(label: str) -> str:
-    """Use a tool."""
-    return f"Tool: {label}"
-
-
-def step(name: str) -> str:
-    """Go to a step."""
-    return f"Step: {name}"
+name_part = Message("Name: {name}")
+tool = Message("Tool: {label}")
+step = Message("Step: {name}")

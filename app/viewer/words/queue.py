@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Final
 
+from app.viewer.words.message import Message
+
 TITLE: Final = "Queue"
 SEARCH_HINT: Final = "Part of the name"
 ON_HOLD_HINT: Final = "Accepted before the checks were done, which then found problems"
@@ -16,16 +18,8 @@ CHECKING: Final = "checking, then accepted"
 SAVING: Final = "saving"
 INTERRUPTED: Final = "acceptance was interrupted"
 EMPTY: Final = ("The queue is empty", "Start with: artiworld serve PATH")
-
-
-def progress(accepted: int, total: int) -> str:
-    """How much of the queue is done."""
-    return f"**{accepted} of {total}** accepted"
-
-
-def restore(name: str) -> str:
-    """The button that brings a removed object back."""
-    return f"Restore {name}"
+progress = Message("**{accepted} of {total}** accepted")
+restore = Message("Restore {name}")
 
 
 def on_hold(name: str, others: int) -> str:
@@ -33,6 +27,4 @@ def on_hold(name: str, others: int) -> str:
     return f"On hold: {name}{f' (+{others})' if others else ''}"
 
 
-def on_hold_because(why: str) -> str:
-    """The state of such an object."""
-    return f"on hold: {why}"
+on_hold_because = Message("on hold: {why}")

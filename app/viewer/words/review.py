@@ -6,6 +6,7 @@ from typing import Final
 
 from app.server.open_object import INTERRUPTED
 from app.viewer.words.common import plural
+from app.viewer.words.message import Message
 from model.validation.report import FixKind, Severity
 from sessions.review import RejectReason
 
@@ -44,14 +45,8 @@ def accept(edited: bool, warned: bool, errors: bool) -> str:
     return "Accept with edits (Y)" if edited else "Accept (Y)"
 
 
-def saved_in(folder: str) -> str:
-    """Where the asset is."""
-    return f"Saved in {folder}"
-
-
-def too_large(folder: str) -> str:
-    """Why an asset isn't sent."""
-    return f"too large to download: it is in {folder}"
+saved_in = Message("Saved in {folder}")
+too_large = Message("too large to download: it is in {folder}")
 
 
 def pending(waiting: bool, held: str, interrupted: bool) -> str:
@@ -68,41 +63,13 @@ def state(state: str, user: str) -> str:
     return f"**{state.capitalize()}**" + (f" by {user}" if user else "")
 
 
-def from_file(name: str) -> str:
-    """The joints are a file's."""
-    return f"**From {name}**"
-
-
-def reason(text: str) -> str:
-    """Why it was rejected."""
-    return f"Reason: {text}"
-
-
-def comment(text: str) -> str:
-    """What somebody wrote."""
-    return f"“{text}”"
-
-
-def override(text: str) -> str:
-    """Why it was accepted despite errors."""
-    return f"Accepted with errors: “{text}”"
-
-
-def about(name: str, text: str) -> str:
-    """News of an object that may not be shown any more."""
-    return f"{name}: {text}"
-
-
-def sent_back(name: str) -> str:
-    """An object was rejected."""
-    return f"{name}: back to annotation"
-
-
-def joint_changed(part: str) -> str:
-    """A line of the history."""
-    return f"change the joint of {part}"
-
-
+from_file = Message("**From {name}**")
+reason = Message("Reason: {text}")
+comment = Message("“{text}”")
+override = Message("Accepted with errors: “{text}”")
+about = Message("{name}: {text}")
+sent_back = Message("{name}: back to annotation")
+joint_changed = Message("change the joint of {part}")
 # --- rejecting
 
 REASONS: Final[dict[RejectReason, str]] = {
@@ -172,9 +139,7 @@ def checks(counts: dict[Severity, int]) -> str:
     return f"**Checks: {' · '.join(parts) or NOTHING_MOVES}**"
 
 
-def checks_failed(why: str) -> str:
-    """The checks ended with an error of their own."""
-    return f"⚠ **The checks failed:** {why}"
+checks_failed = Message("⚠ **The checks failed:** {why}")
 
 
 def checking(share: float, detail: str) -> str:
@@ -182,9 +147,7 @@ def checking(share: float, detail: str) -> str:
     return f"*Checking the joints… {100 * share:.0f} % {detail}".rstrip() + "*"
 
 
-def no_physics(why: str) -> str:
-    """Physics could not be simulated."""
-    return f"*Physics: {why}*"
+no_physics = Message("*Physics: {why}*")
 
 
 def finding(severity: Severity, title: str) -> str:
@@ -192,14 +155,8 @@ def finding(severity: Severity, title: str) -> str:
     return f"{SIGNS[severity]} {title}: {SEVERITIES[severity]}"[:60]
 
 
-def more_findings(count: int) -> str:
-    """Joints without a button."""
-    return f"… and {count} more (Tab)."
-
-
-def fixed(message: str) -> str:
-    """What a fix did."""
-    return f"{message} Undo with Ctrl+Z."
+more_findings = Message("… and {count} more (Tab).")
+fixed = Message("{message} Undo with Ctrl+Z.")
 
 
 def moment(kind: str, metres: float) -> str:

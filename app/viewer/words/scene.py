@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from app.viewer.words.common import SCENE_STATES, plural
+from app.viewer.words.message import Message
 
 TITLE: Final = "Scene"
 ORIGINAL_COLORS: Final = "Original colors"
@@ -83,9 +84,7 @@ def file_problems(lines: list[str], more: int) -> str:
     return "⚠ About the file:\n" + "\n".join(f"- {line}" for line in [*lines, *rest])
 
 
-def more_joints(count: int) -> str:
-    """Joints without a button."""
-    return f"… and {count} with higher confidence."
+more_joints = Message("… and {count} with higher confidence.")
 
 
 def accept_count(count: int) -> str:
@@ -98,14 +97,8 @@ def kind_set(articulable: bool) -> str:
     return f"Set by a user: {'articulable' if articulable else 'static'}."
 
 
-def why(reason: str) -> str:
-    """Why an object has its kind."""
-    return f"Reason: {reason}"
-
-
-def instances(count: int) -> str:
-    """How often an asset stands in the scene."""
-    return f"{count} instances: a decision applies to all."
+why = Message("Reason: {reason}")
+instances = Message("{count} instances: a decision applies to all.")
 
 
 def refused(why: str, anyway: bool, findings: bool) -> str:
@@ -116,14 +109,8 @@ def refused(why: str, anyway: bool, findings: bool) -> str:
     return f"⚠ Not accepted: {why} {then}".rstrip()
 
 
-def expected(parts: str) -> str:
-    """Parts that move in objects of its kind."""
-    return f"Expected moving parts: {parts}"
-
-
-def left(reason: str) -> str:
-    """Why there is no prediction."""
-    return f"⚠ Needs annotation: {reason}"
+expected = Message("Expected moving parts: {parts}")
+left = Message("⚠ Needs annotation: {reason}")
 
 
 def decided(state: str, user: str, reason: str) -> str:
@@ -155,11 +142,7 @@ def to_decide(
     return " ".join(lines)
 
 
-def sentence(text: str) -> str:
-    """A sentence of the server's."""
-    return f"{text}."
-
-
+sentence = Message("{text}.")
 NOTHING_ARTICULABLE: Final = "No articulable objects."
 EXTRACT_FIRST: Final = "Extract an object first."
 
@@ -173,11 +156,7 @@ DONE: Final = "All objects are decided"
 NO_MORE_PREDICTED: Final = "No more predictions"
 NONE_ABOVE: Final = "no predicted object has that confidence"
 NEED_SELECTION: Final = "select an object first: click it, or press N"
-
-
-def undone(what: str) -> str:
-    """The title after undo."""
-    return f"Undone: {what}"
+undone = Message("Undone: {what}")
 
 
 def still_checking(count: int) -> tuple[str, str]:
@@ -198,31 +177,9 @@ def remaining(coming: int, left: int) -> str:
     return "; ".join(lines)
 
 
-def is_static(id: str) -> str:
-    """Why there is nothing to decide."""
-    return f"{id} is static: there is nothing to decide"
-
-
-def no_joints(id: str) -> str:
-    """Why it can't be accepted."""
-    return f"{id} has no joints yet: press Enter to edit it"
-
-
-def already_accepted(id: str) -> str:
-    """It was accepted before."""
-    return f"{id} is already accepted"
-
-
-def already_checking(id: str) -> str:
-    """It will be accepted soon."""
-    return f"{id} is already being checked"
-
-
-def has_problems(id: str, problems: str) -> str:
-    """Why it can't be accepted."""
-    return f"{id}: {problems}. Press Enter to edit it"
-
-
-def has_errors(id: str, why: str) -> str:
-    """The checks found errors."""
-    return f"{id}: {why} Press Enter to see them; fix them, or accept with a reason"
+is_static = Message("{id} is static: there is nothing to decide")
+no_joints = Message("{id} has no joints yet: press Enter to edit it")
+already_accepted = Message("{id} is already accepted")
+already_checking = Message("{id} is already being checked")
+has_problems = Message("{id}: {problems}. Press Enter to edit it")
+has_errors = Message("{id}: {why} Press Enter to see them; fix them, or accept with a reason")
