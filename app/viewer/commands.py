@@ -30,7 +30,7 @@ _CANCELLED = ("predict", "save", "segment", "room", "tool")
 TOOL_KEYS: Final[dict[str, str]] = {
     "merge": "M", "connected": "O", "grow": "U", "shrink": "J", "same shape": "Z",
 }  # fmt: skip
-"""Keys of tools. The page itself hears L and I, since a drag may begin before a message is here."""
+"""Keys of tools. L and I are handled in the page: a drag may begin before a message arrives."""
 _WITHOUT_COMMAND = ("cut", "rectangle", NEXT_MASK)
 """Tools that have commands of their own."""
 
@@ -191,7 +191,7 @@ def bindings(
     yield Binding(words.FLIP_AXIS, "F", joints.editor.flip)
     yield Binding(words.HANDLES, "G", motion.toggle_handles)
     yield Binding(words.HIDE, "H", annotate.parts.toggle_hidden)
-    # The page hears Shift and a number: which sign that writes depends on the keyboard.
+    # Shift and a digit are handled in the page: the sign depends on the keyboard.
     for number, name in enumerate(NUMBERED, 1):
         yield Binding(words.name_part(name), None, _with(commands.name_by_key, number))
     yield Binding(words.TAKE_CATEGORY, None, _with(commands.name_by_key, 0))

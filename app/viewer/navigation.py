@@ -139,7 +139,7 @@ class Navigation:
         def tell(title: str, body: str, color: str) -> None:
             if over():
                 end()
-            if tab.selection.object is obj:  # come back to, it tells so by itself
+            if tab.selection.object is obj:  # its own subscription notifies
                 return
             name = self._app_state.display_name(obj.record)
             text = display_text(obj.document, body).removeprefix(about(name, ""))
@@ -148,7 +148,7 @@ class Navigation:
         def changed() -> None:
             tab.invalidate()
             if over() and obj.document.review.state != "accepted":
-                end()  # why it was refused is told by whoever asked for it
+                end()  # the refusal is shown by its own callback
 
         self._heard.add(obj)
         stop = obj.watch(changed, tell)

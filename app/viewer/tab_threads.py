@@ -61,7 +61,7 @@ class TabThreads:
                 pass
             except ArtiworldError as error:
                 self._notify(words.NOT_POSSIBLE, str(error), "yellow")
-            except Exception:  # the boundary of the user's action: say it and go on
+            except Exception:  # the boundary of an action: report and continue
                 if self.closed:
                     return
                 log.exception("an action in %s failed", self._name)

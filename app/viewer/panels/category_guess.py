@@ -25,9 +25,9 @@ _KINDS: Final = {
     "computer mouse": "Mouse",
     "usb stick": "USB",
 }
-"""The lexicon's kinds that the categories' own names don't tell."""
+"""Kinds of the lexicon → categories of another name."""
 _FOLDERS = 2
-"""Folders above the file whose names may tell what it is: "Oven/101773/object.obj"."""
+"""Folders above the file whose names may hold the category: "Oven/101773/object.obj"."""
 _ROW, _FRAME = 41, 5
 """Letters that fit the panel side by side, and for how many a button's frame and gap take room."""
 _MARK = "?"

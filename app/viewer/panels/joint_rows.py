@@ -16,7 +16,7 @@ from app.viewer.words.common import EDITED
 from sessions.document import Document
 
 SHOWN = 12
-"""Joints with buttons, the least sure ones; the others are counted."""
+"""Joints with buttons, those of lowest confidence; the others are counted."""
 
 
 JointLine = tuple[str, str, palette.Rgb]
@@ -75,7 +75,7 @@ def joint_lines(doc: Document) -> list[JointLine]:
         part = moved_part(doc.tree, joint.child)
         sure = confidence_text(doc, joint.child)
         edited = EDITED * (joint.child in doc.edited_joints)
-        # "Turns freely" says the type, and a long line would be cut at its end, which counts most.
+        # "unlimited" implies the type, and a long line loses its end, the confidence.
         kind = "" if joint.type == "continuous" else joint.type
         texts = [joint_title(doc, joint.child)[:40] + edited, kind, range_text(joint), sure]
         number = part.removeprefix("link_")

@@ -83,7 +83,7 @@ class ObjectHeader:
         put(self._play, "visible", doc.tree is not None and selection.step != "Annotate")
         jobs = dict(obj.busy)  # they end while this is drawn
         stoppable = {"predict", "save", "room"} & set(jobs)
-        if jobs.get("tool", (0.0, ""))[0]:  # only what takes seconds says how far it is
+        if jobs.get("tool", (0.0, ""))[0]:  # only long tools report progress
             stoppable.add("tool")
         done = max((jobs[w][0] for w in stoppable), default=0.0)
         put(self._status, "content", "\n\n".join(self._lines(obj, jobs, bool(stoppable))))

@@ -25,10 +25,10 @@ class PromptEntry:
     """One line of the list.
 
     Attributes:
-        part: whose it is.
+        part: its part.
         index: of its first prompt among all.
         count: prompts that it stands for.
-        label: what it says.
+        label: its text.
     """
 
     part: int

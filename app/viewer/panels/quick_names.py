@@ -13,7 +13,7 @@ from app.viewer.words.common import CHOSEN
 ROWS: Final[tuple[tuple[str, ...], ...]] = (("door", "drawer", "lid"), ("knob", "button", "wheel"))
 """What most parts are; the list beside them has the rest."""
 NUMBERED: Final[tuple[str, ...]] = tuple(name for row in ROWS for name in row)
-"""Shift and a number, from 1 on, says it."""
+"""Names by their digit, from 1, pressed with Shift."""
 
 
 class QuickNames:

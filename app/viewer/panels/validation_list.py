@@ -34,7 +34,9 @@ class ValidationList:
         self._rows: list[Any] = []
         self._shown: tuple[Any, str] | None = None
         self._looked_at: deque[ValidationReport] = deque(maxlen=64)
-        self._wanted: int | None = None  # an object whose worst moment is shown once it is judged
+        self._wanted: int | None = (
+            None  # id of an object whose worst pose is shown once it is checked
+        )
         self._headline = tab.client.gui.add_markdown("")
 
     def build_list(self) -> None:

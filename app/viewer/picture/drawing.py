@@ -57,7 +57,7 @@ class ObjectDrawing:
         return obj is not None and self._picture.labels is obj.labels
 
     def draw(self, obj: OpenObject, *, touch: bool) -> None:
-        """Send what changed; ``touch`` where fingers are to be heard."""
+        """Send what changed; ``touch`` where taps are clicks."""
         if obj.asset is not None and obj.asset is not self._asset:
             before = self._asset if self._id == obj.record.id else None
             stays = before is not None and np.array_equal(before.bounds, obj.asset.bounds)

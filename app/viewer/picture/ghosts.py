@@ -61,7 +61,7 @@ class Ghosts:
 
         Args:
             nodes: all that is drawn.
-            at: the object's shape and where it stands.
+            at: the object's shape and placement.
         """
         scans = [node for node in nodes if isinstance(node, Scans)]
         drawn = (None,) if id is None or at is None else (id, *scans)
@@ -124,12 +124,12 @@ class Ghosts:
 
 
 def before(eye: Array, points: Array, bounds: Array, placement: Placement) -> npt.NDArray[np.bool_]:
-    """(N,) which points stand between an eye and an object's box.
+    """(N,) which points are between an eye and an object's box.
 
     Args:
         eye: (3,), points: (N, 3), in one frame.
         bounds: (2, 3) of the object's asset.
-        stand: where that is.
+        placement: of that asset.
     """
     turn = placement.world[:3, :3] / placement.scale
     start = (eye - placement.world[:3, 3]) @ turn

@@ -202,7 +202,7 @@ def axis_length(
     axis: tuple[float, float, float],
     diagonal: float,
 ) -> float:
-    """A length that lets the arrow along ``axis`` stand out of a link's part at both ends."""
+    """The length of an arrow along ``axis`` that sticks out of a link's part at both ends."""
     part = link.removeprefix("link_")
     for payload in payloads or ():
         if str(payload.part) == part:

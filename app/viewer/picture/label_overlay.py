@@ -56,7 +56,7 @@ class LabelOverlay:
             elif not same:
                 self._color_cloud(labels)
             self._leave_out(labels, hidden)
-        self.labels = labels  # last: whoever waits for them sees them drawn
+        self.labels = labels  # last: they are drawn by now
 
     def set_visible(self, visible: bool) -> None:
         """Show or hide the overlay of a mesh."""

@@ -37,7 +37,7 @@ class LightSwitch:
 
     @plain.setter
     def plain(self, plain: bool) -> None:
-        self._box.value = plain  # which is heard like a click on it
+        self._box.value = plain  # this triggers the same callback as a click
 
     def _switched(self) -> None:
         self._light(self.plain)

@@ -1,4 +1,4 @@
-"""The pose of the open object: set by sliders, played, or held at a finding."""
+"""The pose of the open object: set by sliders, played, or that of a finding."""
 
 from __future__ import annotations
 

@@ -105,7 +105,7 @@ class MovingParts:
         direction: npt.ArrayLike,
         hidden: frozenset[int],
     ) -> int | None:
-        """The part of which ``measure`` says the least, less than ``none``."""
+        """The part with the smallest ``measure``, less than ``none``."""
         nearest, found = none, None
         for payload in self._payloads or ():
             if payload.part in hidden:

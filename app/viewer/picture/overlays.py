@@ -65,7 +65,7 @@ class Overlays:
         )
 
     def show_places(self, places: tuple[tuple[float, float, float], ...]) -> None:
-        """Marks where a cut goes through."""
+        """Mark the points of a cut."""
         if self._diagonal is None:
             return
         for handle in self._places:

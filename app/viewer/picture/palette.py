@@ -55,7 +55,7 @@ SCENE_COLORS: Final[dict[str, Rgb]] = {
     "failed": (90, 96, 104),
     "missing": (90, 96, 104),
 }
-"""Objects of a scene by where they stand; what is to do must not look like what stands still."""
+"""Objects of a scene by state; "to do" must differ from "static"."""
 
 
 def albedo(color: Rgb) -> Rgb:

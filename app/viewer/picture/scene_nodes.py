@@ -45,7 +45,7 @@ class Look:
     """How the scene is drawn.
 
     Attributes:
-        status: object → where it stands.
+        status: object → its state.
         own: everything as the source has it; else the static objects alone.
         ghosted: the object that is worked on among ghosts, or None.
         chosen: the object whose parts have colors of their own, or None.
@@ -344,7 +344,7 @@ def send(
     client: viser.ClientHandle, name: str, ids: Ids, shape: Shape, placements: Sequence[Placement],
     work: Work | None, link: str,
 ) -> Node:  # fmt: skip
-    """Send a shape as it stands here and there."""
+    """Send a shape with all its placements."""
     kind: Callable[..., Node] = Scans if shape.faces is None else Instances
     return kind(client, name, ids, shape, placements, work, link)
 

@@ -82,7 +82,7 @@ class ScenePicture:
         self.ghosted: str | None = None
         self.camera: tuple[Any, ...] | None = None
 
-    # --- what stands where
+    # --- placements
 
     def placement(self, item: SceneItem) -> tuple[Shape, Placement] | None:
         """An object's shape and place; None where it isn't known (yet)."""
@@ -260,7 +260,7 @@ class ScenePicture:
             return
         corners = corners_of(*placement, margin=0.012)
         size = float(np.linalg.norm(np.ptp(corners, axis=0)))
-        # Not through what it stands on, which would hide the box's lower edges.
+        # Not below the floor, which would hide the box's lower edges.
         lowest = float(corners_of(*placement)[:, 2].min()) + 2e-3 * size
         corners[:, 2] = np.maximum(corners[:, 2], lowest)
         self._outline = [
@@ -285,7 +285,7 @@ class ScenePicture:
         self._place_root()
 
     def _place_root(self) -> None:
-        """The scene stands in its own frame, or in that of the object that is worked on."""
+        """Place the scene in its own frame, or in that of the object that is edited."""
         world = np.eye(4) if self.ghosted is None else self._world_of_ghosted()
         if world is None or self._root is None:
             return  # its size isn't known yet: it is placed once that is
@@ -325,7 +325,7 @@ class ScenePicture:
         """Aim at objects from where the camera looks now, or at the whole scene from above.
 
         Args:
-            front: look at the first of them from its front, past what stands before it.
+            front: look at the first of them from its front, past what is before it.
         """
         bounds = self.bounds(ids)
         if bounds is None:

@@ -227,7 +227,7 @@ class JointsStep:
             self._predict_what_is_known()
 
     def _predict_what_is_known(self) -> None:
-        """Predict again once the last name, or the category after it, has been said.
+        """Predict again once all names and the category are set.
 
         Where the user has settled joints, they are not predicted in passing.
         """
