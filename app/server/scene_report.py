@@ -214,9 +214,9 @@ def _joint(
     certainty = "" if confidence is None else f", confidence {100 * confidence:.0f} %"
     if shorter is not None and _same(limits, shorter["was"]):
         hits = ", ".join(dict.fromkeys(shorter["hits"].values()))
-        was = "" if limits is None else f" instead of{_span(joint, limits)}"
+        was = "" if limits is None else f", was{_span(joint, limits)}"
         limits = shorter["limits"]
-        note = f"<br><span class=note>{escape(f'limited{was} by {hits}')}</span>"
+        note = f"<br><span class=note>{escape(f'in the saved scene limited by {hits}{was}')}</span>"
     span = "" if limits is None else _span(joint, limits)
     return f"<span class=line>{escape(name)}: {joint.type}{span}{certainty}</span>{note}"
 

@@ -197,7 +197,7 @@ def test_errors_of_the_predictor(url):
     assert not isinstance(told.value, BackendError)
     with pytest.raises(BackendError, match=r"failed: .*a bug"):
         client.predict(cupboard_object("broken"))
-    with pytest.raises(BackendError, match=r"failed: .*exit code 3"):
+    with pytest.raises(BackendError, match=r"failed: .*code 3"):
         client.predict(cupboard_object("crash"))
     assert client.predict(cupboard_object()).tree is not None
 

@@ -117,9 +117,9 @@ def test_what_was_taken_off_stays_off_at_the_next_start(begin_app, tmp_path: Pat
     assert later.queue.restore() == ids[1]
     again = begin_app(good, *bad)
     assert [r.id for r in again.queue.records()] == ids[:2] and again.queue.removed == (ids[2],)
-    assert [r.id for r in begin_app(bad[1]).records()] == [ids[2]]  # it is all there is
+    assert [r.id for r in begin_app(bad[1]).queue.records()] == [ids[2]]  # it is all there is
     GOOD.export(bad[1])  # mended
-    assert [r.id for r in begin_app(good, *bad).records()] == ids
+    assert [r.id for r in begin_app(good, *bad).queue.records()] == ids
 
 
 def test_it_is_tried_again_where_its_worker_died_or_a_person_asks(

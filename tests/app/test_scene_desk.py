@@ -669,5 +669,5 @@ def test_the_report_shows_the_limits_that_were_saved(accepted: World) -> None:
     desk.saving.report(done.append)
     wait(lambda: done, "the report")
     page = done[0].read_text(encoding="utf-8")
-    assert "revolute 0…29°" in page and "because of wall &lt;b&gt;" in page
-    assert page.count("because of wall") == 1  # not of its twin
+    assert "revolute 0…29°" in page and "by wall &lt;b&gt;" in page
+    assert page.count("limited by wall") == 1  # not of its twin

@@ -152,7 +152,7 @@ def test_connected_says_so_where_nearly_everything_is(tmp_path):
     trimesh.PointCloud(points).export(tmp_path / "box.ply")
     here = (open_asset(tmp_path / "box.ply", tmp_path, tasks.ReadOptions()), tmp_path)
     click = click_at(here[0], (0.0, -0.2, 0.15), 1)
-    with pytest.raises(CommandError, match="nearly all that there is"):
+    with pytest.raises(CommandError, match="nearly everything is connected"):
         run(here, [click], ToolRequest("connected", 1))
 
 
@@ -222,7 +222,7 @@ def test_the_preview_is_what_the_click_does(chest):
 def test_what_cannot_be_done_is_said(chest):
     with pytest.raises(CommandError, match="next mask"):
         run(chest, (), ToolRequest("magic", 1))
-    for tool, told in (("grow", "nothing yet"), ("connected", "click on the part"),
+    for tool, told in (("grow", "is empty"), ("connected", "click on the part"),
                        ("cut", "places"), ("merge", "another part")):  # fmt: skip
         with pytest.raises(CommandError, match=told):
             run(chest, (), ToolRequest(tool, 1))
