@@ -40,7 +40,7 @@ class CheckTask:
 
     Attributes:
         store: folder of cached collision shapes.
-        gate: whether the joints are validated.
+        validate: whether the joints are validated.
         coacd_seconds: time for the comparison with coacd; 0 for none.
     """
 
@@ -49,7 +49,7 @@ class CheckTask:
     formats: tuple[str, ...]
     physics: PhysicsSettings
     store: Path | None
-    gate: bool
+    validate: bool
     coacd_seconds: float
 
 
@@ -62,7 +62,7 @@ def check(options: CheckCommand) -> int:
     assets = find_assets(options.assets)
     physics, store = physics_settings(options.physics), shape_store(options.physics)
     tasks = [
-        CheckTask(asset, name, formats, physics, store, options.gate, options.compare_coacd)
+        CheckTask(asset, name, formats, physics, store, options.validate, options.compare_coacd)
         for asset, name in zip(assets, asset_names(assets), strict=True)
     ]
     rows: dict[int, dict[str, Any]] = {}
@@ -125,7 +125,7 @@ def check_one(task: CheckTask) -> dict[str, Any]:
         "formats": [_format(obj, physics, name) for name in task.formats],
         "collision": _collision(obj, physics, seconds, task.coacd_seconds)
         if physics.collision else None,
-        "gate": _gate(obj, task) if task.gate else None,
+        "gate": _validation(obj, task) if task.validate else None,
     }  # fmt: skip
     row["readable"] = not row["inertia_problems"] and all(f["fine"] for f in row["formats"])
     row["fine"] = row["readable"] and not (row["gate"] and row["gate"]["verdict"] == "broken")
@@ -183,7 +183,7 @@ def _collision(
     return row
 
 
-def _gate(obj: ArticulatedObject, task: CheckTask) -> dict[str, Any]:
+def _validation(obj: ArticulatedObject, task: CheckTask) -> dict[str, Any]:
     """Validate the joints, also against the confidence of their prediction."""
     if not task.physics.declared_shapes:
         obj = replace(obj, shapes={})
@@ -265,9 +265,9 @@ def _cells(row: dict[str, Any]) -> list[str | Text]:
     return [row["name"], read, *figures, verdict, Text("\n".join(errors), "bold red")]
 
 
-def _joints_with(gate: dict[str, Any] | None, verdict: str) -> list[str]:
+def _joints_with(report: dict[str, Any] | None, verdict: str) -> list[str]:
     """Joint and reason, for each joint with that verdict."""
-    joints = gate["joints"] if gate else []
+    joints = report["joints"] if report else []
     return [f"{j['joint']}: {j['sentence']}" for j in joints if j["verdict"] == verdict]
 
 

@@ -34,6 +34,7 @@ from app.cli.research_commands import (
     TrainCommand,
 )
 from app.server.config import TOKEN_VARIABLE
+from model.core.registry import at_place
 from model.prediction import DEFAULT as DEFAULT_PREDICTOR
 from model.prediction.remote import TOKEN_VARIABLE as BACKEND_TOKEN_VARIABLE
 
@@ -80,9 +81,7 @@ class ServeCommand(Command):
 
     def run(self) -> int:
         """Serve until interrupted."""
-        from app.cli.serve import serve
-
-        return serve(self)
+        return at_place("app.cli.serve:serve")(self)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -249,9 +248,7 @@ class SceneInspectCommand(Command):
 
     def run(self) -> int:
         """List the objects, or estimate the cost of asking about them."""
-        from app.cli import scene
-
-        return scene.estimate(self) if self.dry_run else scene.inspect(self)
+        return at_place(f"app.cli.scene:{'estimate' if self.dry_run else 'inspect'}")(self)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -282,9 +279,7 @@ class SceneConvertCommand(SceneInspectCommand):
 
     def run(self) -> int:
         """Convert the scene, or estimate the cost of asking about its objects."""
-        from app.cli import scene
-
-        return scene.estimate(self) if self.dry_run else scene.convert(self)
+        return at_place(f"app.cli.scene:{'estimate' if self.dry_run else 'convert'}")(self)
 
 
 class SceneCommand(Command):
@@ -312,9 +307,7 @@ class BackendCommand(Command):
 
     def run(self) -> int:
         """Answer requests until interrupted."""
-        from app.cli.backend import serve_backend
-
-        return serve_backend(self)
+        return at_place("app.cli.backend:serve_backend")(self)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -338,9 +331,7 @@ class ExportCommand(Command):
 
     def run(self) -> int:
         """Write the files; 2 where an asset could not be written."""
-        from app.cli.export import export
-
-        return export(self)
+        return at_place("app.cli.export:export")(self)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -351,7 +342,7 @@ class CheckCommand(Command):
         "asset folders, URDF and MJCF files, or folders of assets", "ASSET", nargs="+"
     )
     format: tuple[str, ...] = repeated("formats to write and read back (default: all)", "NAME,NAME")
-    gate: bool = flag("sweep every joint, and drive it in MuJoCo", default=True)
+    validate: bool = flag("sweep every joint, and drive it in MuJoCo", True, name="--gate")
     allow_broken: bool = flag(
         "exit with 0 where everything can be read back, whatever validation finds"
     )
@@ -364,9 +355,7 @@ class CheckCommand(Command):
 
     def run(self) -> int:
         """Print the findings; 1 where an asset has an error."""
-        from app.cli.check import check
-
-        return check(self)
+        return at_place("app.cli.check:check")(self)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,6 +12,7 @@ from typing import Literal
 
 from app.cli.command import Command, argument, flag, group, option, repeated, required
 from app.cli.options import count, json_flag, seed_option
+from model.core.registry import at_place
 from model.prediction import DEFAULT as DEFAULT_PREDICTOR
 
 
@@ -73,9 +74,7 @@ class EvaluateCommand(Command):
 
     def run(self) -> int:
         """Score, or what is asked for instead, and print the table."""
-        from app.cli.evaluate import evaluate
-
-        return evaluate(self)
+        return at_place("app.cli.evaluate:evaluate")(self)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -151,9 +150,7 @@ class TrainCommand(Command):
 
     def run(self) -> int:
         """Make missing samples, train, and write weights."""
-        from app.cli.train import train
-
-        return train(self)
+        return at_place("app.cli.train:train")(self)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -194,22 +191,12 @@ class BenchCommand(Command):
         """Measure, and print the figures. Each benchmark has heavy packages of its own."""
         from app.cli import printing
 
-        if self.what == "ui":
-            from app.cli.benchmarks import ui as benchmark
-        elif self.what == "scene":
-            from app.cli.benchmarks import scene as benchmark
-        elif self.what == "segment":
-            from app.cli.benchmarks import segment as benchmark
-        elif self.what == "scans":
-            from app.cli.benchmarks import scans as benchmark
-        elif self.what == "predict":
-            from app.cli.benchmarks import predict as benchmark
-        else:
+        if self.what == "networks":
             from model.training.arti4urdf.config import LORA_RANK, FullConfig, require_extras
 
             require_extras(FullConfig(lora_rank=LORA_RANK))
-            from app.cli.benchmarks import networks as benchmark
+        bench = at_place(f"app.cli.benchmarks.{self.what}:bench")
         with printing.session(self.json) as show:
-            report, table = benchmark.bench(self, show.progress)
+            report, table = bench(self, show.progress)
         show.result(report, table)
         return 0

@@ -13,6 +13,16 @@ from model.core.errors import ArtiworldError, ConfigurationError
 T = TypeVar("T")
 
 
+def at_place(place: str) -> Any:
+    """What ``"package.module:name"`` stands for, imported now.
+
+    Raises:
+        ImportError: where it can't be.
+    """
+    module, _, name = place.partition(":")
+    return getattr(import_module(module), name)
+
+
 @dataclass(frozen=True)
 class Registry(Generic[T]):
     """Named implementations of one protocol.
@@ -81,10 +91,8 @@ class Registry(Generic[T]):
         self, name: str, factory: str | Callable[..., T], /, *arguments: Any, **options: Any
     ) -> T:
         try:
-            if isinstance(factory, str):
-                module, _, attribute = factory.partition(":")
-                factory = getattr(import_module(module), attribute)
-            return factory(*arguments, **options)
+            made = at_place(factory) if isinstance(factory, str) else factory
+            return made(*arguments, **options)
         except ImportError as error:  # an extra isn't installed
             raise ConfigurationError(f"{self.kind} {name!r} can't be loaded: {error}") from error
 

@@ -154,9 +154,9 @@ def corrupted(
     if settings.bleed:
         part = _bled(points, part, settings.bleed * diagonal, rng)
     points = points + rng.standard_normal(points.shape) * settings.noise * diagonal
-    stray = rng.random(len(points)) < settings.outliers
+    away = rng.random(len(points)) < settings.outliers
     low, high = points.min(0), points.max(0)
-    points[stray] = rng.uniform(low, high, (int(stray.sum()), 3))
+    points[away] = rng.uniform(low, high, (int(away.sum()), 3))
     out = _assembled(obj, points, colors, part, links, names, tree, settings, rng)
     return GroundTruth(name or obj.name, out)
 

@@ -199,13 +199,13 @@ def toaster(rng: np.random.Generator) -> ProceduralObject:
         y = (k - (slots - 1) / 2) * 0.07
         edges += [y - slot_d / 2, y + slot_d / 2]
     edges.append(d / 2)
-    crumb = 0.014
-    low = lift + crumb + 0.008
+    tray_height = 0.014
+    low = lift + tray_height + 0.008
     for a, z in zip(edges[::2], edges[1::2], strict=True):
         body.add(
             s.box(
-                (xs, z - a, h - crumb - 0.008),
-                (0, (a + z) / 2, low + (h - crumb - 0.008) / 2),
+                (xs, z - a, h - tray_height - 0.008),
+                (0, (a + z) / 2, low + (h - tray_height - 0.008) / 2),
                 0.006,
             ),
             palette.body,
@@ -217,7 +217,7 @@ def toaster(rng: np.random.Generator) -> ProceduralObject:
     body.add(s.box((xs, d, 0.006), (0, 0, low)), palette.metal, "floor")
     tray = b.slide("drawer", body, (0, 1, 0), 0.0, 0.7 * d, (0, 0, lift))
     tray.add(
-        s.tray((xs - 0.01, 0.96 * d, crumb), 0.0015).moved((0, 0, lift + 0.001)),
+        s.tray((xs - 0.01, 0.96 * d, tray_height), 0.0015).moved((0, 0, lift + 0.001)),
         palette.metal,
         "tray",
     )

@@ -202,8 +202,8 @@ def kitchen_pot(rng: np.random.Generator) -> ProceduralObject:
 def bottle(rng: np.random.Generator) -> ProceduralObject:
     """A body with a neck and a screw cap, a flip cap or a pump."""
     b = Builder("Bottle", rng)
-    tints = [(60, 110, 80), (120, 70, 40), (190, 210, 220), (60, 90, 150), *PLASTICS]
-    skin = plain("bottle", tints[rng.integers(len(tints))])
+    glass = [(60, 110, 80), (120, 70, 40), (190, 210, 220), (60, 90, 150), *PLASTICS]
+    skin = plain("bottle", glass[rng.integers(len(glass))])
     cap = (
         plain("cap", PLASTICS[rng.integers(len(PLASTICS))])
         if rng.random() < 0.7
