@@ -61,6 +61,7 @@ PRIVATE_WORDS = {
 """Words that may not be part of an identifier; the glossary has the field's word for each."""
 
 WORD_EXCEPTIONS: set[str] = {
+    "gate",  # the option --gate of artiworld check
     "gate_proj",  # Qwen3's own parameter name
     "WORD_EXCEPTIONS",
     "PRIVATE_WORDS",

@@ -62,7 +62,7 @@ def check(options: CheckCommand) -> int:
     assets = find_assets(options.assets)
     physics, store = physics_settings(options.physics), shape_store(options.physics)
     tasks = [
-        CheckTask(asset, name, formats, physics, store, options.validate, options.compare_coacd)
+        CheckTask(asset, name, formats, physics, store, options.gate, options.compare_coacd)
         for asset, name in zip(assets, asset_names(assets), strict=True)
     ]
     rows: dict[int, dict[str, Any]] = {}

@@ -76,11 +76,9 @@ def repeated(help: str, metavar: str, default: Any = (), **settings: Any) -> Any
     return option(help, metavar, default, repeat=True, **settings)
 
 
-def flag(
-    help: str, default: bool | None = False, *, negatable: bool = False, name: str | None = None
-) -> Any:
+def flag(help: str, default: bool | None = False, *, negatable: bool = False) -> Any:
     """Declare a ``bool`` as an option without a value; one that is on can be switched off."""
-    return option(help, None, default, negatable=negatable or bool(default), flag=name)
+    return option(help, None, default, negatable=negatable or bool(default))
 
 
 def argument(

@@ -342,7 +342,7 @@ class CheckCommand(Command):
         "asset folders, URDF and MJCF files, or folders of assets", "ASSET", nargs="+"
     )
     format: tuple[str, ...] = repeated("formats to write and read back (default: all)", "NAME,NAME")
-    validate: bool = flag("sweep every joint, and drive it in MuJoCo", True, name="--gate")
+    gate: bool = flag("sweep every joint, and drive it in MuJoCo", default=True)
     allow_broken: bool = flag(
         "exit with 0 where everything can be read back, whatever validation finds"
     )
