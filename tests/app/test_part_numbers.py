@@ -27,7 +27,7 @@ REF = "a" * 64
 HERE = Context("tester", "2026-01-01T00:00:00+00:00")
 
 
-def desk(offers: Any, *commands: Any) -> tuple[Segmenting, Any]:
+def open_with_tool(offers: Any, *commands: Any) -> tuple[Segmenting, Any]:
     """An open object after ``commands``, whose tools find ``offers``."""
     job = SimpleNamespace(before=lambda: None, result=lambda seconds: (job.before(), offers)[1])
     obj: Any = SimpleNamespace(
@@ -62,7 +62,7 @@ def wait(until: Callable[[], object]) -> None:
 
 def test_new_parts_take_the_numbers_of_empty_ones() -> None:
     said = (AddPart(1), AddPart(2), AddPart(3, "door"), AddClick(Click((0, 0, 0), 4)), AddPart(5))
-    segmenting, obj = desk([RegionOffer(-1, REF, 9)] * 3, *said)
+    segmenting, obj = open_with_tool([RegionOffer(-1, REF, 9)] * 3, *said)
     assert segmenting.use_tool(ToolRequest("propose", 2), "tester") == 3
     regions = [(p.part, p.tool) for p in obj.document.prompts[1:]]
     assert regions == [(1, "propose"), (2, "propose"), (5, "propose")]
@@ -71,7 +71,7 @@ def test_new_parts_take_the_numbers_of_empty_ones() -> None:
 
 def test_what_takes_an_empty_number_has_its_name() -> None:
     said = (AddPart(1), AddClick(Click((0, 0, 0), 2)), NamePart(2, "knob"))
-    segmenting, obj = desk([RegionOffer(-1, REF, 9)], *said)
+    segmenting, obj = open_with_tool([RegionOffer(-1, REF, 9)], *said)
     segmenting.use_tool(ToolRequest("same shape", 2), "tester")
     assert obj.document.part_names == {1: "knob", 2: "knob"} and obj.document.part(1).like == 2
 
@@ -85,7 +85,7 @@ def test_what_a_tool_found_is_not_mixed_with_what_others_did_meanwhile(meanwhile
         ("next mask", MaskOffer([RegionOffer(2, REF, 9)], 1, 2)),
         ("cut", FaceCutOffer(FaceCut(REF, ((0, 0, 1, 0),)), (), REF, {0: 1})),
     ):
-        segmenting, obj = desk(offers, AddClick(Click((0, 0, 0), 2)))
+        segmenting, obj = open_with_tool(offers, AddClick(Click((0, 0, 0), 2)))
         obj.services.workers.segmentation.submit().before = lambda obj=obj: obj.do(meanwhile)
         with pytest.raises(CommandError, match="meanwhile"):
             segmenting.use_tool(ToolRequest(tool, 2), "tester")
@@ -93,7 +93,7 @@ def test_what_a_tool_found_is_not_mixed_with_what_others_did_meanwhile(meanwhile
 
 
 def test_a_tool_at_work_is_seen_and_can_be_stopped_while_its_tab_waits() -> None:
-    segmenting, obj = desk([], AddPart(1))
+    segmenting, obj = open_with_tool([], AddPart(1))
     jobs = obj.jobs = RunningJobs("the chest", lambda: None)
     job: Job[Any] = Job(lambda job: job._end("cancelled"), 1, "tool", (int, (), {}), None, None)
     obj.services.workers.segmentation.submit = lambda *a, **k: job
@@ -117,7 +117,7 @@ def test_a_tool_at_work_is_seen_and_can_be_stopped_while_its_tab_waits() -> None
 
 
 def test_a_tool_that_finds_no_time_is_given_up_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
-    segmenting, obj = desk([], AddPart(1))
+    segmenting, obj = open_with_tool([], AddPart(1))
     stopped: list[Any] = []
     job: Job[Any] = Job(stopped.append, 1, "tool", (int, (), {}), None, None)
     obj.services.workers.segmentation.submit = lambda *a, **k: job

@@ -88,17 +88,20 @@ class World:
         workspace = self.folder / "workspace"
         config = ServeConfig(workspace=workspace, predictor="geometric", scene=self.scene)
         self.app_state = AppState(config, Store(workspace), [])
-        self.desk = self.app_state.open_scene(self.scene, (self.assets,))
-        wait(lambda: self.desk.scene is not None or self.desk.problem, "the scene is read")
-        assert self.desk.problem is None
+        self.scene_workspace = self.app_state.open_scene(self.scene, (self.assets,))
+        wait(
+            lambda: self.scene_workspace.scene is not None or self.scene_workspace.problem,
+            "the scene is read",
+        )
+        assert self.scene_workspace.problem is None
         self.settle()
-        return self.desk
+        return self.scene_workspace
 
     def settle(self) -> None:
-        desk = self.desk
+        scene = self.scene_workspace
         wait(
-            lambda: not desk.busy and all(w.drawn for w in desk.wanted() if w.document.tree)
-            and all(w.prepared or w.document.tree for w in desk.wanted()),
+            lambda: not scene.busy and all(w.drawn for w in scene.wanted() if w.document.tree)
+            and all(w.prepared or w.document.tree for w in scene.wanted()),
             "nothing is left to do",
         )  # fmt: skip
 
@@ -118,36 +121,42 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> Iterator[World]:
 @pytest.fixture(scope="module")
 def accepted(world: World) -> World:
     """The decision is on disk, the server dies at once: the next one carries it out."""
-    desk = world.desk
-    wait(lambda: desk.work("first") is not None, "the first is predicted")
-    first = desk.work("first")
+    scene_workspace = world.scene_workspace
+    wait(lambda: scene_workspace.work("first") is not None, "the first is predicted")
+    first = scene_workspace.work("first")
     assert first is not None
     world.close()
     store = Store(world.folder / "workspace")
     record = store.open_object(world.scene, None, "home")
     store.append(record.id, DecideObjects("accept", (first.id,), above=0.1), "ann", record.seq)
     store.close()
-    desk = world.open()
-    wait(lambda: not desk.accepting.waiting, "it is carried out")
+    scene_workspace = world.open()
+    wait(lambda: not scene_workspace.accepting.waiting, "it is carried out")
     return world
 
 
-def statuses(desk: SceneWorkspace) -> dict[str, str]:
-    return {r.id: r.status for r in desk.rows()}
+def statuses(scene_workspace: SceneWorkspace) -> dict[str, str]:
+    return {r.id: r.status for r in scene_workspace.rows()}
 
 
 def test_objects_are_predicted_once_for_all_their_twins(world: World) -> None:
-    desk = world.desk
-    assert statuses(desk) == {
+    scene_workspace = world.scene_workspace
+    assert statuses(scene_workspace) == {
         "first": "predicted", "twin": "predicted", "small": "predicted", EVIL: "static",
         "lost": "missing", "bad": "failed", "slab": "static",
     }  # fmt: skip
-    assert desk.twins("first") == ["first", "twin"] and desk.twins("small") == ["small"]
-    assert desk.work("first") is desk.work("twin") is not desk.work("small")
-    assert "nowhere" in desk.missing_reason(desk.items["lost"])
-    assert "broken.glb" in desk.missing_reason(desk.items["bad"])
-    work = desk.work("small")
-    assert [w.name for w in desk.works.values()] == ["cab", "cab_2", "broken"]
+    assert scene_workspace.twins("first") == ["first", "twin"] and scene_workspace.twins(
+        "small"
+    ) == ["small"]
+    assert (
+        scene_workspace.work("first")
+        is scene_workspace.work("twin")
+        is not scene_workspace.work("small")
+    )
+    assert "nowhere" in scene_workspace.missing_reason(scene_workspace.items["lost"])
+    assert "broken.glb" in scene_workspace.missing_reason(scene_workspace.items["bad"])
+    work = scene_workspace.work("small")
+    assert [w.name for w in scene_workspace.works.values()] == ["cab", "cab_2", "broken"]
     assert work is not None and work.document.tree is not None
     kinds = {j.type for j in work.document.tree.joints}
     assert kinds == {"revolute", "prismatic"}
@@ -170,10 +179,10 @@ def test_a_language_model_decides_where_its_address_is_given(
 
 
 def test_drawn_parts_stand_where_the_object_stands(world: World) -> None:
-    desk = world.desk
-    work, item = desk.work("small"), desk.items["small"]
+    scene_workspace = world.scene_workspace
+    work, item = scene_workspace.work("small"), scene_workspace.items["small"]
     assert work is not None and work.drawn is not None
-    pose = desk.world_from_copy(item)
+    pose = scene_workspace.world_from_copy(item)
     assert pose is not None
     boxes = np.array([s.bounds for s in work.drawn.shapes.values()])
     middle = (boxes[:, 0].min(0) + boxes[:, 1].max(0)) / 2
@@ -183,40 +192,44 @@ def test_drawn_parts_stand_where_the_object_stands(world: World) -> None:
 
 
 def test_a_person_decides_what_is_articulable(world: World) -> None:
-    desk = world.desk
-    desk.set_articulable(EVIL, True, "ann")
-    wait(lambda: statuses(desk)[EVIL] == "todo", "the rock is to do")
-    work = wait(lambda: desk.work(EVIL), "its working copy")
+    scene_workspace = world.scene_workspace
+    scene_workspace.set_articulable(EVIL, True, "ann")
+    wait(lambda: statuses(scene_workspace)[EVIL] == "todo", "the rock is to do")
+    work = wait(lambda: scene_workspace.work(EVIL), "its working copy")
     wait(lambda: work.prepared, "it was looked at")
     assert "cut it by clicks" in work.reason
-    desk.do(cmd.Undo(), "ann")
-    assert statuses(desk)[EVIL] == "static"
+    scene_workspace.do(cmd.Undo(), "ann")
+    assert statuses(scene_workspace)[EVIL] == "static"
     with pytest.raises(CommandError, match="nowhere"):
-        desk.set_articulable("lost", True, "ann")
+        scene_workspace.set_articulable("lost", True, "ann")
 
 
 def test_rejecting_and_taking_it_back(world: World) -> None:
-    desk, small = world.desk, world.desk.work("small")
+    scene_workspace, small = world.scene_workspace, world.scene_workspace.work("small")
     assert small is not None
-    desk.do(DecideObjects("reject", (small.id,), reason="axis"), "ann")
-    assert statuses(desk)["small"] == "rejected"
+    scene_workspace.do(DecideObjects("reject", (small.id,), reason="axis"), "ann")
+    assert statuses(scene_workspace)["small"] == "rejected"
     assert small.document.review.reason == "axis" and small.document.review.by == "ann"
-    desk.do(cmd.Undo(), "ann")
-    assert statuses(desk)["small"] == "predicted"
-    assert desk.document.decided == ()
+    scene_workspace.do(cmd.Undo(), "ann")
+    assert statuses(scene_workspace)["small"] == "predicted"
+    assert scene_workspace.document.decided == ()
 
 
 def test_undo_leaves_alone_what_was_accepted_inside_after_a_refusal(world: World) -> None:
-    desk, first, small = world.desk, world.desk.work("first"), world.desk.work("small")
+    scene_workspace, first, small = (
+        world.scene_workspace,
+        world.scene_workspace.work("first"),
+        world.scene_workspace.work("small"),
+    )
     assert first is not None and small is not None
-    desk.do(DecideObjects("accept", (small.id,)), "ann")
-    desk.accepting.failed(small, "the gate calls it broken")
+    scene_workspace.do(DecideObjects("accept", (small.id,)), "ann")
+    scene_workspace.accepting.failed(small, "the gate calls it broken")
     small.live.do(cmd.Accept(), "ann")  # mended inside, by the same person
-    desk.do(DecideObjects("reject", (first.id,), reason="axis"), "ann")
-    assert desk.undo("ann") == "reject first"
-    assert statuses(desk)["first"] == "predicted"
-    assert desk.undo("ann") == ""  # the refused acceptance is no step
-    assert statuses(desk)["small"] == "accepted"
+    scene_workspace.do(DecideObjects("reject", (first.id,), reason="axis"), "ann")
+    assert scene_workspace.undo("ann") == "reject first"
+    assert statuses(scene_workspace)["first"] == "predicted"
+    assert scene_workspace.undo("ann") == ""  # the refused acceptance is no step
+    assert statuses(scene_workspace)["small"] == "accepted"
     small.live.do(cmd.Undo(), "ann")
     world.settle()
 
@@ -231,9 +244,9 @@ def report_of(severity: str) -> ValidationReport:
 class Slow:
     """Stands in for the gate in the workers: its answers are given by the test."""
 
-    def __init__(self, desk: SceneWorkspace, monkeypatch: pytest.MonkeyPatch) -> None:
+    def __init__(self, scene_workspace: SceneWorkspace, monkeypatch: pytest.MonkeyPatch) -> None:
         self.asked: list[Any] = []
-        real = desk.services.workers.prediction.submit
+        real = scene_workspace.services.workers.prediction.submit
 
         def submit(function: Any, *args: Any, **more: Any) -> Any:
             if function is not scene_accepting.validate_joints:
@@ -244,7 +257,7 @@ class Slow:
             self.asked.append(job)
             return job
 
-        monkeypatch.setattr(desk.services.workers.prediction, "submit", submit)
+        monkeypatch.setattr(scene_workspace.services.workers.prediction, "submit", submit)
 
     def answer(self, severity: str) -> None:
         wait(lambda: self.asked, "the gate is asked")
@@ -254,22 +267,24 @@ class Slow:
 def test_what_the_gate_objects_to_waits_for_who_asked(
     world: World, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    desk, small = world.desk, world.desk.work("small")
+    scene_workspace, small = world.scene_workspace, world.scene_workspace.work("small")
     assert small is not None
-    gate = Slow(desk, monkeypatch)
+    gate = Slow(scene_workspace, monkeypatch)
     mine: list[str] = []
     others: list[str] = []
-    stop = desk.watch(lambda: None, lambda title, body, color: others.append(body))
+    stop = scene_workspace.watch(lambda: None, lambda title, body, color: others.append(body))
 
     def shown(id: str) -> str:
-        return next(r.shown for r in desk.rows() if r.id == id)
+        return next(r.shown for r in scene_workspace.rows() if r.id == id)
 
     def decide(decision: Any, work: Any = small, **more: Any) -> None:
-        desk.do(DecideObjects(decision, (work.id,), **more), "ann", lambda *n: mine.append(n[1]))
+        scene_workspace.do(
+            DecideObjects(decision, (work.id,), **more), "ann", lambda *n: mine.append(n[1])
+        )
 
     decide("accept")
     assert shown("small") == "validating" and not any(
-        r.id == "small" for r in desk.rows() if r.undecided
+        r.id == "small" for r in scene_workspace.rows() if r.undecided
     )
     gate.answer("look")
     wait(lambda: mine, "it is told")
@@ -277,32 +292,35 @@ def test_what_the_gate_objects_to_waits_for_who_asked(
         "small, door 1: Penetrates link_0 by 131 mm at 104°. Select it again: "
         "Y accepts it anyway, Enter shows it."
     ]
-    assert shown("small") == "on_hold" and statuses(desk)["small"] == "predicted"
-    refusal = desk.accepting.refusal(small)
+    assert shown("small") == "on_hold" and statuses(scene_workspace)["small"] == "predicted"
+    refusal = scene_workspace.accepting.refusal(small)
     assert refusal is not None and refusal.only_warnings
 
     # Undo ends the work at once, and takes the objection with it.
     decide("accept")
     job = gate.asked[-1]
-    desk.do(cmd.Undo(), "ann")
-    wait(lambda: job.state == "cancelled" and "accept" not in desk.jobs, "the gate is stopped")
+    scene_workspace.do(cmd.Undo(), "ann")
+    wait(
+        lambda: job.state == "cancelled" and "accept" not in scene_workspace.jobs,
+        "the gate is stopped",
+    )
     assert shown("small") == "predicted"
     gate.asked.clear()
 
     # Of what was seen, Y accepts it as it is; another one's X is told to whoever waits.
     mine.clear()
     decide("accept", looked=True)
-    desk.do(DecideObjects("reject", (small.id,), reason="axis"), "rob", lambda *n: None)
+    scene_workspace.do(DecideObjects("reject", (small.id,), reason="axis"), "rob", lambda *n: None)
     wait(lambda: mine, "it is told")
     assert mine == ["small was rejected meanwhile by rob"] and shown("small") == "rejected"
     assert others == []
-    desk.do(cmd.Undo(), "rob")
-    desk.do(cmd.Undo(), "ann")
-    wait(lambda: "accept" not in desk.jobs, "nothing goes on")
+    scene_workspace.do(cmd.Undo(), "rob")
+    scene_workspace.do(cmd.Undo(), "ann")
+    wait(lambda: "accept" not in scene_workspace.jobs, "nothing goes on")
     gate.asked.clear()
 
     # Twins are two objects.
-    first = desk.work("first")
+    first = scene_workspace.work("first")
     mine.clear()
     decide("accept", first, looked=True)
     gate.answer("look")
@@ -311,56 +329,62 @@ def test_what_the_gate_objects_to_waits_for_who_asked(
     assert first is not None and first.document.saved is not None
     told = json.loads((Path(first.document.saved.folder) / "provenance.json").read_text())
     assert (told["gate"]["verdict"], told["gate"]["looked_at"]) == ("look", True)
-    assert told["source"]["scene"] == str(desk.path)
-    desk.do(cmd.Undo(), "ann")
-    assert statuses(desk)["first"] == "predicted"
-    assert decided_text(desk.rows()) == "0 of 3 decided"
+    assert told["source"]["scene"] == str(scene_workspace.path)
+    scene_workspace.do(cmd.Undo(), "ann")
+    assert statuses(scene_workspace)["first"] == "predicted"
+    assert decided_text(scene_workspace.rows()) == "0 of 3 decided"
     stop()
 
 
 def test_what_was_held_back_and_decided_anew_meanwhile_is_told_once(
     world: World, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    desk, first, small = world.desk, world.desk.work("first"), world.desk.work("small")
+    scene_workspace, first, small = (
+        world.scene_workspace,
+        world.scene_workspace.work("first"),
+        world.scene_workspace.work("small"),
+    )
     assert first is not None and small is not None
-    gate, mine = Slow(desk, monkeypatch), list[str]()
+    gate, mine = Slow(scene_workspace, monkeypatch), list[str]()
     both = (small.id, first.id)
-    desk.do(DecideObjects("accept", both), "ann", lambda *n: mine.append(n[1]))
+    scene_workspace.do(DecideObjects("accept", both), "ann", lambda *n: mine.append(n[1]))
     gate.answer("look")
-    wait(lambda: desk.accepting.refusal(small), "it is held back")
+    wait(lambda: scene_workspace.accepting.refusal(small), "it is held back")
     # The other one is still being judged when the first is accepted as it is.
-    desk.do(DecideObjects("accept", (small.id,), looked=True), "ann", lambda *n: mine.append(n[1]))
+    scene_workspace.do(
+        DecideObjects("accept", (small.id,), looked=True), "ann", lambda *n: mine.append(n[1])
+    )
     gate.answer("fine")
     wait(lambda: mine, "the first decision is told", 60)
     gate.answer("look")
     wait(lambda: len(mine) == 2, "the second one too", 60)
     assert mine == ["2 objects", "1 object"]
-    assert statuses(desk)["first"] == statuses(desk)["small"] == "accepted"
-    desk.do(cmd.Undo(), "ann")
-    desk.do(cmd.Undo(), "ann")
-    assert statuses(desk)["first"] == statuses(desk)["small"] == "predicted"
+    assert statuses(scene_workspace)["first"] == statuses(scene_workspace)["small"] == "accepted"
+    scene_workspace.do(cmd.Undo(), "ann")
+    scene_workspace.do(cmd.Undo(), "ann")
+    assert statuses(scene_workspace)["first"] == statuses(scene_workspace)["small"] == "predicted"
     world.settle()
 
 
 def test_what_is_decided_or_named_inside_meanwhile_counts(
     world: World, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    desk, small = world.desk, world.desk.work("small")
+    scene_workspace, small = world.scene_workspace, world.scene_workspace.work("small")
     assert small is not None
-    gate, mine = Slow(desk, monkeypatch), list[str]()
-    desk.do(DecideObjects("accept", (small.id,)), "ann", lambda *n: mine.append(n[1]))
+    gate, mine = Slow(scene_workspace, monkeypatch), list[str]()
+    scene_workspace.do(DecideObjects("accept", (small.id,)), "ann", lambda *n: mine.append(n[1]))
     wait(lambda: gate.asked, "the gate is asked")
     small.live.do(cmd.Reject("axis"), "rob")
     gate.answer("fine")
     wait(lambda: mine, "it is told", 60)
     assert mine == ["small, it was rejected meanwhile by rob. Select it again: Enter opens it."]
-    assert statuses(desk)["small"] == "rejected"
+    assert statuses(scene_workspace)["small"] == "rejected"
     small.live.do(cmd.Undo(), "rob")
-    desk.do(cmd.Undo(), "ann")
+    scene_workspace.do(cmd.Undo(), "ann")
 
     mine.clear()
     name = small.document.part_names[1]
-    desk.do(DecideObjects("accept", (small.id,)), "ann", lambda *n: mine.append(n[1]))
+    scene_workspace.do(DecideObjects("accept", (small.id,)), "ann", lambda *n: mine.append(n[1]))
     wait(lambda: gate.asked, "the gate is asked")
     small.live.do(cmd.NamePart(1, "flap"), "rob")
     gate.answer("fine")
@@ -371,7 +395,7 @@ def test_what_is_decided_or_named_inside_meanwhile_counts(
     saved = load_object(small.document.saved.folder)
     assert saved.name == "cab_2"  # as the robot is called in every format, without a hash
     assert "flap" in [p.name for p in saved.parts]
-    desk.do(cmd.Undo(), "ann")
+    scene_workspace.do(cmd.Undo(), "ann")
     small.live.do(cmd.NamePart(1, name), "rob")
     world.settle()
 
@@ -380,37 +404,40 @@ def test_what_was_asked_for_inside_is_held_back_in_the_scene(
     world: World, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Whoever asked needn't wait there for the gate."""
-    desk, small = world.desk, world.desk.work("small")
+    scene_workspace, small = world.scene_workspace, world.scene_workspace.work("small")
     assert small is not None and world.app_state is not None
-    gate, refused = Slow(desk, monkeypatch), list[CommandError]()
+    gate, refused = Slow(scene_workspace, monkeypatch), list[CommandError]()
     obj = world.app_state.object(small.id)
     wait(lambda: obj.asset is not None and gate.asked, "it is open, and the gate is asked")
     accept(obj, "the hinge is bent", "ann", "2026-01-01T00:00:00+00:00", refused=refused.append)
-    row = desk.row(small.item)
+    row = scene_workspace.row(small.item)
     assert row.shown == "validating" and not row.undecided
     gate.answer("look")
     wait(lambda: refused, "it is told")
-    refusal = desk.accepting.refusal(small)
+    refusal = scene_workspace.accepting.refusal(small)
     assert refusal is not None and refusal.only_warnings
     assert refusal.why == "door 1: Penetrates link_0 by 131 mm at 104°."
-    assert desk.row(small.item).shown == "on_hold" and statuses(desk)["small"] == "predicted"
+    assert (
+        scene_workspace.row(small.item).shown == "on_hold"
+        and statuses(scene_workspace)["small"] == "predicted"
+    )
     assert (
         obj.pending_acceptance is not None and obj.pending_acceptance.comment == "the hinge is bent"
     )
     # Seen there it is accepted as it is, and nothing is held back any more.
-    desk.do(DecideObjects("accept", (small.id,), looked=True), "ann")
+    scene_workspace.do(DecideObjects("accept", (small.id,), looked=True), "ann")
     gate.answer("look")
-    wait(lambda: desk.row(small.item).shown == "accepted", "accepted", 60)
+    wait(lambda: scene_workspace.row(small.item).shown == "accepted", "accepted", 60)
     assert not obj.hold_reason
-    desk.do(cmd.Undo(), "ann")
-    desk.accepting.refused.clear()
+    scene_workspace.do(cmd.Undo(), "ann")
+    scene_workspace.accepting.refused.clear()
     world.settle()
 
 
 def test_what_another_server_decides_is_seen_and_left_to_it(
     world: World, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    desk, small = world.desk, world.desk.work("small")
+    scene_workspace, small = world.scene_workspace, world.scene_workspace.work("small")
     assert small is not None and world.app_state is not None
     monkeypatch.setattr("app.server.app_state.SYNC_SECONDS", 1e6)
     store = Store(world.folder / "workspace")
@@ -419,31 +446,34 @@ def test_what_another_server_decides_is_seen_and_left_to_it(
     seen: list[str] = []
     other.watch(lambda: None, lambda *note: seen.append(note[0]))
     wait(lambda: other.scene is not None, "the scene is read")
-    wait(lambda: not other.busy and statuses(other) == statuses(desk), "it stands there as here")
+    wait(
+        lambda: not other.busy and statuses(other) == statuses(scene_workspace),
+        "it stands there as here",
+    )
 
     before = small.live.state.seq
-    desk.do(DecideObjects("reject", (small.id,), reason="axis"), "ann")
+    scene_workspace.do(DecideObjects("reject", (small.id,), reason="axis"), "ann")
     app_state.sync_remote()
     assert statuses(other)["small"] == "rejected" and seen == ["Changed elsewhere"]
     assert small.live.state.seq == before + 1  # rejected once
     assert other.undo("rob") == "reject small"
     world.app_state.sync_remote()
-    assert statuses(desk)["small"] == statuses(other)["small"] == "predicted"
+    assert statuses(scene_workspace)["small"] == statuses(other)["small"] == "predicted"
 
     # While one server accepts, the other one neither does it as well nor is overruled.
-    gate, mine = Slow(desk, monkeypatch), list[str]()
-    desk.do(DecideObjects("accept", (small.id,)), "ann", lambda *n: mine.append(n[1]))
+    gate, mine = Slow(scene_workspace, monkeypatch), list[str]()
+    scene_workspace.do(DecideObjects("accept", (small.id,)), "ann", lambda *n: mine.append(n[1]))
     wait(lambda: gate.asked, "the gate is asked")
     other.do(DecideObjects("reject", (small.id,), reason="axis"), "rob")
     assert not other.accepting.waiting and "accept" not in other.jobs
     gate.answer("fine")
     wait(lambda: mine, "it is told", 60)
     assert mine == ["small, it was rejected meanwhile by rob. Select it again: Enter opens it."]
-    assert statuses(desk)["small"] == "rejected" and seen == ["Changed elsewhere"]
+    assert statuses(scene_workspace)["small"] == "rejected" and seen == ["Changed elsewhere"]
     assert other.undo("rob") == "reject small"
     world.app_state.sync_remote()
-    desk.do(cmd.Undo(), "ann")
-    assert statuses(desk)["small"] == "predicted"
+    scene_workspace.do(cmd.Undo(), "ann")
+    assert statuses(scene_workspace)["small"] == "predicted"
     app_state.close()
     store.close()
     world.settle()
@@ -452,23 +482,27 @@ def test_what_another_server_decides_is_seen_and_left_to_it(
 def test_undo_while_the_asset_takes_its_place_takes_it_back(
     world: World, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    desk, small = world.desk, world.desk.work("small")
+    scene_workspace, small = world.scene_workspace, world.scene_workspace.work("small")
     assert small is not None
-    gate, publish = Slow(desk, monkeypatch), scene_accepting.publish
-    before = desk.document.decided
-    undoing = threading.Thread(target=lambda: desk.undo("ann"))
+    gate, publish = Slow(scene_workspace, monkeypatch), scene_accepting.publish
+    before = scene_workspace.document.decided
+    undoing = threading.Thread(target=lambda: scene_workspace.undo("ann"))
 
     def slow(*given: Any) -> Any:
         undoing.start()
-        wait(lambda: desk.document.decided == before, "it is undone", 20)
+        wait(lambda: scene_workspace.document.decided == before, "it is undone", 20)
         time.sleep(0.3)
         return publish(*given)
 
     monkeypatch.setattr(scene_accepting, "publish", slow)
-    desk.do(DecideObjects("accept", (small.id,)), "ann")
+    scene_workspace.do(DecideObjects("accept", (small.id,)), "ann")
     gate.answer("fine")
-    wait(lambda: undoing.ident and not undoing.is_alive() and not desk.busy, "all is done", 60)
-    assert statuses(desk)["small"] == "predicted"
+    wait(
+        lambda: undoing.ident and not undoing.is_alive() and not scene_workspace.busy,
+        "all is done",
+        60,
+    )
+    assert statuses(scene_workspace)["small"] == "predicted"
     world.settle()
 
 
@@ -510,8 +544,8 @@ def test_the_end_of_the_review_is_told() -> None:
 
 def test_a_refused_acceptance_is_no_step_after_the_end_of_the_server(accepted: World) -> None:
     """That one was left by the server before the last, and its object was changed since."""
-    desk = accepted.desk
-    first, small = desk.work("first"), desk.work("small")
+    scene_workspace = accepted.scene_workspace
+    first, small = scene_workspace.work("first"), scene_workspace.work("small")
     assert first is not None and small is not None
     accepted.close()
     store = Store(accepted.folder / "workspace")
@@ -519,25 +553,32 @@ def test_a_refused_acceptance_is_no_step_after_the_end_of_the_server(accepted: W
     store.append(scene.id, DecideObjects("accept", (small.id,)), "ann", scene.seq)
     store.append(small.id, cmd.SetCategory("Table"), "ann", small.live.state.seq)
     store.close()
-    desk = accepted.open()
-    assert not desk.accepting.waiting and statuses(desk)["small"] == "predicted"
-    assert desk.undo("ann") == "accept first"
-    assert statuses(desk)["first"] == "predicted"
-    desk.do(cmd.Redo(), "ann")
-    wait(lambda: not desk.accepting.waiting and not desk.busy, "it is accepted again")
-    assert statuses(desk)["first"] == "accepted"
-    small = desk.work("small")
+    scene_workspace = accepted.open()
+    assert (
+        not scene_workspace.accepting.waiting and statuses(scene_workspace)["small"] == "predicted"
+    )
+    assert scene_workspace.undo("ann") == "accept first"
+    assert statuses(scene_workspace)["first"] == "predicted"
+    scene_workspace.do(cmd.Redo(), "ann")
+    wait(
+        lambda: not scene_workspace.accepting.waiting and not scene_workspace.busy,
+        "it is accepted again",
+    )
+    assert statuses(scene_workspace)["first"] == "accepted"
+    small = scene_workspace.work("small")
     assert small is not None
     small.live.do(cmd.Undo(), "ann")
     accepted.settle()
 
 
 def test_what_was_decided_survives_the_end_of_the_server(accepted: World) -> None:
-    desk = accepted.desk
-    work = desk.work("first")
+    scene_workspace = accepted.scene_workspace
+    work = scene_workspace.work("first")
     assert work is not None
-    assert not desk.accepting.why_refused(work), desk.accepting.why_refused(work)
-    assert statuses(desk)["first"] == statuses(desk)["twin"] == "accepted"
+    assert not scene_workspace.accepting.why_refused(work), scene_workspace.accepting.why_refused(
+        work
+    )
+    assert statuses(scene_workspace)["first"] == statuses(scene_workspace)["twin"] == "accepted"
     assert work.document.review.by == "ann" and work.document.saved is not None
     told = json.loads((Path(work.document.saved.folder) / "provenance.json").read_text())
     assert told["gate"] and told["review"]["by"] == "ann"
@@ -550,17 +591,17 @@ def test_what_was_decided_survives_the_end_of_the_server(accepted: World) -> Non
 
 def test_the_saved_scene_loads_and_holds_what_was_accepted(accepted: World) -> None:
     mujoco = pytest.importorskip("mujoco")
-    world, desk = accepted, accepted.desk
-    desk.set_articulable(EVIL, True, "ann")
-    small = desk.work("small")
+    world, scene_workspace = accepted, accepted.scene_workspace
+    scene_workspace.set_articulable(EVIL, True, "ann")
+    small = scene_workspace.work("small")
     assert small is not None
-    desk.do(DecideObjects("reject", (small.id,), reason="axis"), "bob")
+    scene_workspace.do(DecideObjects("reject", (small.id,), reason="axis"), "bob")
     world.settle()
-    desk.saving.save(False, "ann")
-    wait(lambda: desk.document.saved, "the scene is saved")
+    scene_workspace.saving.save(False, "ann")
+    wait(lambda: scene_workspace.document.saved, "the scene is saved")
     world.settle()
-    assert desk.document.saved is not None
-    out = Path(desk.document.saved.folder)
+    assert scene_workspace.document.saved is not None
+    out = Path(scene_workspace.document.saved.folder)
     said = {o["id"]: o for o in json.loads((out / "scene.json").read_text())["objects"]}
     assert {i: o["state"] for i, o in said.items()} == {
         "first": "accepted", "twin": "accepted", "small": "rejected", EVIL: "todo",
@@ -594,15 +635,15 @@ def test_an_object_is_picked_out_of_a_room_that_nobody_labelled(tmp_path: Path) 
     whole = open_asset(path).cloud
     assert whole is not None
     room = World(tmp_path, path)
-    desk, app_state = room.desk, room.app_state
-    assert app_state is not None and statuses(desk) == {"room": "static"}
+    scene_workspace, app_state = room.scene_workspace, room.app_state
+    assert app_state is not None and statuses(scene_workspace) == {"room": "static"}
     opened: list[int] = []
-    desk.picking.open("room", opened.append)
+    scene_workspace.picking.open("room", opened.append)
     obj = app_state.object(wait(lambda: opened, "the room is open")[0])
     asset = wait(lambda: obj.asset, "its picture")
     # The cabinet stands round made.POSITION; a box round it is what a person would draw.
-    world = desk.world_from_copy(desk.items["room"])
-    points = open_asset(desk.items["room"].copy).cloud.points  # type: ignore[union-attr, arg-type]
+    world = scene_workspace.world_from_copy(scene_workspace.items["room"])
+    points = open_asset(scene_workspace.items["room"].copy).cloud.points  # type: ignore[union-attr, arg-type]
     points = points + world[:3, 3]  # type: ignore[index]
     kept = np.ones(len(points), bool)
     if obj.document.left_out is not None:
@@ -614,21 +655,21 @@ def test_an_object_is_picked_out_of_a_room_that_nobody_labelled(tmp_path: Path) 
     taken: list[str] = []
     told: list[tuple[str, str, str]] = []
     with pytest.raises(CommandError, match="part 0"):
-        desk.picking.take_out(obj, "room", 0, "cabinet", "ann", taken.append)
-    desk.picking.take_out(obj, "room", 1, "cabinet", "ann", taken.append)
+        scene_workspace.picking.take_out(obj, "room", 0, "cabinet", "ann", taken.append)
+    scene_workspace.picking.take_out(obj, "room", 1, "cabinet", "ann", taken.append)
     obj.watch(lambda: None, lambda *said: told.append(said))
     wait(lambda: taken == ["cabinet 1"] or told, "it is taken out")
     assert not told
     room.settle()
-    assert statuses(desk) == {"room": "static", "cabinet 1": "todo"}
-    desk.do(cmd.Undo(), "ann")
-    assert statuses(desk) == {"room": "static"}
-    desk.do(cmd.Redo(), "ann")
+    assert statuses(scene_workspace) == {"room": "static", "cabinet 1": "todo"}
+    scene_workspace.do(cmd.Undo(), "ann")
+    assert statuses(scene_workspace) == {"room": "static"}
+    scene_workspace.do(cmd.Redo(), "ann")
     room.close()
-    desk = room.open()
-    assert statuses(desk) == {"room": "static", "cabinet 1": "todo"}
-    desk.saving.save(False, "ann")
-    saved = wait(lambda: desk.document.saved, "the room is saved")
+    scene_workspace = room.open()
+    assert statuses(scene_workspace) == {"room": "static", "cabinet 1": "todo"}
+    scene_workspace.saving.save(False, "ann")
+    saved = wait(lambda: scene_workspace.document.saved, "the room is saved")
     room.settle()
     out = Path(saved.folder)
     points = points_in_place(out)
@@ -641,7 +682,7 @@ def test_an_object_is_picked_out_of_a_room_that_nobody_labelled(tmp_path: Path) 
 def test_the_report_holds_everything_and_runs_nothing(accepted: World) -> None:
     done: list[Path] = []
     world = accepted
-    world.desk.saving.report(done.append)
+    world.scene_workspace.saving.report(done.append)
     wait(lambda: done, "the report")
     page = done[0].read_text(encoding="utf-8")
     assert "<script" not in page and "&lt;script&gt;" in page
@@ -655,8 +696,8 @@ def test_the_report_holds_everything_and_runs_nothing(accepted: World) -> None:
 
 
 def test_the_report_shows_the_limits_that_were_saved(accepted: World) -> None:
-    desk = accepted.desk
-    work, saved = desk.work("first"), desk.document.saved
+    scene_workspace = accepted.scene_workspace
+    work, saved = scene_workspace.work("first"), scene_workspace.document.saved
     assert work is not None and work.document.tree is not None and saved is not None
     joint = next(j for j in work.document.tree.joints if j.rotates)
     path = Path(saved.folder) / "scene.json"
@@ -666,7 +707,7 @@ def test_the_report_shows_the_limits_that_were_saved(accepted: World) -> None:
                            "limits": [0.0, 0.5], "hits": {"upper": "wall <b>"}}]  # fmt: skip
     path.write_text(json.dumps(told))
     done: list[Path] = []
-    desk.saving.report(done.append)
+    scene_workspace.saving.report(done.append)
     wait(lambda: done, "the report")
     page = done[0].read_text(encoding="utf-8")
     assert "revolute 0…29°" in page and "by wall &lt;b&gt;" in page
