@@ -7,6 +7,7 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from model.core.articulated_object import Prediction, SegmentedObject
 from model.core.joint import Joint
@@ -110,19 +111,9 @@ class Arti4UrdfPredictor:
         progress(0.6, "reading shapes")
         prompt = make_prompt(structure, segmented, seed)
         rules, same = geometric_prior(structure), same_motion(prompt)
-        prior = None
-        if self.hybrid is not None:
-            prior = self.hybrid.weight * rules
-            prior[:, v.ID["<as_offered>"]] = self.hybrid.swept
         locks = _locks(locked, links, builder.problems)
-        answer = decode(self.model, prompt, locked=locks, prior=prior)
         progress(0.8, "writing the tree")
-        if self.hybrid is not None and self._doubts_tree(answer, structure):
-            parents = structure.assembly.parent
-            by_geometry = {i: Lock(p) for i, p in enumerate(parents) if p >= 0}
-            answer = decode(self.model, prompt, locked=by_geometry | locks, prior=prior)
-        if self.hybrid is not None and self.hybrid.motion:
-            answer = rerank_by_motion(answer, structure, same, self.hybrid.motion)
+        answer = self._decide(prompt, structure, locks, rules, same)
         assembly = None
         if self.hybrid is not None:
             parents = [d.parent for d in answer.decisions]
@@ -138,6 +129,28 @@ class Arti4UrdfPredictor:
         backend = f"{self.name} {self._version}".strip()
         made = builder.build(backend, seed, lambda tree: write_answer(tree, segmented))
         return made, builder.evidence
+
+    def _decide(
+        self,
+        prompt: Prompt,
+        structure: Structure,
+        locks: dict[int, Lock],
+        rules: npt.NDArray[np.float64],
+        same: npt.NDArray[np.bool_],
+    ) -> Answer:
+        """The network's answer; with geometry's prior, tree and motion check if hybrid."""
+        if self.hybrid is None:
+            return decode(self.model, prompt, locked=locks)
+        prior = self.hybrid.weight * rules
+        prior[:, v.ID["<as_offered>"]] = self.hybrid.swept
+        answer = decode(self.model, prompt, locked=locks, prior=prior)
+        if self._doubts_tree(answer, structure):
+            parents = structure.assembly.parent
+            by_geometry = {i: Lock(p) for i, p in enumerate(parents) if p >= 0}
+            answer = decode(self.model, prompt, locked=by_geometry | locks, prior=prior)
+        if self.hybrid.motion:
+            answer = rerank_by_motion(answer, structure, same, self.hybrid.motion)
+        return answer
 
     def _doubts_tree(self, answer: Answer, structure: Structure) -> bool:
         """Whether the network is uncertain of a parent and geometry has another one."""

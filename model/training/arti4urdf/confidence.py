@@ -101,10 +101,9 @@ def fit_confidence(
         left = [r for r, t in zip(own, tested, strict=True) if t]
         fitted["record"][predictor] = {"joints": len(own), **reliability(left, part)}
     text = json.dumps(fitted, indent=1) + "\n"
-    for folder in (out, weights):
-        if folder is not None:
-            folder.mkdir(parents=True, exist_ok=True)
-            (folder / SHIPPED.name).write_text(text, encoding="utf-8")
+    for folder in filter(None, (out, weights)):
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / SHIPPED.name).write_text(text, encoding="utf-8")
     return fitted
 
 
