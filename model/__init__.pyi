@@ -16,6 +16,7 @@ from .core.tree import KinematicTree
 from .data.protocol import GroundTruth
 from .data.registry import DatasetOptions, open_dataset
 from .geometry.parts import split
+from .geometry.prepare import Prepared, PrepareSettings, prepare
 from .io.assets.asset_folder import write_asset
 from .io.assets.reader import load_object
 from .io.export.registry import export, exporter_names, load_exporter
@@ -40,6 +41,8 @@ __all__ = [
     "PartSegmentation",
     "PointCloud",
     "Prediction",
+    "PrepareSettings",
+    "Prepared",
     "Prompts",
     "Region",
     "SegmentedObject",
@@ -53,6 +56,7 @@ __all__ = [
     "open_asset",
     "open_dataset",
     "predictor_names",
+    "prepare",
     "read_part_files",
     "read_scene",
     "segmenter_names",

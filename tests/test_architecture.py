@@ -65,7 +65,6 @@ WORD_EXCEPTIONS: set[str] = {
     "gate_proj",  # Qwen3's own parameter name
     "WORD_EXCEPTIONS",
     "PRIVATE_WORDS",
-    "gate_proj",  # of Qwen3's published weights
 }
 """Identifiers that hold one of these words in its plain meaning."""
 

@@ -42,7 +42,7 @@ class Registry(Generic[T]):
     """
 
     kind: str
-    protocol: type[T]
+    protocol: type
     members: str
     built_in: Mapping[str, str | Callable[..., T]]
     group: str | None = None

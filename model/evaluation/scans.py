@@ -189,7 +189,7 @@ def _delivered(
     """The prepared asset, (4, 4) asset_from_truth, kept elements, and the error of up (rad)."""
     source = Asset(truth.name, cloud=scan.cloud)
     if frame != "any":
-        upright = moved(source, np.linalg.inv(scan.source_from_object))
+        upright = moved(source, np.linalg.inv(scan.source_from_object).astype(np.float64))
         if frame == "upright":
             found = prepare(upright, PrepareSettings(up=(0, 0, 1)))
             return found.asset, found.object_from_source, found.kept, 0.0

@@ -49,7 +49,8 @@ class _Grid:
         """(N,) connected piece of each chosen point, from 1 on; 0 for the others."""
         filled = np.zeros(self.shape, bool)
         filled.ravel()[self.cell[chosen]] = True
-        labels, _ = label(filled, np.ones((3, 3, 3)))
+        labels = np.zeros(self.shape, np.int32)
+        label(filled, np.ones((3, 3, 3)), output=labels)
         return np.where(chosen, labels.ravel()[self.cell], 0)
 
 

@@ -293,9 +293,9 @@ def _weights() -> _Weights:
 
 
 def _plane_axes(up: Array) -> tuple[Array, Array]:
-    a = np.cross(up, np.eye(3)[np.abs(up).argmin()])
-    a /= np.linalg.norm(a)
-    return a, np.cross(up, a)
+    a = np.asarray(np.cross(up, np.eye(3)[np.abs(up).argmin()]), np.float64)
+    a = a / np.linalg.norm(a)
+    return a, np.asarray(np.cross(up, a), np.float64)
 
 
 def _vector(value: Array | Sequence[float]) -> tuple[float, float, float]:

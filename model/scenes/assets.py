@@ -54,8 +54,8 @@ class AssetIndex:
 def index_assets(folders: Iterable[str | Path]) -> AssetIndex:
     """Search folders in depth for assets.
 
-    An asset is a folder with a ``mobility.urdf`` or ``object.urdf``, a folder of part meshes, another
-    URDF, or a mesh file.
+    An asset is a folder with a ``mobility.urdf`` or ``object.urdf``, a folder of part meshes,
+    another URDF, or a mesh file.
 
     Raises:
         InputFileError: where a folder isn't there.

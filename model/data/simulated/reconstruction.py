@@ -112,7 +112,8 @@ def reconstruct_scan(
         _seen(caster, view, turn, settings, (low + high) / 2, diagonal, rng)
         for view, turn in zip(views, drift, strict=True)
     ]
-    points, colors, mesh_index = (np.concatenate([e[k] for e in each]) for k in range(3))
+    points, colors = (np.concatenate([e[k] for e in each]) for k in range(2))
+    mesh_index = np.concatenate([e[2] for e in each])
     if len(points) > settings.points:
         kept = np.sort(rng.choice(len(points), settings.points, replace=False))
         points, colors, mesh_index = points[kept], colors[kept], mesh_index[kept]
@@ -147,8 +148,8 @@ def _seen(
     light = daylight(caster, hits, samples=4, reach=0.12 * diagonal)
     slant = np.abs(np.einsum("ij,ij->i", hits.normals, rays[hits.ray]))
     depth, _ = flying_pixels(hits, hits.distance, side, settings.flying, diagonal, rng)
-    smooth = zoom(rng.standard_normal((6, 6)), side / 6, order=3)[:side, :side].ravel()[hits.ray]
-    depth = depth + diagonal * settings.low_frequency * smooth
+    smooth = np.asarray(zoom(rng.standard_normal((6, 6)), side / 6, order=3))[:side, :side]
+    depth = depth + diagonal * settings.low_frequency * smooth.ravel()[hits.ray]
     depth += diagonal * settings.depth_noise * rng.standard_normal(len(depth)) / slant.clip(0.3, 1)
     kept = near & (rng.random(len(depth)) < (slant / 0.35).clip(0.02, 1))
     for center in hits.points[rng.integers(len(hits.points), size=settings.holes)]:
@@ -195,6 +196,6 @@ def _box(corners: Array, rng: np.random.Generator) -> Mesh:
 def _any_frame(rng: np.random.Generator) -> Array:
     frame = np.eye(4)
     scale = float(np.exp(rng.uniform(np.log(0.05), np.log(20))))
-    frame[:3, :3] = scale * Rotation.random(random_state=rng).as_matrix()
+    frame[:3, :3] = scale * Rotation.from_quat(rng.standard_normal(4)).as_matrix()
     frame[:3, 3] = scale * rng.uniform(-3, 3, 3)
     return frame

@@ -272,7 +272,7 @@ class Gltf:
         """
         key = (index, tuple(weights or ()), skin)
         if key not in self._meshes:
-            weights = weights or self.tree["meshes"][index].get("weights") or []
+            own = weights or self.tree["meshes"][index].get("weights") or []
             joints = None if skin is None else self._joint_matrices(skin)
             found = []
             for primitive in self.tree["meshes"][index]["primitives"]:
@@ -283,7 +283,7 @@ class Gltf:
                         f"uses {_UNREADABLE[compressed.pop()]}",
                         "export it without compression",
                     )
-                piece = self._primitive(primitive, weights, joints)
+                piece = self._primitive(primitive, own, joints)
                 if piece is not None:
                     found.append(piece)
             self._meshes[key] = found
