@@ -2,6 +2,7 @@
 #   make run              start the server with the bundled examples
 #   make run ARGS=PATH…   start it with your own files
 #   make test             all tests, in a real browser too
+#   make test-fast        those that take a minute: no browser, physics or training
 #   make lint             style, types, layers
 #   make docs             build the documentation site into build/site
 #   make pictures         take the pictures of the documents anew
@@ -17,10 +18,10 @@ ARGS ?=
 TESTS ?= tests
 
 .DEFAULT_GOAL := help
-.PHONY: help run install test lint format docs pictures clean
+.PHONY: help run install test test-fast lint format docs pictures clean
 
 help:
-	@sed -n '1,7s/^# \{0,1\}//p' Makefile
+	@sed -n '1,8s/^# \{0,1\}//p' Makefile
 
 run: $(VENV)/.run
 	@$(BIN)/artiworld serve $(ARGS)
@@ -31,6 +32,9 @@ test: $(VENV)/.test
 	@.ci/need 'command -v chromium || command -v chromium-browser || command -v google-chrome' chromium \
 		|| { echo 'The browser tests will be skipped.' >&2; [ -z "$$CI" ]; }
 	$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal $(TESTS)
+
+test-fast: $(VENV)/.test
+	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile -q -m "not slow" $(TESTS)
 
 lint: $(VENV)/.lint
 	$(BIN)/ruff check .

@@ -338,6 +338,8 @@ class _Reader:
             for child in element:
                 if not isinstance(child.tag, str) or child.tag in _PASSED_OVER:
                     continue
+                if element.tag == "geometry" and child.tag not in children:
+                    continue  # an unknown shape has a message of its own
                 if child.tag in children and child.tag in _KNOWN:
                     stack.append(child)
                 else:

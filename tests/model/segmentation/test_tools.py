@@ -126,7 +126,7 @@ def test_a_rectangle_takes_the_door_that_no_gap_parts_with_its_handle():
     assert iou(top, truth) > 0.95
     with pytest.raises(PromptError, match="two opposite"):
         rectangle_cut(session, mask, [(0, 0, 0)])
-    with pytest.raises(PromptError, match="one line"):
+    with pytest.raises(PromptError, match="one of its sides"):
         rectangle_cut(session, mask, [(0.1, 0, 1.1), (0.8, 0, 1.1)], (0, 1, 0))
 
 
