@@ -69,8 +69,8 @@ SLOW = (
     "tests/model/segmentation/test_tools.py",
     "tests/model/test_bundled_refrigerator.py",
 )
-"""Tests with a browser, physics, training, other processes, or much to compute: files that take more
-than four seconds by ``pytest --durations=0``. ``make test-fast`` leaves them out."""
+"""Tests with a browser, physics, training, other processes, or much to compute: files that take
+over four seconds by ``pytest --durations=0``. ``make test-fast`` leaves them out."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
