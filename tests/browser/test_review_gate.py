@@ -112,13 +112,13 @@ def test_see_the_worst_moment_mend_and_accept_with_a_reason(
 
     check_marks_leave(tab, contact)
 
-    # Against the gate the key is not enough.
+    # With errors the key is not enough.
     tab.page.evaluate("document.activeElement?.blur()")
     tab.key("y")
-    tab.page.get_by_text("say why it is right").first.wait_for()
+    tab.page.get_by_text("give a reason for the override").first.wait_for()
     assert obj.document.review.state == "predicted"
 
-    # One click mends, the gate runs again by itself; undo is the usual one.
+    # One click fixes, and the checks run again; undo works as usual.
     tab.button("Flip").first.click()
     wait_until(lambda: obj.document.tree.by_name["door"] == DOOR, "flipped")
     assert wait_until(lambda: obj.validation.report, "a new verdict").severity == Severity.OK
@@ -127,7 +127,7 @@ def test_see_the_worst_moment_mend_and_accept_with_a_reason(
     wait_until(lambda: obj.document.tree == TREE, "undone")
     wait_until(lambda: obj.validation.report is report, "the answer of before")
 
-    # A reason opens the gate, and it stays on record.
+    # A reason overrides the errors, and it is recorded.
     box = tab.field("Reason for override")
     box.fill("the shelf is soft")
     box.press("Enter")
@@ -182,7 +182,7 @@ def test_y_shows_what_wants_a_look_before_it_accepts(
     wait_until(lambda: tab.object is other, "the next object")
     assert obj.document.review.state == "predicted" and server.app_state.is_saving(obj.record.id)
     first = tab.app.queue._buttons[0]
-    wait_until(lambda: first.hint.endswith("cupboard: being saved"), "the queue tells it")
+    wait_until(lambda: first.hint.endswith("cupboard: saving"), "the queue tells it")
     tab.page.screenshot(path=str(tmp_path / "saving.png"))
     held.cancel()
     tab.page.get_by_text("cupboard: Saved in", exact=False).wait_for()
@@ -212,7 +212,7 @@ def check_a_wish_is_taken_back(tab: Tab, picture: Path) -> None:
     wait_until(lambda: tab.object is obj, "back at it")
     tab.step("Review")
     tab.key("Escape")
-    told = tab.page.get_by_text("Taken back before the joints were judged")
+    told = tab.page.get_by_text("Cancelled before the checks were done")
     told.first.wait_for()
     tab.page.wait_for_timeout(300)
     assert told.count() == 1
@@ -244,7 +244,7 @@ def test_y_before_the_verdict_goes_on_and_what_is_held_back_comes_again(
     tab.key("y")
     wait_until(lambda: tab.object is clean, "the next object")
     first = tab.app.queue._buttons[0]
-    wait_until(lambda: first.hint.endswith("being judged, then accepted"), "the queue tells it")
+    wait_until(lambda: first.hint.endswith("checking, then accepted"), "the queue tells it")
     tab.wait_seen()
     tab.key("y")
     wait_until(lambda: tab.object is third, "the next object again")
@@ -258,10 +258,10 @@ def test_y_before_the_verdict_goes_on_and_what_is_held_back_comes_again(
     assert clean.document.review.state == "accepted"
     tab.page.get_by_text("Y again", exact=False).first.wait_for()
     assert grazing.document.review.state == "predicted" and tab.object is third
-    wait_until(lambda: "grazing: on hold: part 1: Runs" in first.hint, "the queue says why")
+    wait_until(lambda: "grazing: on hold: 1 warning. part 1" in first.hint, "the queue says why")
     tab.page.screenshot(path=str(tmp_path / "look_again.png"))
 
-    # The way back leads to the worst moment, with what was typed; Y has seen it now.
+    # The button opens it at the worst pose, with the comment; Y accepts it now.
     tab.button("On hold: grazing").click()
     wait_until(lambda: tab.object is grazing, "back at it")
     worst = grazing.validation.report.joints[0].worst

@@ -163,7 +163,7 @@ def test_y_inside_needn_t_wait_for_the_gate(start: Any, open_tab: Any, tmp_path:
     tab.page.wait_for_timeout(1500)
     tab.page.screenshot(path=str(tmp_path / "judged_later.png"))
     held.cancel()
-    tab.page.get_by_text("cabinet 1: drawer 2 is broken", exact=False).first.wait_for()
+    tab.page.get_by_text("cabinet 1: 1 error. drawer 2", exact=False).first.wait_for()
     assert tab.scene_workspace.row(tab.scene_workspace.items["cabinet 1"]).shown == "on_hold"
     assert tab.scene.choice.selected == "cabinet 2" and obj.document.review.state == "predicted"
     tab.scene.choice.choose("cabinet 1")
