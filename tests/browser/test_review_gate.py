@@ -181,7 +181,7 @@ def test_y_shows_what_wants_a_look_before_it_accepts(
     tab.key("y")
     wait_until(lambda: tab.object is other, "the next object")
     assert obj.document.review.state == "predicted" and server.app_state.is_saving(obj.record.id)
-    first = tab.app.queue._buttons[0]
+    first = tab.app.queue.list.buttons[0]
     wait_until(lambda: first.hint.endswith("cupboard: saving"), "the queue tells it")
     tab.page.screenshot(path=str(tmp_path / "saving.png"))
     held.cancel()
@@ -243,7 +243,7 @@ def test_y_before_the_verdict_goes_on_and_what_is_held_back_comes_again(
     tab.wait_seen()
     tab.key("y")
     wait_until(lambda: tab.object is clean, "the next object")
-    first = tab.app.queue._buttons[0]
+    first = tab.app.queue.list.buttons[0]
     wait_until(lambda: first.hint.endswith("checking, then accepted"), "the queue tells it")
     tab.wait_seen()
     tab.key("y")
@@ -274,7 +274,7 @@ def test_y_before_the_verdict_goes_on_and_what_is_held_back_comes_again(
     tab.key("y")
     wait_until(lambda: grazing.document.saved is not None, "saved")
     assert grazing.document.review.comment == "the hinge is bent"
-    wait_until(lambda: not tab.app.queue._again.visible, "nothing is held back")
+    wait_until(lambda: not tab.app.queue.on_hold.visible, "nothing is held back")
 
 
 def test_one_click_a_joint_mends_a_predicted_demo(start: Any, open_tab: Any) -> None:

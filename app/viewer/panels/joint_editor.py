@@ -68,6 +68,10 @@ class JointEditor:
         self._name = gui.add_text(words.FILE_NAME, "", hint=words.FILE_NAME_HINT)
         self._locked = gui.add_checkbox(words.LOCK, False, hint=words.LOCK_HINT)
         self._reset = gui.add_button(words.reset_to(False), color="gray")
+        self._wire()
+
+    def _wire(self) -> None:
+        tab, motion = self._tab, self._motion
         tab.on_update(self._child, self._child_chosen)
         self._on_edit(self._name, lambda: self._change(name=self._name.value.strip()))
         self._on_edit(self._type, lambda: self.set_type(self._type.value))

@@ -10,6 +10,7 @@ import viser
 
 from app.server.scene_rows import SHOWN, Row, Shown
 from app.server.scene_workspace import SceneWorkspace
+from app.viewer.panels.object_list import ButtonLook, Entry, ObjectList, muted
 from app.viewer.panels.user_name import UserName
 from app.viewer.panels.widgets import put
 from app.viewer.picture import palette
@@ -51,16 +52,8 @@ class SceneList:
             choose: gets the id of the object that was clicked.
             remember: is called once the user's name changed.
         """
-        self._tab, self._workspace, self._picture, self._choose_object = (
-            tab,
-            workspace,
-            picture,
-            choose,
-        )
-        self._first = 0
+        self._workspace, self._picture = workspace, picture
         self._shown: Any = None
-        self._followed: str | None = None
-        self._ids: list[str] = []
         gui = tab.client.gui
         panel = gui.add_panel()
         with panel.add_tab(words.TITLE, viser.Icon.HOME):
@@ -69,91 +62,47 @@ class SceneList:
             self._original = gui.add_checkbox(
                 words.ORIGINAL_COLORS, False, hint=words.ORIGINAL_COLORS_HINT
             )
-            self._filter = gui.add_dropdown(
-                common.FILTER, (common.ALL, *common.SCENE_STATES.values()), initial_value=common.ALL
-            )
-            self._search = gui.add_text(common.SEARCH, "", hint=words.SEARCH_HINT)
-            self._buttons = [gui.add_button("", visible=False) for _ in range(PAGE)]
-            self._pages = gui.add_button_group(common.PAGE, ("◀", "1", "▶"))
+            states = common.SCENE_STATES.values()
+            self._list = ObjectList(tab, states, words.SEARCH_HINT, PAGE, choose)
             self.user_name = UserName(tab, remember)
         panel.dock_left()
         panel.set_width(250)
-        for k, button in enumerate(self._buttons):
-            button.on_click(lambda _, k=k: tab.act(lambda: self._choose(k)))
         self._original.on_update(lambda _: tab.act(self._recolor))
-        self._filter.on_update(lambda _: self._turn(None))
-        self._search.on_update(lambda _: self._turn(None))
-        self._pages.on_click(lambda e: self._turn({"◀": -1, "▶": 1}.get(e.target.value, 0)))
 
     def _recolor(self) -> None:
         self._picture.original_colors = self._original.value
 
-    def _choose(self, k: int) -> None:
-        if k < len(self._ids):
-            self._choose_object(self._ids[k])
-
-    def _turn(self, by: int | None) -> None:
-        self._first = 0 if by is None else self._first + by * PAGE
-        self._tab.invalidate()
-
     def draw(self, rows: Sequence[Row], current: str | None) -> None:
         """Bring the list up to date; nothing is sent where nothing changed."""
-        chosen = [r for r in rows if self._fits(r)]
-        if current != self._followed:
-            self._followed = current
-            ids = [r.id for r in chosen]
-            if current in ids:
-                self._first = ids.index(current) // PAGE * PAGE
-        self._first = min(max(self._first, 0), max(0, (len(chosen) - 1) // PAGE * PAGE))
-        page = chosen[self._first : self._first + PAGE]
+        ids = self._list.page(map(self._entry, rows), current)
+        page = [r for r in rows if r.id in ids]
         counts = Counter(r.shown for r in rows)
         original_colors = self._picture.original_colors
-        now = (
-            tuple(page),
-            current,
-            len(chosen),
-            self._first,
-            tuple(counts.items()),
-            original_colors,
-        )
+        now = tuple(page), current, self._list.place, tuple(counts.items()), original_colors
         if now == self._shown:
             return
         self._shown = now
-        name = (
-            self._workspace.record.name
-            if self._workspace.scene is None
-            else self._workspace.scene.name
-        )
+        scene = self._workspace.scene
+        name = self._workspace.record.name if scene is None else scene.name
         put(self._title, "content", words.about(plain(name, 60), len(rows)))
         put(self._legend, "content", legend(counts, original_colors))
-        self._ids = [r.id for r in page]
-        put(self._pages, "visible", len(chosen) > PAGE)
-        put(self._pages, "options", page_buttons(self._first // PAGE, -(-len(chosen) // PAGE)))
-        for k, button in enumerate(self._buttons):
-            put(button, "visible", k < len(page))
-            if k < len(page):
-                self._show(button, page[k], page[k].id == current)
+        self._list.draw([_look(row, row.id == current) for row in page])
 
-    def _fits(self, row: Row) -> bool:
+    def _entry(self, row: Row) -> Entry:
         item = self._workspace.items[row.id]
-        text = f"{row.id} {item.obj.description} {item.category or ''}".lower()
-        return (
-            self._filter.value in (common.ALL, common.SCENE_STATES[row.shown])
-            and self._search.value.lower() in text
-        )
-
-    def _show(self, button: Any, row: Row, here: bool) -> None:
-        share = confidence(row.confidence) if row.status == "predicted" else ""
-        put(button, "label", words.row(_short(row.id, 16 if share else 22), here, share))
-        put(button, "icon", _ICONS[row.shown])
-        color = palette.SCENE_COLORS[row.shown]
-        put(button, "color", color if here else _deep(color))
-        put(button, "hint", words.state(plain(row.id), row.shown))
+        text = f"{row.id} {item.obj.description} {item.category or ''}"
+        return Entry(row.id, common.SCENE_STATES[row.shown], text)
 
 
-def page_buttons(page: int, count: int) -> tuple[str, str, str]:
-    """Where the list is, and the arrows that lead on from there; ``page`` counts from 0."""
-    return ("◀" if page > 0 else "·", f"{page + 1}/{count}", "▶" if page + 1 < count else "· ")
+def _look(row: Row, here: bool) -> ButtonLook:
+    share = confidence(row.confidence) if row.status == "predicted" else ""
+    color = palette.SCENE_COLORS[row.shown]
+    return ButtonLook(
+        words.row(_short(row.id, 16 if share else 22), here, share),
+        _ICONS[row.shown],
+        color if here else muted(color),
+        words.state(plain(row.id), row.shown),
+    )
 
 
 def legend(counts: Counter[Any], original_colors: bool) -> str:
@@ -185,12 +134,6 @@ def _short(text: str, limit: int) -> str:
         return text
     tail = limit // 3
     return f"{text[: limit - tail - 1]}…{text[-tail:]}"
-
-
-def _deep(color: palette.Rgb) -> palette.Rgb:
-    """A grayer color, for objects that aren't selected."""
-    grey = 0.45
-    return tuple(int(c * (1 - grey) + 120 * grey) for c in color)  # type: ignore[return-value]
 
 
 def order(rows: Sequence[Row]) -> list[str]:

@@ -27,7 +27,7 @@ from app.viewer.text import plain
 from app.viewer.words import review as words
 from app.viewer.words.common import EDITED, STATES
 from model.core.errors import CommandError
-from model.validation.report import Severity
+from model.validation.report import Severity, ValidationReport
 from sessions import commands as cmd
 from sessions.document import Document
 from sessions.review import RejectReason
@@ -236,6 +236,12 @@ class ReviewStep:
             obj.interrupted and not saving,
         )
         put(self._summary, "content", (f"{pending}\n\n" if pending else "") + summary(doc))
+        self._draw_buttons(obj, doc, report)
+        self._advance(obj, decided=doc.review.state in DECIDED, saving=saving)
+
+    def _draw_buttons(
+        self, obj: OpenObject, doc: Document, report: ValidationReport | None
+    ) -> None:
         decided = doc.review.state in DECIDED
         broken = report is not None and report.severity == Severity.ERROR and not decided
         put(self._override, "visible", broken)
@@ -251,6 +257,9 @@ class ReviewStep:
         put(self._saved, "visible", doc.saved is not None)
         if doc.saved is not None:
             put(self._saved, "content", words.saved_in(plain(doc.saved.folder, 200)))
+
+    def _advance(self, obj: OpenObject, *, decided: bool, saving: bool) -> None:
+        """Go to the next object once the decision of this tab is made."""
         id, before = self._asked or (None, 0)
         # Neither the checks nor writing the asset keep the user waiting.
         done = saving or obj.validation.acceptance_waits
