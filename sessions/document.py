@@ -248,7 +248,22 @@ class Document:
         """Child links whose joint differs from the predicted one."""
         if self.tree is None or self.prediction is None:
             return ()
-        return tuple(j.child for j in self.tree.joints if self.prediction.joint(j.child) != j)
+        new = self.new_joints
+        return tuple(
+            j.child for j in self.tree.joints
+            if self.prediction.joint(j.child) != j and j not in new
+        )  # fmt: skip
+
+    @property
+    def new_joints(self) -> tuple[Joint, ...]:
+        """Joints of parts that the prediction didn't know: fixed, until predicted or edited."""
+        if self.tree is None or self.prediction is None or self.prediction.tree is None:
+            return ()
+        known = self.prediction.tree.links
+        return tuple(
+            j for j in self.tree.joints
+            if j.child not in known and j.name.startswith("fixed_") and j.type == "fixed"
+        )  # fmt: skip
 
     @property
     def joints_file(self) -> str | None:
@@ -329,6 +344,13 @@ def acceptance_problems(document: Document) -> tuple[str, ...]:
         return ("there are no parts yet; click on them first",)
     if not document.segmentation_current:
         return ("the parts are still being computed; wait a moment",)
+    return link_problems(document)
+
+
+def link_problems(document: Document) -> tuple[str, ...]:
+    """Return where the parts and the links of the tree disagree."""
+    if document.tree is None or document.segmentation is None:
+        return ()
     parts = {f"link_{i}" for i in document.segmentation.parts}
     links = {link for link in document.tree.links if link.startswith("link_")}
     out = [

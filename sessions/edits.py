@@ -49,7 +49,7 @@ from sessions.document import (
 from sessions.review import Action, Role, transition
 from sessions.scene_commands import DecideObjects, PickOut, SetArticulable
 from sessions.tool_commands import ApplyTool, CropOut, CutFaces, LeaveOut, Placed
-from sessions.tree_edits import path_to_root, replace_joint, reroot, without_link
+from sessions.tree_edits import path_to_root, replace_joint, reroot, with_fixed, without_link
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,27 @@ def amend(
     record = SegmentationRecord(
         command.prompts_key, command.labels, command.segmenter, command.seconds, command.counts
     )
-    return document if record == document.segmentation else replace(document, segmentation=record)
+    if record == document.segmentation:
+        return document
+    return _with_new_parts(replace(document, segmentation=record))
+
+
+def _with_new_parts(document: Document) -> Document:
+    """Fix parts that the prediction didn't know to the root, until they are predicted."""
+    tree = document.tree
+    if tree is None or document.segmentation is None:
+        return document
+    present = [f"link_{part}" for part in document.segmentation.parts]
+    for joint in document.new_joints:
+        if joint.child not in present:
+            assert tree is not None
+            tree = without_link(tree, joint.child)
+    for link in present:
+        if tree is not None and link not in tree.links:
+            tree = with_fixed(tree, link)
+    if tree == document.tree:
+        return document
+    return replace(document, tree=tree, locked=_still_locked(document.locked, tree))
 
 
 def _changed(document: Document, command: Command, context: Context) -> tuple[Document, Action]:
@@ -358,7 +378,7 @@ def _record_prediction(document: Document, command: RecordPrediction) -> tuple[D
         tree=tree,
         locked=_still_locked(document.locked, tree),
     )
-    return after, "predict"
+    return _with_new_parts(after), "predict"
 
 
 def _edit_tree(

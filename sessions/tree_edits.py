@@ -59,6 +59,15 @@ def path_to_root(tree: KinematicTree, link: str) -> tuple[str, ...]:
     return tuple(out)
 
 
+def with_fixed(tree: KinematicTree, link: str) -> KinematicTree:
+    """Return the tree with one more ``link``, fixed to the root."""
+    name = f"fixed_{link}"
+    while name in tree.by_name:
+        name += "_"
+    joint = Joint(name, "fixed", tree.root, link)
+    return KinematicTree((*tree.links, link), (*tree.joints, joint))
+
+
 def without_link(tree: KinematicTree, link: str) -> KinematicTree | None:
     """Return the tree without ``link``; None where it was the only one.
 

@@ -15,7 +15,7 @@ from model.core.errors import CommandError
 from model.core.tree import KinematicTree
 from model.validation.low_confidence import with_low_confidence
 from model.validation.report import Fix, Severity, ValidationReport
-from sessions.document import Document
+from sessions.document import Document, link_problems
 
 REPORTS_KEPT = 16
 """Reports kept for undo and redo."""
@@ -108,7 +108,10 @@ class Validation:
     @property
     def problem(self) -> str:
         """Why the present joints couldn't be validated, or ""."""
-        if self._problem is None or self._problem[0] != self._revision(self._obj.document):
+        doc = self._obj.document
+        if doc.tree is not None and (problems := link_problems(doc)):
+            return "; ".join(problems)
+        if self._problem is None or self._problem[0] != self._revision(doc):
             return ""
         return self._problem[1]
 
@@ -173,7 +176,7 @@ class Validation:
 
     @staticmethod
     def _revision(document: Document) -> Revision | None:
-        if document.tree is None or document.segmentation is None:
+        if document.tree is None or document.segmentation is None or link_problems(document):
             return None
         return document.tree, document.segmentation.labels
 

@@ -9,6 +9,7 @@ import pytest
 from model.core.articulated_object import Prediction
 from model.core.errors import CommandError
 from model.core.joint import Joint
+from model.core.tree import KinematicTree
 from model.segmentation.prompts import Click
 from sessions.commands import (
     Accept,
@@ -387,3 +388,27 @@ def test_saving_is_noted_without_a_step(predicted):
     assert saved.past == accepted.past
     assert saved.seq == accepted.seq + 1
     assert saved.undo_label == "Undo: accept"
+
+
+def test_a_new_part_is_fixed_until_it_is_predicted() -> None:
+    tree = KinematicTree(
+        ("link_0", "link_1"), (Joint("door", "revolute", "link_0", "link_1", lower=0, upper=1),)
+    )
+    state = segmented(run(click(1)), counts={0: 10, 1: 10})
+    state = run(RecordPrediction(Prediction(tree), REF), state=state)
+    state = segmented(run(click(2), state=state), OTHER_REF, {0: 8, 1: 10, 2: 2})
+    doc = state.present
+    assert doc.tree is not None and doc.tree.joint_of["link_2"].type == "fixed"
+    assert doc.tree.joint_of["link_1"] == tree.joints[0]
+    assert [j.child for j in doc.new_joints] == ["link_2"] and not doc.edited_joints
+    assert "predict again" in review_problems(doc)[0]
+    assert run(Undo(), state=state).present.tree == tree
+    gone = segmented(
+        run(ClearPrompts(2), LockJoint("link_2", True), state=state), REF, {0: 9, 1: 1}
+    )
+    assert gone.present.tree == tree and not gone.present.locked
+    edited = run(SetJoint(replace(tree.joints[0], name="j", child="link_2")), state=state)
+    assert edited.present.edited_joints == ("link_2",) and not edited.present.new_joints
+    # The prediction may have been asked for before the part was there.
+    late = run(RecordPrediction(Prediction(tree), REF), state=state).present
+    assert late.tree is not None and [j.child for j in late.new_joints] == ["link_2"]

@@ -35,6 +35,8 @@ def confidence_text(doc: Document, child: str) -> str:
     """Confidence of a joint's prediction, or that a user edited the joint."""
     if child in doc.edited_joints:
         return words.EDITED
+    if any(joint.child == child for joint in doc.new_joints):
+        return words.NEW
     share = confidence_of(doc, child)
     return "" if share is None else words.confidence(share)
 

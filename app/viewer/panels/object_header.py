@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import viser
 
-from app.server.display_names import display_text
+from app.server.display_names import display_text, joint_title
 from app.server.open_object import OpenObject
 from app.viewer.panels.widgets import put
 from app.viewer.tab import STEPS, Step, Tab
@@ -117,5 +117,6 @@ class ObjectHeader:
         if obj.problem:
             lines.append(words.warning(plain(obj.problem, 400)))
         if doc.prediction_stale:
-            lines.append(words.STALE)
+            new = [joint_title(doc, joint.child) for joint in doc.new_joints]
+            lines += [words.warning(f"{plain(t)} {words.NEW_FIXED}") for t in new] or [words.STALE]
         return lines

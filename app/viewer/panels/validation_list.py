@@ -159,7 +159,7 @@ def headline(obj: OpenObject, doc: Document, report: ValidationReport | None) ->
         return ""
     if report is None:
         if obj.validation.problem:
-            return words.checks_failed(plain(obj.validation.problem, 200))
+            return words.checks_failed(plain(display_text(doc, obj.validation.problem), 200))
         fraction, message = obj.busy.get("check", (0.0, ""))
         return words.checking(fraction, plain(display_text(doc, message)))
     line = words.checks({s: len(report.joints_with(s)) for s in reversed(Severity)})

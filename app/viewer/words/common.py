@@ -52,6 +52,7 @@ CANCEL_ACCEPTANCE: Final = "Cancel acceptance (Esc)"
 PLAYBACK: Final = "Motion"
 PLAYBACK_ACTIONS: Final = ("Play / stop (Space)", "Reset pose (R)")
 STALE: Final = "⚠ Parts changed since the prediction. Predict again (P)"
+NEW_FIXED: Final = "is new and stays fixed until you predict again (P)"
 PREDICT: Final = "Predict joints (P)"
 PREDICT_LOCALLY: Final = "Predict on this machine"
 JOBS: Final[dict[str, str]] = {

@@ -60,6 +60,7 @@ ALREADY_ALIGNED: Final = "The axis is aligned to that side of the part's box"
 SET_MANUALLY: Final = "Set manually."
 UNLIMITED: Final = "unlimited"
 EDITED: Final = "edited"
+NEW: Final = "new, not predicted"
 BEYOND_A_TURN: Final = "The range exceeds one turn; a continuous joint has no limits."
 SCAN_OUTSIDE: Final = "The scanned pose (0) is outside the range."
 
