@@ -445,7 +445,7 @@ def test_a_file_that_cannot_be_opened_says_so(
 def test_touch_adds_a_prompt(start: Any, open_tab: Any, cabinet: Any) -> None:
     path, points = cabinet
     tab = open_tab(start(path), has_touch=True)
-    tab.app.annotate.source.touch = True
+    tab.app.annotate.tools.touch = True
     tab.app.tab.invalidate()
     tab.wait_node("/touch")
     tab.page.wait_for_timeout(500)
@@ -466,7 +466,7 @@ def test_an_upload_joins_the_queue(start: Any, open_tab: Any, cabinet: Any, tmp_
     tab = open_tab(start(path))
     chooser = tab.page.locator('input[type="file"]').first
     chooser.set_input_files(str(folder / "notes.docx"))
-    tab.page.get_by_text("can't be opened", exact=False).first.wait_for(timeout=20_000)
+    tab.page.get_by_text("unknown kind of file", exact=False).first.wait_for(timeout=60_000)
     assert len(tab.server.app_state.queue.records()) == 1
     chooser.set_input_files(str(folder / "chest.ply"))
     wait_until(lambda: tab.object.record.name == "chest", "the upload is open")

@@ -29,7 +29,7 @@ def test_its_joints_move_at_once_and_an_edit_goes_back_to_the_file(
     tab: Tab = open_tab(start(tmp_path / "cupboard.urdf"))
     app, page = tab.app, tab.page
     wait_until(lambda: tab.selection.step == "Joints", "its joints are shown")
-    page.get_by_text("From cupboard.urdf.").wait_for()
+    page.get_by_text("From cupboard.urdf.", exact=True).wait_for()
     wait_until(tab.object.part_payloads, "the parts as they move")
     page.evaluate("document.activeElement?.blur()")
     tab.key(" ")

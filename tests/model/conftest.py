@@ -11,6 +11,7 @@ from model.core.mesh import Material, Mesh
 from model.core.point_cloud import PointCloud
 from model.core.surface_maps import ImageFile, SurfaceMaps
 from model.core.textures import encode
+from tests.builders import Labelled, cabinet_cloud, cabinet_mesh
 
 
 @pytest.fixture(autouse=True)
@@ -65,3 +66,19 @@ def cloud(rng: np.random.Generator) -> PointCloud:
     points, face = trimesh.sample.sample_surface(box, 2000, seed=1)
     colors = rng.integers(0, 256, (2000, 3)).astype(np.uint8)
     return PointCloud(np.asarray(points), box.face_normals[face], colors)
+
+
+@pytest.fixture(scope="session")
+def cloud_cabinet() -> Labelled:
+    return cabinet_cloud()
+
+
+@pytest.fixture(scope="session")
+def mesh_cabinet() -> Labelled:
+    return cabinet_mesh()
+
+
+@pytest.fixture(scope="session")
+def make_cabinet_cloud():
+    """:func:`cabinet_cloud`, for tests that need another size or noise."""
+    return cabinet_cloud

@@ -19,7 +19,7 @@ from model.segmentation.finish.contacts import contacts_of
 from model.segmentation.prompts import Click, Prompts, Region
 from model.segmentation.tools.all_parts import propose_parts
 from model.segmentation.tools.connected import hover
-from tests.model.segmentation.conftest import subdivide
+from tests.builders import subdivide
 
 FRONT, TRAY, CARCASS = 0, 1, slice(2, 7)
 

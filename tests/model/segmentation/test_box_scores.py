@@ -20,7 +20,7 @@ from model.segmentation.propose.box_ranking import (
 )
 from model.segmentation.propose.plane_boxes import SIDE_FEATURES, PlaneBoxes
 from model.training.segmentation.boxes import BoxTraining, rows_of, train_boxes
-from tests.model.segmentation.conftest import cabinet_cloud
+from tests.builders import cabinet_cloud
 
 
 @pytest.fixture(scope="module")

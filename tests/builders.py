@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-import pytest
 
 from model.core.asset import Asset
 from model.core.mesh import Mesh
@@ -86,19 +85,3 @@ def cabinet_cloud(count: int = 20_000, seed: int = 0, noise: float = 0.0) -> Lab
     colors = np.array([c for *_, c in CABINET], np.uint8)[part[chosen[keep]]]
     points = points[keep] + rng.normal(0, noise, (len(keep), 3))
     return Labelled(Asset("cabinet", cloud=PointCloud(points, colors=colors)), labels)
-
-
-@pytest.fixture(scope="session")
-def cloud_cabinet() -> Labelled:
-    return cabinet_cloud()
-
-
-@pytest.fixture(scope="session")
-def mesh_cabinet() -> Labelled:
-    return cabinet_mesh()
-
-
-@pytest.fixture(scope="session")
-def make_cabinet_cloud():
-    """:func:`cabinet_cloud`, for tests that need another size or noise."""
-    return cabinet_cloud
