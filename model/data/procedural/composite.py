@@ -200,14 +200,12 @@ def _front(
         )
     else:
         side = 1 if rng.random() < 0.5 else -1
-        slide = b.slide(
-            "door", body, (side, 0, 0), 0.0, 0.9 * r.width, (r.center[0], front, r.center[1])
-        )
+        axis = (side, 0, 0)
+        slide = b.slide("door", body, axis, 0.0, 0.9 * r.width, (r.center[0], front, r.center[1]))
         m.panel(slide, face.shrunk(0.02 * size), front - 0.003, thick, "plain", palette)
         for z in (r.z0, r.z1):
-            rail = s.box(
-                (1.9 * r.width, 2 * thick, 0.03 * size), (0.45 * side * r.width, front - thick, z)
-            )
+            center = (0.45 * side * r.width, front - thick, z)
+            rail = s.box((1.9 * r.width, 2 * thick, 0.03 * size), center)
             body.add(rail, palette.metal, "rail")
 
 
@@ -218,19 +216,10 @@ def _top(
     kind = rng.random()
     size = min(w, d)
     if kind < 0.2:
-        lid = b.hinge(
-            "lid",
-            body,
-            (-1, 0, 0),
-            (0, d / 2 - 0.02 * d, z + 0.002),
-            0.0,
-            float(rng.uniform(1.2, 1.9)),
-        )
-        lid.add(
-            s.box((0.94 * w, 0.94 * d, 0.06 * size), (0, 0, z + 0.002 + 0.03 * size), 0.01 * size),
-            palette.front,
-            "lid",
-        )
+        origin = (0, d / 2 - 0.02 * d, z + 0.002)
+        lid = b.hinge("lid", body, (-1, 0, 0), origin, 0.0, float(rng.uniform(1.2, 1.9)))
+        center = (0, 0, z + 0.002 + 0.03 * size)
+        lid.add(s.box((0.94 * w, 0.94 * d, 0.06 * size), center, 0.01 * size), palette.front, "lid")
     elif kind < 0.35:
         body.add(
             s.cylinder(0.12 * size, 0.06 * size, segments=20).moved((0, 0, z + 0.03 * size)),
@@ -246,67 +235,45 @@ def _top(
         plate.add(shape.moved((0, 0, z + 0.0875 * size)), palette.front, "plate")
     elif kind < 0.5:
         r, tall = 0.06 * size, float(rng.uniform(0.4, 1.0)) * size
-        tube = s.ring(
-            [(r, z - 0.001), (1.3 * r, z - 0.001), (1.3 * r, z + tall), (r, z + tall)], 20
-        )
+        profile = [(r, z - 0.001), (1.3 * r, z - 0.001), (1.3 * r, z + tall), (r, z + tall)]
+        tube = s.ring(profile, 20)
         body.add(tube, palette.metal, "sleeve")
         post = b.slide("post", body, (0, 0, 1), 0.0, 0.8 * tall, (0, 0, z))
-        post.add(
-            s.cylinder(0.92 * r, 1.05 * tall, segments=18).moved((0, 0, z + 0.56 * tall)),
-            palette.accent,
-            "post",
-        )
-        post.add(
-            s.sphere(1.6 * r, 18).moved((0, 0, z + 1.09 * tall + 1.2 * r)), palette.front, "head"
-        )
+        solid = s.cylinder(0.92 * r, 1.05 * tall, segments=18).moved((0, 0, z + 0.56 * tall))
+        post.add(solid, palette.accent, "post")
+        offset = (0, 0, z + 1.09 * tall + 1.2 * r)
+        post.add(s.sphere(1.6 * r, 18).moved(offset), palette.front, "head")
     elif kind < 0.62:
         r, tall = 0.14 * size, 0.3 * size
-        body.add(
-            s.cylinder(r, tall, segments=26).moved((0, 0, z + tall / 2)), palette.front, "neck"
-        )
+        offset = (0, 0, z + tall / 2)
+        body.add(s.cylinder(r, tall, segments=26).moved(offset), palette.front, "neck")
         cap = b.screw("cap", body, (0, 0, 1), (0, 0, z + tall), 0.3 * size)
-        shell = s.lathe(
-            [
-                (1.06 * r, z + tall + 0.004),
-                (1.06 * r, z + 0.6 * tall),
-                (1.25 * r, z + 0.6 * tall),
-                (1.25 * r, z + 1.12 * tall),
-                (0.9 * r, z + 1.18 * tall),
-            ],
-            26,
-        )
+        profile = [
+            (1.06 * r, z + tall + 0.004),
+            (1.06 * r, z + 0.6 * tall),
+            (1.25 * r, z + 0.6 * tall),
+            (1.25 * r, z + 1.12 * tall),
+            (0.9 * r, z + 1.18 * tall),
+        ]
+        shell = s.lathe(profile, 26)
         cap.add(shell, palette.accent, "cap")
     elif kind < 0.72:
         at = np.array([0, 0, z + 0.05 * size])
         for side in (-1, 1):
-            body.add(
-                s.box(
-                    (0.02 * size, 0.08 * size, 0.1 * size),
-                    at + np.array([side * 0.05 * size, 0, -0.002 * size]),
-                ),
-                palette.metal,
-                "fork",
-            )
+            center = at + np.array([side * 0.05 * size, 0, -0.002 * size])
+            body.add(s.box((0.02 * size, 0.08 * size, 0.1 * size), center), palette.metal, "fork")
         arm = b.hinge("lever", body, (1, 0, 0), at, -1.0, 1.0)
         arm.add(
             s.along(s.cylinder(0.02 * size, 0.075 * size, segments=14), 0).moved(at),
             palette.metal,
             "axle",
         )
-        arm.add(
-            s.box(
-                (0.05 * size, 0.03 * size, 0.5 * size),
-                at + np.array([0, 0, 0.25 * size]),
-                0.004 * size,
-            ),
-            palette.accent,
-            "lever",
-        )
-        arm.add(
-            s.sphere(0.06 * size, 16).moved(at + np.array([0, 0, 0.5 * size])),
-            palette.front,
-            "grip",
-        )
+        center = at + np.array([0, 0, 0.25 * size])
+        bevel = 0.004 * size
+        extent = (0.05 * size, 0.03 * size, 0.5 * size)
+        arm.add(s.box(extent, center, bevel), palette.accent, "lever")
+        offset = at + np.array([0, 0, 0.5 * size])
+        arm.add(s.sphere(0.06 * size, 16).moved(offset), palette.front, "grip")
 
 
 def _controls(
@@ -336,20 +303,14 @@ def _controls(
                     limits=None if rng.random() < 0.5 else (0.0, float(rng.uniform(1.5, 5.0))),
                 )
             elif use == 1:
-                controls.push_button(
-                    b,
-                    body,
-                    at,
-                    (1.5 * size, 1.2 * size, 0.25 * size),
-                    palette.accent,
-                    round_=bool(rng.random() < 0.4),
-                )
+                extent = (1.5 * size, 1.2 * size, 0.25 * size)
+                round_ = bool(rng.random() < 0.4)
+                controls.push_button(b, body, at, extent, palette.accent, round_=round_)
             else:
                 place = np.asarray(at) - np.array([0, 0.0008, 0])
                 lever = b.hinge("lever", body, (0, 1, 0), place, -0.7, 0.7)
                 hub = s.along(s.cylinder(0.35 * size, 0.6 * size, segments=16), 1)
                 lever.add(hub.moved(place + np.array([0, -0.3 * size, 0])), palette.metal, "hub")
-                bar = s.box(
-                    (0.3 * size, 0.25 * size, 1.3 * size), (0, -0.6 * size, 0.5 * size), 0.03 * size
-                )
+                center = (0, -0.6 * size, 0.5 * size)
+                bar = s.box((0.3 * size, 0.25 * size, 1.3 * size), center, 0.03 * size)
                 lever.add(bar.moved(place), palette.accent, "lever")

@@ -109,20 +109,15 @@ def push_button(
 def wheel(radius: float, width: float, *, spokes: int = 0) -> tuple[list[Solid], list[Solid]]:
     """(tyre solids, hub solids) of a wheel that turns about x, centred on the origin."""
     half, r = width / 2, radius
-    tyre = s.along(
-        s.ring(
-            [
-                (0.72 * r, -half),
-                (0.93 * r, -half),
-                (r, -0.5 * half),
-                (r, 0.5 * half),
-                (0.93 * r, half),
-                (0.72 * r, half),
-            ],
-            24,
-        ),
-        0,
-    )
+    profile = [
+        (0.72 * r, -half),
+        (0.93 * r, -half),
+        (r, -0.5 * half),
+        (r, 0.5 * half),
+        (0.93 * r, half),
+        (0.72 * r, half),
+    ]
+    tyre = s.along(s.ring(profile, 24), 0)
     if spokes:
         hub = [s.along(s.cylinder(0.2 * r, 1.15 * width, segments=14, bevel=0.001), 0)]
         for k in range(spokes):
@@ -171,9 +166,8 @@ def caster(
         )
         for side in (-1, 1)
     ]
-    plate = s.box(
-        (1.7 * width, 0.8 * radius + trail, 0.14 * radius), (0, 0.3 * trail, -0.08 * radius), 0.001
-    )
+    size = (1.7 * width, 0.8 * radius + trail, 0.14 * radius)
+    plate = s.box(size, (0, 0.3 * trail, -0.08 * radius), 0.001)
     turn = lambda solid: solid.turned((0, 0, 1), heading).moved((x, y, z))  # noqa: E731
     m = s.rotation((0, 0, 1), heading)
     fork = parent

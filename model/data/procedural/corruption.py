@@ -354,9 +354,8 @@ def _assembled(
         if len(rows) > settings.points:
             rows = rng.choice(rows, settings.points, replace=False)
         cloud = PointCloud(points[rows].astype(np.float32), None, colors[rows])
-        parts.append(
-            Part(renamed[links[n]], cloud=cloud, name=_word(names[links[n]], settings, rng))
-        )
+        name = _word(names[links[n]], settings, rng)
+        parts.append(Part(renamed[links[n]], cloud=cloud, name=name))
     joints = tuple(
         replace(j, parent=renamed.get(j.parent, j.parent), child=renamed.get(j.child, j.child))
         for j in tree.joints

@@ -78,9 +78,8 @@ def cabinet(rng: np.random.Generator) -> ProceduralObject:
         overhang=0.03,
         swing=1.92,
     )
-    palette = Palette(
-        wood("walnut"), wood("oak"), metal("brass"), metal("steel"), plain("shadow", (52, 44, 38))
-    )
+    dark = plain("shadow", (52, 44, 38))
+    palette = Palette(wood("walnut"), wood("oak"), metal("brass"), metal("steel"), dark)
     return storage.cupboard(left, palette, rng, mirrored=True)
 
 
@@ -156,10 +155,8 @@ def write_examples(
             scan = simulate_scan(obj, example.scan, rng)
             write_cloud(scan.cloud, path)
             labels, views = scan.part, example.scan.views
-        _write_json(
-            out / f"{name}.prompts.json",
-            prompts(made, views, hidden=example.scan is None, spread=5 if example.scan else 1),
-        )
+        content = prompts(made, views, hidden=example.scan is None, spread=5 if example.scan else 1)
+        _write_json(out / f"{name}.prompts.json", content)
         _write_json(out / "truth" / f"{name}.json", truth(obj, labels))
         written.append(path)
     return tuple(written)

@@ -134,9 +134,8 @@ def write_folder(made: ProceduralObject, folder: Path) -> None:
         ):
             stem = f"original-{count}"
             count += 1
-            write_mesh(
-                replace(mesh, vertices=mesh.vertices @ OBJ_FROM_OBJECT.T), objs / f"{stem}.obj"
-            )
+            vertices = mesh.vertices @ OBJ_FROM_OBJECT.T
+            write_mesh(replace(mesh, vertices=vertices), objs / f"{stem}.obj")
             files[part.link].append((stem, piece))
     (folder / "mobility.urdf").write_text(_urdf(made, files))
     (folder / "semantics.txt").write_text(_semantics(made))
@@ -201,9 +200,8 @@ def _urdf_joint(
         ElementTree.SubElement(out, "parent", link="base")
         return out
     out = ElementTree.Element("joint", name=joint.name, type=joint.type)
-    ElementTree.SubElement(
-        out, "origin", xyz=_numbers(origin_of[joint.child] - origin_of[joint.parent])
-    )
+    xyz = _numbers(origin_of[joint.child] - origin_of[joint.parent])
+    ElementTree.SubElement(out, "origin", xyz=xyz)
     ElementTree.SubElement(out, "axis", xyz=_numbers(OBJ_FROM_OBJECT @ np.asarray(joint.axis)))
     ElementTree.SubElement(out, "child", link=joint.child)
     ElementTree.SubElement(out, "parent", link=joint.parent)

@@ -18,11 +18,8 @@ def legs(
 ) -> None:
     """Four legs (or a plinth, or sledges) from z = 0 to ``height`` under a width by depth plan."""
     if style == "plinth":
-        body.add(
-            s.box((0.94 * width, 0.88 * depth, height), (0, 0.03 * depth, height / 2)),
-            surface,
-            "plinth",
-        )
+        size = (0.94 * width, 0.88 * depth, height)
+        body.add(s.box(size, (0, 0.03 * depth, height / 2)), surface, "plinth")
         return
     thick = float(np.clip(0.09 * min(width, depth), 0.02, 0.06))
     x0, y0 = width / 2 - 0.8 * thick, depth / 2 - 0.8 * thick

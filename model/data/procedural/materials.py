@@ -91,11 +91,8 @@ def _textured(name: str, kind: str, colors: tuple[RGB, ...], tile: float) -> Sur
 
 @lru_cache(maxsize=64)
 def _picture(name: str, kind: str, variant: int) -> Surface:
-    return Surface(
-        Material(name, (255, 255, 255, 255), textures.picture(kind, variant)),
-        fit=True,
-        globe=kind == "globe",
-    )
+    material = Material(name, (255, 255, 255, 255), textures.picture(kind, variant))
+    return Surface(material, fit=True, globe=kind == "globe")
 
 
 def wood(kind: Wood) -> Surface:
@@ -188,13 +185,8 @@ def appliance_palette(rng: np.random.Generator) -> Palette:
         plain("enamel_colour", _vary(PAINTS[rng.integers(len(PAINTS))], rng)),
     )[style]
     front = metal("brushed") if style == 2 and rng.random() < 0.5 else body
-    return Palette(
-        body,
-        front,
-        metal(str(rng.choice(["steel", "dark", "black"]))),
-        metal("steel"),
-        plain("panel", (36, 37, 40)),
-    )
+    accent = metal(str(rng.choice(["steel", "dark", "black"])))
+    return Palette(body, front, accent, metal("steel"), plain("panel", (36, 37, 40)))
 
 
 def plastic_palette(rng: np.random.Generator) -> Palette:

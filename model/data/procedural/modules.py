@@ -61,15 +61,13 @@ def handle(style: HandleStyle, length: float, depth: float = 0.03) -> list[Solid
         return [bar, *posts]
     if style == "bow":
         half = length / 2
-        path = s.bent_path(
-            [
-                (0, 0.001, -half),
-                (0, -depth, -0.8 * half),
-                (0, -depth, 0.8 * half),
-                (0, 0.001, half),
-            ],
-            0.6 * depth,
-        )
+        corners = [
+            (0, 0.001, -half),
+            (0, -depth, -0.8 * half),
+            (0, -depth, 0.8 * half),
+            (0, 0.001, half),
+        ]
+        path = s.bent_path(corners, 0.6 * depth)
         return [s.sweep(path, s.rectangle(1.6 * thick, 0.9 * thick, 0.25 * thick))]
     if style == "flat":
         plate = s.box((2.2 * thick, 0.7 * thick, length), (0, -depth, 0), 0.001)
@@ -157,9 +155,8 @@ def panel(
     if style in ("plain", "raised") or min(w, h) < 3 * border:
         body.add(s.box((w, thickness, h), (cx, mid, cz), bevel), palette.front, "panel")
         if style == "raised" and min(w, h) > 4 * border:
-            lift = s.box(
-                (w - 2.4 * border, 0.006, h - 2.4 * border), (cx, y - thickness - 0.002, cz), 0.003
-            )
+            size = (w - 2.4 * border, 0.006, h - 2.4 * border)
+            lift = s.box(size, (cx, y - thickness - 0.002, cz), 0.003)
             body.add(lift, palette.front, "panel_relief")
         return
     inner = (w - 2 * border, h - 2 * border)
@@ -168,22 +165,16 @@ def panel(
         for x in (r.x0 + border / 2, r.x1 - border / 2):
             body.add(s.box((border, thickness, h), (x, mid, cz), bevel), palette.front, "stile")
         for z in (r.z0 + border / 2, r.z1 - border / 2):
-            body.add(
-                s.box((inner[0], 0.98 * thickness, border), (cx, mid, z), 0.5 * bevel),
-                palette.front,
-                "rail",
-            )
-        fill = s.box(
-            (inner[0] + 0.004, 0.45 * thickness, inner[1] + 0.004), (cx, y - 0.35 * thickness, cz)
-        )
+            size = (inner[0], 0.98 * thickness, border)
+            body.add(s.box(size, (cx, mid, z), 0.5 * bevel), palette.front, "rail")
+        size = (inner[0] + 0.004, 0.45 * thickness, inner[1] + 0.004)
+        fill = s.box(size, (cx, y - 0.35 * thickness, cz))
         body.add(fill, palette.front, "panel")
         return
-    body.add(
-        s.frame((w, h), inner, thickness, bevel=bevel).moved((cx, mid, cz)), palette.front, "frame"
-    )
-    pane = s.box(
-        (inner[0] + 0.004, 0.3 * thickness, inner[1] + 0.004), (cx, y - 0.5 * thickness, cz)
-    )
+    at = (cx, mid, cz)
+    body.add(s.frame((w, h), inner, thickness, bevel=bevel).moved(at), palette.front, "frame")
+    size = (inner[0] + 0.004, 0.3 * thickness, inner[1] + 0.004)
+    pane = s.box(size, (cx, y - 0.5 * thickness, cz))
     body.add(pane, glass() if style == "glass" else dark_glass(), "glass")
 
 
@@ -248,9 +239,8 @@ def _barrels(body: Body, r: Opening, front: float, side: Side, palette: Palette)
             solid = s.cylinder(radius, length, segments=10).moved((x, front, r.z0 + f * r.height))
         else:
             z = r.z0 + radius if side == "bottom" else r.z1 - radius
-            solid = s.along(s.cylinder(radius, length, segments=10), 0).moved(
-                (r.x0 + f * r.width, front, z)
-            )
+            at = (r.x0 + f * r.width, front, z)
+            solid = s.along(s.cylinder(radius, length, segments=10), 0).moved(at)
         body.add(solid, palette.metal, "hinge")
 
 
@@ -303,20 +293,15 @@ def drawer(
     wall = min(0.012, 0.1 * cell.height)
     height = 0.82 * cell.height
     box = s.tray((cell.width, depth, height), wall, floor=0.6 * wall)
-    body.add(
-        box.moved((cell.center[0], y + depth / 2 - 0.0005, cell.z0)), inside, "drawer_box", grain=1
-    )
+    at = (cell.center[0], y + depth / 2 - 0.0005, cell.z0)
+    body.add(box.moved(at), inside, "drawer_box", grain=1)
     if handle_style is not None:
         length = min(handle_length, 0.7 * r.width / handles)
         for k in range(handles):
             x = r.x0 + r.width * (k + 0.5) / handles
             solids = handle(handle_style, length)
-            add(
-                body,
-                place(solids, (x, y - thickness, r.center[1]), roll=np.pi / 2),
-                palette.accent,
-                "handle",
-            )
+            at = (x, y - thickness, r.center[1])
+            add(body, place(solids, at, roll=np.pi / 2), palette.accent, "handle")
     return body
 
 
@@ -341,28 +326,18 @@ def carcass(
     """
     w, d, h = (float(v) for v in size)
     for side in (-1, 1):
-        body.add(
-            s.box((wall, d, h), (side * (w - wall) / 2, 0, bottom + h / 2), 0.0015),
-            palette.body,
-            "side_wall",
-            grain=2,
-        )
+        center = (side * (w - wall) / 2, 0, bottom + h / 2)
+        body.add(s.box((wall, d, h), center, 0.0015), palette.body, "side_wall", grain=2)
     inner = w - 2 * wall
     body.add(s.box((inner, d, wall), (0, 0, bottom + wall / 2)), palette.body, "floor", grain=0)
-    body.add(
-        s.box((inner, d, wall), (0, 0, bottom + h - wall / 2)), palette.body, "ceiling", grain=0
-    )
+    center = (0, 0, bottom + h - wall / 2)
+    body.add(s.box((inner, d, wall), center), palette.body, "ceiling", grain=0)
     if top_overhang > 0:
         # The board reaches over the fronts, as a worktop does.
-        board = s.box(
-            (w + top_overhang, d + 0.03, wall), (0, -0.015 + 0.002, bottom + h + wall / 2), 0.003
-        )
+        center = (0, -0.015 + 0.002, bottom + h + wall / 2)
+        board = s.box((w + top_overhang, d + 0.03, wall), center, 0.003)
         body.add(board, palette.body, "top", grain=0)
     if back:
         thin = 0.006
-        body.add(
-            s.box((inner, thin, h - 2 * wall), (0, d / 2 - thin / 2, bottom + h / 2)),
-            palette.body,
-            "back",
-            grain=2,
-        )
+        center = (0, d / 2 - thin / 2, bottom + h / 2)
+        body.add(s.box((inner, thin, h - 2 * wall), center), palette.body, "back", grain=2)

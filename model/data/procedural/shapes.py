@@ -283,9 +283,8 @@ def cylinder(radius: float, height: float, *, segments: int = 24, bevel: float =
     half = height / 2
     if b <= 0:
         return lathe([(radius, -half), (radius, half)], segments)
-    return lathe(
-        [(radius - b, -half), (radius, b - half), (radius, half - b), (radius - b, half)], segments
-    )
+    profile = [(radius - b, -half), (radius, b - half), (radius, half - b), (radius - b, half)]
+    return lathe(profile, segments)
 
 
 def arc_profile(

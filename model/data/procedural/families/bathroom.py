@@ -40,25 +40,16 @@ def toilet(rng: np.random.Generator) -> ProceduralObject:
     back = length / 2
     tank_d, tank_h, tank_w = 0.18, float(rng.uniform(0.3, 0.4)), w + float(rng.uniform(0.0, 0.08))
     y = back + tank_d / 2 - 0.02
-    body.add(
-        s.rounded_box((tank_w - 0.06, tank_d, h - 0.02), 0.03).moved((0, y, h / 2 - 0.01)),
-        white,
-        "foot",
-    )
-    body.add(
-        s.rounded_box((tank_w, tank_d, tank_h), 0.025).moved((0, y, h + tank_h / 2)), white, "tank"
-    )
+    size = (tank_w - 0.06, tank_d, h - 0.02)
+    body.add(s.rounded_box(size, 0.03).moved((0, y, h / 2 - 0.01)), white, "foot")
+    size = (tank_w, tank_d, tank_h)
+    body.add(s.rounded_box(size, 0.025).moved((0, y, h + tank_h / 2)), white, "tank")
     top = h + tank_h
-    body.add(
-        s.rounded_box((tank_w + 0.014, tank_d + 0.012, 0.025), 0.028).moved((0, y, top + 0.0115)),
-        white,
-        "tank_lid",
-    )
+    size = (tank_w + 0.014, tank_d + 0.012, 0.025)
+    body.add(s.rounded_box(size, 0.028).moved((0, y, top + 0.0115)), white, "tank_lid")
     hinge = (0.0, back - 0.05, h + 0.026)
-    ring = s.loft(
-        [at(1.02, h + 0.004), at(1.02, h + 0.018), at(0.68, h + 0.018), at(0.68, h + 0.004)],
-        ring=True,
-    )
+    loops = [at(1.02, h + 0.004), at(1.02, h + 0.018), at(0.68, h + 0.018), at(0.68, h + 0.004)]
+    ring = s.loft(loops, ring=True)
     cut = ring.shaped(
         lambda v: np.column_stack([v[:, 0], np.minimum(v[:, 1], back - 0.05), v[:, 2]])
     )
@@ -73,30 +64,18 @@ def toilet(rng: np.random.Generator) -> ProceduralObject:
     lid = b.hinge("lid", body, (-1, 0, 0), hinge, 0.0, upright)
     lid.add(cover, seat_skin, "lid")
     if rng.random() < 0.6:
-        controls.push_button(
-            b,
-            body,
-            (0, y, top + 0.024),
-            (0.05, 0.05, 0.006),
-            metal("steel"),
-            face="up",
-            round_=True,
-        )
+        size = (0.05, 0.05, 0.006)
+        surface = metal("steel")
+        controls.push_button(b, body, (0, y, top + 0.024), size, surface, face="up", round_=True)
     else:
         spot = np.array([-0.35 * tank_w, y - tank_d / 2, h + 0.8 * tank_h])
         lever = b.hinge("lever", body, (0, 1, 0), spot, 0.0, 0.6)
+        offset = spot + np.array([0, -0.0105, 0])
         lever.add(
-            s.along(s.cylinder(0.007, 0.02, segments=12), 1).moved(
-                spot + np.array([0, -0.0105, 0])
-            ),
-            metal("steel"),
-            "neck",
+            s.along(s.cylinder(0.007, 0.02, segments=12), 1).moved(offset), metal("steel"), "neck"
         )
-        lever.add(
-            s.box((0.09, 0.008, 0.014), spot + np.array([0.035, -0.022, 0]), 0.003),
-            metal("steel"),
-            "lever",
-        )
+        size = (0.09, 0.008, 0.014)
+        lever.add(s.box(size, spot + np.array([0.035, -0.022, 0]), 0.003), metal("steel"), "lever")
     rest = {lid.link: 1.4} if rng.random() < 0.35 else {}
     return b.build(rest)
 
@@ -111,13 +90,11 @@ def faucet(rng: np.random.Generator) -> ProceduralObject:
     h = float(rng.uniform(0.05, 0.12))
     width = float(rng.uniform(0.14, 0.2))
     if two:
-        base.add(
-            s.rounded_box((width + 0.05, 0.05, 0.014), 0.02).moved((0, 0, 0.007)), skin, "plate"
-        )
+        size = (width + 0.05, 0.05, 0.014)
+        base.add(s.rounded_box(size, 0.02).moved((0, 0, 0.007)), skin, "plate")
     else:
-        base.add(
-            s.cylinder(1.7 * r, 0.01, segments=28, bevel=0.002).moved((0, 0, 0.005)), skin, "plate"
-        )
+        offset = (0, 0, 0.005)
+        base.add(s.cylinder(1.7 * r, 0.01, segments=28, bevel=0.002).moved(offset), skin, "plate")
     base.add(s.cylinder(1.15 * r, h, segments=24).moved((0, 0, h / 2)), skin, "post")
     z = h + 0.0008
     reach, rise = float(rng.uniform(0.12, 0.2)), float(rng.uniform(0.08, 0.24))
@@ -130,15 +107,13 @@ def faucet(rng: np.random.Generator) -> ProceduralObject:
         )
         path = np.vstack([[0, 0, z + 0.001], arc, [0, -reach, z + rise - 0.03]])
     else:
-        path = s.bent_path(
-            [
-                (0, 0, z + 0.001),
-                (0, 0, z + rise),
-                (0, -reach, z + rise + 0.01),
-                (0, -reach, z + rise - 0.03),
-            ],
-            0.03,
-        )
+        corners = [
+            (0, 0, z + 0.001),
+            (0, 0, z + rise),
+            (0, -reach, z + rise + 0.01),
+            (0, -reach, z + rise - 0.03),
+        ]
+        path = s.bent_path(corners, 0.03)
     swivel.add(s.tube(path, thin, 14), skin, "spout")
     swivel.add(s.cylinder(1.1 * r, 0.02, segments=24).moved((0, 0, z + 0.0108)), skin, "collar")
     if two:
@@ -165,16 +140,10 @@ def faucet(rng: np.random.Generator) -> ProceduralObject:
     base.add(s.along(s.cylinder(0.011, 0.024, segments=18), 0).moved(spot), skin, "valve")
     at = spot + np.array([side * 0.0125, 0, 0])
     lever = b.hinge("switch", base, (-side, 0, 0), at, 0.0, float(rng.uniform(0.5, 1.2)))
+    offset = at + np.array([side * 0.0075, 0, 0])
     lever.add(
-        s.along(s.cylinder(0.0125, 0.014, segments=18, bevel=0.001), 0).moved(
-            at + np.array([side * 0.0075, 0, 0])
-        ),
-        skin,
-        "hub",
+        s.along(s.cylinder(0.0125, 0.014, segments=18, bevel=0.001), 0).moved(offset), skin, "hub"
     )
-    lever.add(
-        s.cylinder(0.004, 0.075, segments=10).moved(at + np.array([side * 0.0085, 0, 0.046])),
-        skin,
-        "lever",
-    )
+    solid = s.cylinder(0.004, 0.075, segments=10).moved(at + np.array([side * 0.0085, 0, 0.046]))
+    lever.add(solid, skin, "lever")
     return b.build()

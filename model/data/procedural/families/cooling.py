@@ -52,52 +52,33 @@ def build_refrigerator(
     )
     hollow = 0.85 * d
     for x in (-1, 1):
-        body.add(
-            s.box(
-                (wall, hollow, h), (x * (w - wall) / 2, front + hollow / 2, bottom + h / 2), 0.004
-            ),
-            palette.body,
-            "side_wall",
-        )
-    body.add(
-        s.box((w, d - hollow, h), (0, d / 2 - (d - hollow) / 2, bottom + h / 2), 0.004),
-        palette.body,
-        "back",
-    )
+        center = (x * (w - wall) / 2, front + hollow / 2, bottom + h / 2)
+        body.add(s.box((wall, hollow, h), center, 0.004), palette.body, "side_wall")
+    center = (0, d / 2 - (d - hollow) / 2, bottom + h / 2)
+    body.add(s.box((w, d - hollow, h), center, 0.004), palette.body, "back")
     inner = w - 2 * wall
     levels = [bottom + wall / 2, bottom + h - wall / 2] + ([split] if cut else [])
     for z in levels:
         body.add(s.box((inner, hollow, wall), (0, front + hollow / 2, z)), palette.body, "wall")
     if layout == "side_by_side":
-        body.add(
-            s.box((wall, hollow, h - 2 * wall), (0, front + hollow / 2, bottom + h / 2)),
-            palette.body,
-            "divider",
-        )
+        center = (0, front + hollow / 2, bottom + h / 2)
+        body.add(s.box((wall, hollow, h - 2 * wall), center), palette.body, "divider")
     shelf = glass((190, 214, 220), 150)
     for zone in zones[1:] if layout == "french" else zones:
         for k in range(int(zone.height // 0.3)):
             z = zone.z0 + zone.height * (k + 1) / (zone.height // 0.3 + 1)
-            body.add(
-                s.box((inner, 0.8 * hollow, 0.008), (0, front + 0.55 * hollow, z)), shelf, "shelf"
-            )
+            center = (0, front + 0.55 * hollow, z)
+            body.add(s.box((inner, 0.8 * hollow, 0.008), center), shelf, "shelf")
     style: m.HandleStyle = ("bar", "bow", "flat")[rng.integers(3)]
     length = float(rng.uniform(0.25, 0.6))
     side: m.Side = "left" if rng.random() < 0.5 else "right"
-    look = m.DoorSpec(
-        side, float(rng.uniform(1.6, 2.2)), "plain", style, length, 0.05, 0.5, 0.05, thick
-    )
+    swing = float(rng.uniform(1.6, 2.2))
+    look = m.DoorSpec(side, swing, "plain", style, length, 0.05, 0.5, 0.05, thick)
     moving: list[Body] = []
 
     def close(r: m.Opening, hinge: m.Side, at: float) -> None:
-        part = m.door(
-            b,
-            body,
-            r.shrunk(gap / 2),
-            front - 0.006,
-            replace(look, hinge=hinge, handle_at=at),
-            palette,
-        )
+        spec = replace(look, hinge=hinge, handle_at=at)
+        part = m.door(b, body, r.shrunk(gap / 2), front - 0.006, spec, palette)
         seal = s.frame((r.width - 0.05, r.height - 0.05), (r.width - 0.09, r.height - 0.09), 0.005)
         part.add(seal.moved((r.center[0], front - 0.0035, r.center[1])), rubber(), "gasket")
         moving.append(part)
@@ -109,9 +90,8 @@ def build_refrigerator(
     else:
         close(top, side, 0.15 if cut else 0.6)
     if cut and layout == "french":
-        _freezer_drawers(
-            b, body, zones[0], front, thick, inner, hollow, palette, style, int(rng.integers(1, 3))
-        )
+        count = int(rng.integers(1, 3))
+        _freezer_drawers(b, body, zones[0], front, thick, inner, hollow, palette, style, count)
     elif cut:
         close(zones[0], side, 0.85)
     rest = {moving[-1].link: min(ajar, look.swing)} if ajar else None

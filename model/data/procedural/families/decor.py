@@ -88,16 +88,10 @@ def lamp(rng: np.random.Generator) -> ProceduralObject:
     bulb = s.sphere(0.38 * out, 16).moved(tip + np.array([0, -0.06, -0.6 * out]))
     head.add(bulb, plain("bulb", (250, 244, 220)), "bulb")
     if rng.random() < 0.5:
-        controls.push_button(
-            b,
-            base,
-            (0, -0.62 * r, 0.0222),
-            (0.014, 0.014, 0.004),
-            plain("switch", (40, 40, 44)),
-            face="up",
-            round_=True,
-            name="switch",
-        )
+        at = (0, -0.62 * r, 0.0222)
+        size = (0.014, 0.014, 0.004)
+        surface = plain("switch", (40, 40, 44))
+        controls.push_button(b, base, at, size, surface, face="up", round_=True, name="switch")
     return b.build()
 
 
@@ -115,9 +109,8 @@ def fan(rng: np.random.Generator) -> ProceduralObject:
     base.add(s.cylinder(0.014, h, segments=16).moved((0, 0, h / 2 + 0.01)), metal("steel"), "pole")
     z = h + 0.012
     yaw = b.hinge("neck", base, (0, 0, 1), (0, 0, z), -0.8, 0.8)
-    yaw.add(
-        s.cylinder(0.022, 0.04, segments=18, bevel=0.003).moved((0, 0, z + 0.0208)), dark, "neck"
-    )
+    at = (0, 0, z + 0.0208)
+    yaw.add(s.cylinder(0.022, 0.04, segments=18, bevel=0.003).moved(at), dark, "neck")
     top = z + 0.04
     for side in (-1, 1):
         yaw.add(s.box((0.006, 0.024, 0.05), (side * 0.017, 0, top + 0.018), 0.002), dark, "fork")
@@ -125,19 +118,16 @@ def fan(rng: np.random.Generator) -> ProceduralObject:
     head = b.hinge("head", yaw, (1, 0, 0), tilt_at, -0.35, 0.35)
     head.add(s.box((0.0264, 0.016, 0.02), tilt_at, 0.002), skin, "lug")
     cz = top + 0.1
-    head.add(
-        s.along(s.rounded_box((0.11, 0.11, 0.14), 0.05), 1).moved((0, 0.04, cz)), skin, "motor"
-    )
+    at = (0, 0.04, cz)
+    head.add(s.along(s.rounded_box((0.11, 0.11, 0.14), 0.05), 1).moved(at), skin, "motor")
     for radius, y in ((r, -0.055), (r, -0.115), (0.3 * r, -0.125)):
-        hoop = s.ring(
-            [
-                (radius - 0.003, -0.003),
-                (radius + 0.003, -0.003),
-                (radius + 0.003, 0.003),
-                (radius - 0.003, 0.003),
-            ],
-            36,
-        )
+        profile = [
+            (radius - 0.003, -0.003),
+            (radius + 0.003, -0.003),
+            (radius + 0.003, 0.003),
+            (radius - 0.003, 0.003),
+        ]
+        hoop = s.ring(profile, 36)
         head.add(s.along(hoop, 1).moved((0, y, cz)), metal("steel"), "cage")
     for k in range(18):
         a = 2 * np.pi * k / 18
@@ -160,9 +150,8 @@ def fan(rng: np.random.Generator) -> ProceduralObject:
     if rng.random() < 0.6:
         controls.knob(b, head, (0, 0.05, cz + 0.056), 0.012, 0.02, dark, skin, face="up", style=0)
     for k in range(int(rng.integers(0, 4))):
-        controls.push_button(
-            b, base, ((k - 1) * 0.03, -0.5 * r, 0.022), (0.016, 0.016, 0.005), dark, face="up"
-        )
+        at = ((k - 1) * 0.03, -0.5 * r, 0.022)
+        controls.push_button(b, base, at, (0.016, 0.016, 0.005), dark, face="up")
     return b.build()
 
 
@@ -191,23 +180,17 @@ def _ceiling_fan(rng: np.random.Generator) -> ProceduralObject:
     base = b.base("fan_base")
     drop = float(rng.uniform(0.15, 0.35))
     z = 0.14
-    base.add(
-        s.lathe([(0.03, z + drop - 0.05), (0.07, z + drop), (0.07, z + drop + 0.005)], 28),
-        skin,
-        "mount",
-    )
+    profile = [(0.03, z + drop - 0.05), (0.07, z + drop), (0.07, z + drop + 0.005)]
+    base.add(s.lathe(profile, 28), skin, "mount")
     base.add(s.cylinder(0.012, drop + 0.02, segments=14).moved((0, 0, z + drop / 2)), skin, "rod")
-    base.add(
-        s.cylinder(0.05, 0.03, segments=26, bevel=0.006).moved((0, 0, z + 0.005)), skin, "housing"
-    )
+    offset = (0, 0, z + 0.005)
+    base.add(s.cylinder(0.05, 0.03, segments=26, bevel=0.006).moved(offset), skin, "housing")
     at = (0.0, 0.0, z - 0.045)
     rotor = b.spin("rotor", base, (0, 0, 1), at)
-    rotor.add(
-        s.cylinder(0.08, 0.06, segments=30, bevel=0.01).moved((0, 0, z - 0.0418)), skin, "hub"
-    )
-    add_blades(
-        rotor, at, int(rng.integers(3, 6)), 0.07, float(rng.uniform(0.4, 0.65)), 0.12, blade, axis=2
-    )
+    offset = (0, 0, z - 0.0418)
+    rotor.add(s.cylinder(0.08, 0.06, segments=30, bevel=0.01).moved(offset), skin, "hub")
+    count = int(rng.integers(3, 6))
+    add_blades(rotor, at, count, 0.07, float(rng.uniform(0.4, 0.65)), 0.12, blade, axis=2)
     if rng.random() < 0.5:
         light = s.lathe([(0.06, 0.066), (0.07, 0.05), (0.05, 0.02), (0.0, 0.006)][::-1], 26)
         base.add(light, plain("bulb", (250, 244, 220)), "light")
@@ -222,22 +205,16 @@ def globe(rng: np.random.Generator) -> ProceduralObject:
     base = b.base("globe_base")
     r = float(rng.uniform(0.09, 0.17))
     h = float(rng.uniform(0.05, 0.12))
-    base.add(
-        s.lathe(
-            [(0.75 * r, 0), (0.75 * r, 0.01), (0.3 * r, 0.025), (0.14 * r, 0.04), (0.12 * r, h)], 32
-        ),
-        skin,
-        "stand",
-    )
+    profile = [(0.75 * r, 0), (0.75 * r, 0.01), (0.3 * r, 0.025), (0.14 * r, 0.04), (0.12 * r, h)]
+    base.add(s.lathe(profile, 32), skin, "stand")
     ring_r = r + 0.016
     center = np.array([0, 0, h + ring_r + 0.008])
     tilt = float(rng.uniform(0.2, 0.45))
     arc_body = base
     if rng.random() < 0.4:
         arc_body = b.spin("circle", base, (0, 0, 1), (0, 0, h))
-        arc_body.add(
-            s.cylinder(0.016, 0.012, segments=18).moved((0, 0, h + 0.0066)), skin, "collar"
-        )
+        at = (0, 0, h + 0.0066)
+        arc_body.add(s.cylinder(0.016, 0.012, segments=18).moved(at), skin, "collar")
     whole = rng.random() < 0.4
     span = (
         np.linspace(-np.pi / 2, np.pi / 2, 22)
@@ -259,14 +236,9 @@ def globe(rng: np.random.Generator) -> ProceduralObject:
         arc_body.add(s.sweep(path + center, s.rectangle(0.016, 0.008)), metal("brass"), "arc")
     axis = s.rotation((0, 1, 0), tilt) @ np.array([0.0, 0.0, 1.0])
     lowest = center + path[np.argmin(path[:, 2])]
+    a = np.array([lowest[0] * 0.0, 0, h - 0.004])
     arc_body.add(
-        _bar_between(
-            np.array([lowest[0] * 0.0, 0, h - 0.004]),
-            np.array([lowest[0] * 0.3, 0, lowest[2] + 0.004]),
-            0.009,
-        ),
-        skin,
-        "foot",
+        _bar_between(a, np.array([lowest[0] * 0.3, 0, lowest[2] + 0.004]), 0.009), skin, "foot"
     )
     for sign in (-1, 1):
         tip = center + sign * axis * (r + 0.001)
@@ -274,11 +246,8 @@ def globe(rng: np.random.Generator) -> ProceduralObject:
             _bar_between(tip, center + sign * axis * (ring_r + 0.012), 0.004), metal("brass"), "pin"
         )
     ball = b.spin("sphere", arc_body, axis, center)
-    ball.add(
-        s.sphere(r, 36).turned((0, 1, 0), tilt).moved(center),
-        picture("globe", int(rng.integers(3))),
-        "sphere",
-    )
+    surface = picture("globe", int(rng.integers(3)))
+    ball.add(s.sphere(r, 36).turned((0, 1, 0), tilt).moved(center), surface, "sphere")
     return b.build()
 
 
@@ -292,29 +261,21 @@ def clock(rng: np.random.Generator) -> ProceduralObject:
     cz = r + 0.02 + (1.9 * r if pendulum else 0.0)
     if pendulum or rng.random() < 0.3:
         w = 2.3 * r
-        body.add(
-            s.box((w, 0.012, cz + 1.15 * r), (0, deep / 2 - 0.006, (cz + 1.15 * r) / 2), 0.003),
-            skin,
-            "case",
-        )
+        size = (w, 0.012, cz + 1.15 * r)
+        body.add(s.box(size, (0, deep / 2 - 0.006, (cz + 1.15 * r) / 2), 0.003), skin, "case")
         if pendulum:
             for side in (-1, 1):
-                body.add(
-                    s.box((0.02, deep, cz - r), (side * (w / 2 - 0.01), 0, (cz - r) / 2), 0.002),
-                    skin,
-                    "case",
-                )
+                size = (0.02, deep, cz - r)
+                body.add(s.box(size, (side * (w / 2 - 0.01), 0, (cz - r) / 2), 0.002), skin, "case")
             body.add(s.box((w, deep, 0.02), (0, 0, 0.01), 0.002), skin, "case")
-    rim = s.ring(
-        [
-            (0.94 * r, -deep / 2),
-            (1.08 * r, -deep / 2),
-            (1.08 * r, deep / 2 - 0.006),
-            (1.0 * r, deep / 2),
-            (0.94 * r, deep / 2 - 0.004),
-        ],
-        40,
-    )
+    profile = [
+        (0.94 * r, -deep / 2),
+        (1.08 * r, -deep / 2),
+        (1.08 * r, deep / 2 - 0.006),
+        (1.0 * r, deep / 2),
+        (0.94 * r, deep / 2 - 0.004),
+    ]
+    rim = s.ring(profile, 40)
     body.add(s.along(rim, 1).moved((0, 0, cz)), skin, "rim")
     body.add(
         s.along(s.cylinder(0.97 * r, 0.008, segments=40), 1).moved((0, deep / 2 - 0.016, cz)),
@@ -331,20 +292,16 @@ def clock(rng: np.random.Generator) -> ProceduralObject:
         hand = b.spin(name, body, (0, -1, 0), (0, y, cz))
         angle = float(rng.random() * 6.28)
         bar = s.box((wide * r * 3, 0.0016, length * r), (0, 0, 0.4 * length * r), 0.0004)
-        hand.add(
-            bar.turned((0, 1, 0), angle).moved((0, y, cz)),
-            black if k < 2 else plain("second", (190, 50, 44)),
-            "hand",
-        )
+        surface = black if k < 2 else plain("second", (190, 50, 44))
+        hand.add(bar.turned((0, 1, 0), angle).moved((0, y, cz)), surface, "hand")
         hub = s.along(s.cylinder(0.05 * r, 0.0022, segments=16), 1)
         hand.add(hub.moved((0, y, cz)), black, "hub")
     if pendulum:
         at = (0, 0.0, cz - 1.12 * r)
         swing = b.hinge("pendulum", body, (0, 1, 0), at, -0.25, 0.25)
         length = 1.3 * r
-        swing.add(
-            s.box((0.008, 0.003, length), (0, 0, at[2] - length / 2), 0.0005), metal("brass"), "rod"
-        )
+        size = (0.008, 0.003, length)
+        swing.add(s.box(size, (0, 0, at[2] - length / 2), 0.0005), metal("brass"), "rod")
         bob = s.along(s.cylinder(0.28 * r, 0.008, segments=26, bevel=0.003), 1)
         swing.add(bob.moved((0, 0, at[2] - length)), metal("brass"), "bob")
     return b.build()

@@ -38,22 +38,15 @@ def display(rng: np.random.Generator) -> ProceduralObject:
     base = b.base("stand")
     deep = float(rng.uniform(0.16, 0.24))
     if rng.random() < 0.5:
-        base.add(
-            s.rounded_box((0.45 * w, deep, 0.012), 0.03, rim=0.004).moved((0, 0, 0.006)),
-            case,
-            "foot",
-        )
+        size = (0.45 * w, deep, 0.012)
+        base.add(s.rounded_box(size, 0.03, rim=0.004).moved((0, 0, 0.006)), case, "foot")
     else:
-        base.add(
-            s.cylinder(deep / 2, 0.012, segments=36, bevel=0.004).moved((0, 0, 0.006)), case, "foot"
-        )
+        offset = (0, 0, 0.006)
+        base.add(s.cylinder(deep / 2, 0.012, segments=36, bevel=0.004).moved(offset), case, "foot")
     rise = float(rng.uniform(0.08, 0.16))
     y0 = 0.035
-    base.add(
-        s.box((0.055, 0.024, rise + h * 0.5), (0, y0, 0.01 + (rise + h * 0.5) / 2), 0.004),
-        case,
-        "post",
-    )
+    size = (0.055, 0.024, rise + h * 0.5)
+    base.add(s.box(size, (0, y0, 0.01 + (rise + h * 0.5) / 2), 0.004), case, "post")
     parent = base
     cz = rise + h * 0.5
     front = y0 - 0.0126
@@ -68,23 +61,19 @@ def display(rng: np.random.Generator) -> ProceduralObject:
     at = np.array([0, front - 0.014, cz])
     screen = b.hinge("screen", parent, (-1, 0, 0), at, -0.15, 0.35)
     for side in (-1, 1):
-        parent.add(
-            s.box((0.008, 0.022, 0.026), (side * 0.028, front - 0.009, cz), 0.002), GREY, "fork"
-        )
+        size = (0.008, 0.022, 0.026)
+        parent.add(s.box(size, (side * 0.028, front - 0.009, cz), 0.002), GREY, "fork")
     screen.add(s.along(s.cylinder(0.007, 0.046, segments=14), 0).moved(at), metal("steel"), "hinge")
     back = at[1] - 0.014
     screen.add(s.box((0.03, 0.016, 0.016), (0, at[1] - 0.009, cz)), GREY, "lug")
     slab = s.rounded_box((w, h, t), 0.012, rim=0.006).turned((1, 0, 0), np.pi / 2)
     screen.add(slab.moved((0, back - t / 2, cz)), case, "case")
     face = back - t
-    screen.add(
-        s.box((w - 0.02, 0.003, h - 0.03), (0, face - 0.0002, cz + 0.005)), dark_glass(), "bezel"
-    )
-    screen.add(
-        s.box((w - 0.034, 0.003, h - 0.05), (0, face - 0.0006, cz + 0.006)),
-        picture("desktop", int(rng.integers(6))),
-        "display",
-    )
+    size = (w - 0.02, 0.003, h - 0.03)
+    screen.add(s.box(size, (0, face - 0.0002, cz + 0.005)), dark_glass(), "bezel")
+    size = (w - 0.034, 0.003, h - 0.05)
+    center = (0, face - 0.0006, cz + 0.006)
+    screen.add(s.box(size, center), picture("desktop", int(rng.integers(6))), "display")
     for k in range(int(rng.integers(0, 5))):
         spot = (0.4 * w - 0.022 * k, face, cz - h / 2 + 0.009)
         controls.push_button(b, screen, spot, (0.012, 0.005, 0.003), GREY)
@@ -98,11 +87,8 @@ def keyboard(rng: np.random.Generator) -> ProceduralObject:
     base = b.base("keyboard_base")
     w, d = float(rng.uniform(0.28, 0.36)), float(rng.uniform(0.1, 0.13))
     t, z = 0.012, 0.004
-    base.add(
-        s.rounded_box((w + 0.02, d + 0.02, t), 0.006, rim=0.003).moved((0, 0, z + t / 2)),
-        case,
-        "case",
-    )
+    size = (w + 0.02, d + 0.02, t)
+    base.add(s.rounded_box(size, 0.006, rim=0.003).moved((0, 0, z + t / 2)), case, "case")
     top = z + t
     travel = 0.003
     grid = key_grid(w, d)
@@ -113,22 +99,16 @@ def keyboard(rng: np.random.Generator) -> ProceduralObject:
         body = base
         if rng.random() < share:
             body = b.slide("key", base, (0, 0, -1), 0.0, 0.8 * travel, (x, y, top))
-        cap = s.loft(
-            [
-                s.at(s.rectangle(kw, kd, 0.001), top + 0.0004),
-                s.at(s.rectangle(0.8 * kw, 0.8 * kd, 0.001), top + 0.0004 + travel + 0.004),
-            ]
-        )
+        outline = s.rectangle(kw, kd, 0.001)
+        solid = s.rectangle(0.8 * kw, 0.8 * kd, 0.001)
+        cap = s.loft([s.at(outline, top + 0.0004), s.at(solid, top + 0.0004 + travel + 0.004)])
         body.add(cap.moved((x, y, 0)), cap_skin, "key")
     if rng.random() < 0.6:
         for side in (-1, 1):
             at = (side * 0.4 * w, d / 2 - 0.004, z)
             foot = b.hinge("foot", base, (1, 0, 0), at, 0.0, 1.4)
-            foot.add(
-                s.box((0.03, 0.022, 0.0028), (at[0], at[1] - 0.011, z - 0.002), 0.0005),
-                GREY,
-                "foot",
-            )
+            size = (0.03, 0.022, 0.0028)
+            foot.add(s.box(size, (at[0], at[1] - 0.011, z - 0.002), 0.0005), GREY, "foot")
     return b.build()
 
 
@@ -142,11 +122,8 @@ def phone(rng: np.random.Generator) -> ProceduralObject:
     base = b.base("phone_base")
     base.add(s.rounded_box((w, h, t), 0.008, rim=0.002).moved((0, 0, z)), case, "case")
     if kind == "bar":
-        base.add(
-            s.box((0.86 * w, 0.56 * h, 0.001), (0, 0.15 * h, t + 0.0001)),
-            picture("phone", int(rng.integers(4))),
-            "display",
-        )
+        surface = picture("phone", int(rng.integers(4)))
+        base.add(s.box((0.86 * w, 0.56 * h, 0.001), (0, 0.15 * h, t + 0.0001)), surface, "display")
         _keypad(b, base, w, h, t, -0.29 * h, 0.3 * h)
         side = s.box((0.002, 0.014, 0.004))
         volume = b.slide("button", base, (-1, 0, 0), 0.0, 0.0008, (w / 2, 0.2 * h, z))
@@ -156,31 +133,22 @@ def phone(rng: np.random.Generator) -> ProceduralObject:
     top = t + 0.0022
     if kind == "slide":
         lid = b.slide("translation_screen", base, (0, 1, 0), 0.0, 0.52 * h, (0, 0, top))
-        lid.add(
-            s.rounded_box((w, h, 0.7 * t), 0.008, rim=0.002).moved((0, 0, top + 0.35 * t)),
-            case,
-            "case",
-        )
-        lid.add(
-            s.box((0.86 * w, 0.84 * h, 0.001), (0, 0, top + 0.7 * t + 0.0001)),
-            picture("phone", int(rng.integers(4))),
-            "display",
-        )
+        size = (w, h, 0.7 * t)
+        lid.add(s.rounded_box(size, 0.008, rim=0.002).moved((0, 0, top + 0.35 * t)), case, "case")
+        size = (0.86 * w, 0.84 * h, 0.001)
+        center = (0, 0, top + 0.7 * t + 0.0001)
+        lid.add(s.box(size, center), picture("phone", int(rng.integers(4))), "display")
         rest = float(rng.uniform(0.1, 0.5)) * h if rng.random() < 0.6 else 0.0
         return b.build({lid.link: rest} if rest else None)
     at = (0, h / 2 + 0.0046, t + 0.0011)
     lid = b.hinge("screen", base, (-1, 0, 0), at, 0.0, float(rng.uniform(2.5, 2.9)))
-    lid.add(
-        s.rounded_box((w, h, 0.7 * t), 0.008, rim=0.002).moved((0, 0, top + 0.35 * t)), case, "case"
-    )
+    size = (w, h, 0.7 * t)
+    lid.add(s.rounded_box(size, 0.008, rim=0.002).moved((0, 0, top + 0.35 * t)), case, "case")
     lid.add(s.along(s.cylinder(0.004, 0.45 * w, segments=14), 0).moved(at), GREY, "hinge")
     lid.add(s.box((0.4 * w, 0.008, 0.003), (0, h / 2, top + 0.003)), GREY, "hinge")
-    lid.add(
-        s.box((0.84 * w, 0.8 * h, 0.001), (0, 0, top - 0.0002)),
-        picture("phone", int(rng.integers(4))),
-        "display",
-        flipped=True,
-    )
+    size = (0.84 * w, 0.8 * h, 0.001)
+    center = (0, 0, top - 0.0002)
+    lid.add(s.box(size, center), picture("phone", int(rng.integers(4))), "display", flipped=True)
     return b.build({lid.link: float(rng.uniform(1.2, 2.4))} if rng.random() < 0.8 else None)
 
 
@@ -206,18 +174,16 @@ def remote(rng: np.random.Generator) -> ProceduralObject:
     base.add(body.shaped(waist).moved((0, 0, t / 2)), case, "case")
     skin = GREY if sum(case.material.base_color[:3]) > 300 else LIGHT
     red = plain("power", (200, 50, 44))
-    controls.push_button(
-        b, base, (-0.26 * w, 0.42 * h, t), (0.18 * w, 0.18 * w, 0.002), red, face="up", round_=True
-    )
+    offset = (-0.26 * w, 0.42 * h, t)
+    controls.push_button(b, base, offset, (0.18 * w, 0.18 * w, 0.002), red, face="up", round_=True)
     rows, cols = int(rng.integers(4, 8)), int(rng.integers(2, 4))
     pitch = 0.72 * h / rows
     for i in range(rows):
         for j in range(cols):
             at = ((j - (cols - 1) / 2) * 0.66 * w / cols * 1.15, 0.3 * h - i * pitch, t)
             size = (0.5 * w / cols, min(0.6 * pitch, 0.012), 0.002)
-            controls.push_button(
-                b, base, at, size, skin, face="up", round_=bool((i + rows) % 3 == 0)
-            )
+            round_ = bool((i + rows) % 3 == 0)
+            controls.push_button(b, base, at, size, skin, face="up", round_=round_)
     return b.build()
 
 
@@ -290,25 +256,15 @@ def switch(rng: np.random.Generator) -> ProceduralObject:
             plate.add(ring.moved(((lo + hi) / 2, 0, cz)), skin, "plate")
         plate.add(s.box((w, 0.002, h), (0, t / 2 + 0.001, cz)), skin, "plate")
     else:
-        plate.add(
-            s.rounded_box((w, h, t), 0.006, rim=0.002)
-            .turned((1, 0, 0), np.pi / 2)
-            .moved((0, 0, cz)),
-            skin,
-            "plate",
-        )
+        solid = s.rounded_box((w, h, t), 0.006, rim=0.002)
+        plate.add(solid.turned((1, 0, 0), np.pi / 2).moved((0, 0, cz)), skin, "plate")
     for k in range(count):
         x = float(bars[k] + bars[k + 1]) / 2
         if kind == "rocker":
             tilt = 0.1 * (1 if rng.random() < 0.5 else -1)
-            rocker = b.hinge(
-                "switch",
-                plate,
-                (1, 0, 0),
-                (x, -0.001, cz),
-                min(0.0, -2 * tilt),
-                max(0.0, -2 * tilt),
-            )
+            axis = (1, 0, 0)
+            lower = min(0.0, -2 * tilt)
+            rocker = b.hinge("switch", plate, axis, (x, -0.001, cz), lower, max(0.0, -2 * tilt))
             outline = np.array(
                 [
                     (-0.002, -inner_h / 2),
@@ -318,17 +274,13 @@ def switch(rng: np.random.Generator) -> ProceduralObject:
                     (-0.0055, 0),
                 ]
             )
-            rocker.add(
-                s.slab(outline, inner_w, axis=0)
-                .turned((1, 0, 0), tilt * 0.9)
-                .moved((x, -0.001, cz)),
-                plain("rocker", (246, 246, 244)),
-                "rocker",
-            )
+            solid = s.slab(outline, inner_w, axis=0)
+            surface = plain("rocker", (246, 246, 244))
+            offset = (x, -0.001, cz)
+            rocker.add(solid.turned((1, 0, 0), tilt * 0.9).moved(offset), surface, "rocker")
         elif kind == "toggle":
-            collar = s.along(s.cylinder(0.007, 0.004, segments=18), 1).moved(
-                (x, -t / 2 - 0.002, cz)
-            )
+            collar = s.along(s.cylinder(0.007, 0.004, segments=18), 1)
+            collar = collar.moved((x, -t / 2 - 0.002, cz))
             plate.add(collar, metal("steel"), "collar")
             at = np.array([x, -t / 2 - 0.0045, cz])
             lever = b.hinge("switch", plate, (1, 0, 0), at, -0.9, 0.0)

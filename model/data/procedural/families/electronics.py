@@ -32,9 +32,8 @@ def keys(
     whole = s.box((width, depth, height)).moved(at)
     legends = picture("keys")
     for x, y, w, d in key_grid(width, depth):
-        cap = s.box((w, d, height), bevel=0.25 * height).moved(
-            (at[0] + x, at[1] + y, at[2] + height / 2)
-        )
+        cap = s.box((w, d, height), bevel=0.25 * height)
+        cap = cap.moved((at[0] + x, at[1] + y, at[2] + height / 2))
         body.add(cap, legends, "key", fit_to=whole)
 
 
@@ -57,33 +56,24 @@ def build_laptop(
     w, d, t = size
     lid_t, radius = 0.0065, 0.0055
     base = b.base("base")
-    base.add(
-        s.rounded_box((w, d, t), 0.012, rim=0.0022).moved((0, 0, t / 2 + 0.002)), shell, "base"
-    )
+    at = (0, 0, t / 2 + 0.002)
+    base.add(s.rounded_box((w, d, t), 0.012, rim=0.0022).moved(at), shell, "base")
     top = t + 0.002
     for x in (-1, 1):
         for y in (-1, 1):
-            base.add(
-                s.cylinder(0.007, 0.004, segments=12).moved((x * 0.42 * w, y * 0.4 * d, 0.002)),
-                rubber(),
-                "foot",
-            )
+            at = (x * 0.42 * w, y * 0.4 * d, 0.002)
+            base.add(s.cylinder(0.007, 0.004, segments=12).moved(at), rubber(), "foot")
     kw, kd = 0.86 * w, 0.42 * d
-    base.add(
-        s.box((1.02 * kw, 1.06 * kd, 0.0012), (0, 0.17 * d, top)),
-        plain("well", (28, 29, 32)),
-        "keyboard_well",
-    )
+    surface = plain("well", (28, 29, 32))
+    base.add(s.box((1.02 * kw, 1.06 * kd, 0.0012), (0, 0.17 * d, top)), surface, "keyboard_well")
     keys(base, kw, kd, (0, 0.17 * d, top + 0.0006), 0.0018)
     pad = s.rounded_box((0.34 * w, 0.3 * d, 0.0012), 0.006, rim=0.0004)
-    base.add(
-        pad.moved((0, -0.28 * d, top + 0.0002)), plain("touchpad", (128, 130, 136)), "touchpad"
-    )
+    at = (0, -0.28 * d, top + 0.0002)
+    base.add(pad.moved(at), plain("touchpad", (128, 130, 136)), "touchpad")
     for side in (-1, 1):
         for k in range(2):
-            port = s.box(
-                (0.0016, 0.011, 0.0045), (side * w / 2, 0.2 * d + 0.03 * k, 0.55 * t + 0.002)
-            )
+            center = (side * w / 2, 0.2 * d + 0.03 * k, 0.55 * t + 0.002)
+            port = s.box((0.0016, 0.011, 0.0045), center)
             base.add(port, plain("port", (24, 24, 26)), "port")
     # The lid is built closed and lies 1 mm above the keys; the hinge runs behind the base's edge.
     gap = 0.0032
@@ -93,11 +83,9 @@ def build_laptop(
     lid_z = top + gap + lid_t / 2
     lid.add(slab.moved((0, -0.004 + 0.002, lid_z)), shell, "lid")
     glass_z = top + gap - 0.0001
-    lid.add(
-        s.box((0.975 * w, 0.94 * d - 0.008, 0.0012), (0, -0.004, glass_z + 0.0003)),
-        plain("bezel", (20, 21, 24)),
-        "bezel",
-    )
+    center = (0, -0.004, glass_z + 0.0003)
+    surface = plain("bezel", (20, 21, 24))
+    lid.add(s.box((0.975 * w, 0.94 * d - 0.008, 0.0012), center), surface, "bezel")
     view = s.box((0.93 * w, 0.82 * d, 0.001), (0, -0.002, glass_z - 0.0001))
     lid.add(view, picture("desktop", screen), "display", flipped=True)
     logo = s.cylinder(0.016, 0.0012, segments=24).moved((0, 0, lid_z + lid_t / 2))

@@ -8,11 +8,12 @@ from model.data.procedural import controls
 from model.data.procedural import modules as m
 from model.data.procedural import shapes as s
 from model.data.procedural.families.openings import lever_handle
-from model.data.procedural.grammar import Builder, ProceduralObject
+from model.data.procedural.grammar import Body, Builder, ProceduralObject
 from model.data.procedural.materials import (
     PAINTS,
     PLASTICS,
     Palette,
+    Surface,
     metal,
     one_color,
     plain,
@@ -41,44 +42,29 @@ def box(rng: np.random.Generator) -> ProceduralObject:
         for at, axis, (length, reach) in pairs:
             sign = np.sign(at[1])
             flap = b.hinge("lid", body, axis, at, 0.0, float(rng.uniform(2.6, 3.4)))
-            flap.add(
-                s.box(
-                    (length - 0.002, reach - 0.001, 0.003),
-                    (0, at[1] - sign * reach / 2, z + 0.0015),
-                ),
-                skin,
-                "flap",
-            )
+            size = (length - 0.002, reach - 0.001, 0.003)
+            flap.add(s.box(size, (0, at[1] - sign * reach / 2, z + 0.0015)), skin, "flap")
             rest[flap.link] = float(rng.uniform(0.0, 2.5)) if rng.random() < 0.7 else 0.0
         return b.build({k: v for k, v in rest.items() if v})
     lid_h = float(rng.uniform(0.012, 0.3 * h))
     top = s.tray((w, d, lid_h), wall).scaled((1, 1, -1)).moved((0, 0, h + 0.001 + lid_h))
     trim = metal(("brass", "black", "steel")[rng.integers(3)])
     if kind == "lift":
-        over = (
-            s.tray((w + 0.009, d + 0.009, lid_h), 0.002).scaled((1, 1, -1)).moved((0, 0, h + 0.003))
-        )
+        over = s.tray((w + 0.009, d + 0.009, lid_h), 0.002).scaled((1, 1, -1))
+        over = over.moved((0, 0, h + 0.003))
         lid = b.slide("lid", body, (0, 0, 1), 0.0, 1.1 * lid_h + 0.05, (0, 0, h))
         lid.add(over, skin, "lid")
         if rng.random() < 0.5:
-            m.add(
-                lid,
-                m.place(
-                    m.handle("bow", 0.35 * w, 0.03), (0, 0, h + 0.002), face="up", roll=np.pi / 2
-                ),
-                trim,
-                "handle",
-            )
+            solids = m.handle("bow", 0.35 * w, 0.03)
+            roll = np.pi / 2
+            m.add(lid, m.place(solids, (0, 0, h + 0.002), face="up", roll=roll), trim, "handle")
         return b.build()
     swing = float(rng.uniform(1.5, 2.0))
     lid = b.hinge("lid", body, (-1, 0, 0), (0, d / 2 + 0.0045, h + 0.0005), 0.0, swing)
     lid.add(top, skin, "lid", grain=0)
     for x in (-0.3 * w, 0.3 * w):
-        lid.add(
-            s.along(s.cylinder(0.004, 0.04, segments=10), 0).moved((x, d / 2 + 0.0045, h + 0.0005)),
-            trim,
-            "hinge",
-        )
+        offset = (x, d / 2 + 0.0045, h + 0.0005)
+        lid.add(s.along(s.cylinder(0.004, 0.04, segments=10), 0).moved(offset), trim, "hinge")
     clasp = s.box((0.03, 0.004, 0.03), (0, -d / 2 - 0.0025, h + 0.004), 0.001)
     lid.add(clasp, trim, "clasp")
     if rng.random() < 0.3:
@@ -99,9 +85,8 @@ def safe(rng: np.random.Generator) -> ProceduralObject:
         for y in (-1, 1):
             foot = s.cylinder(0.02, 0.018, segments=12)
             body.add(foot.moved((x * 0.4 * w, y * 0.4 * d, 0.009)), rubber(), "foot")
-    body.add(
-        s.box((w - 2 * wall, 0.6 * d, 0.006), (0, 0.1 * d, 0.015 + h / 2)), palette.metal, "shelf"
-    )
+    size = (w - 2 * wall, 0.6 * d, 0.006)
+    body.add(s.box(size, (0, 0.1 * d, 0.015 + h / 2)), palette.metal, "shelf")
     side: m.Side = "left" if rng.random() < 0.5 else "right"
     inset = rng.random() < 0.5
     r = m.Opening(-w / 2, w / 2, 0.015, 0.015 + h)
@@ -114,16 +99,8 @@ def safe(rng: np.random.Generator) -> ProceduralObject:
     cx, cz = r.center
     mark = plain("mark", (240, 240, 240))
     if rng.random() < 0.6:
-        controls.knob(
-            b,
-            door_,
-            (cx + free * 0.12 * w, front, cz + 0.12 * h),
-            0.032,
-            0.025,
-            palette.dark,
-            mark,
-            style=2,
-        )
+        offset = (cx + free * 0.12 * w, front, cz + 0.12 * h)
+        controls.knob(b, door_, offset, 0.032, 0.025, palette.dark, mark, style=2)
     else:
         for i in range(3):
             for j in range(3):
@@ -134,16 +111,12 @@ def safe(rng: np.random.Generator) -> ProceduralObject:
         lever_handle(b, door_, at, -float(free), palette.metal)
     else:
         wheel = b.spin("knob", door_, (0, -1, 0), at)
-        hub = s.along(s.cylinder(0.014, 0.045, segments=16), 1).moved(
-            at + np.array([0, -0.0232, 0])
-        )
+        hub = s.along(s.cylinder(0.014, 0.045, segments=16), 1)
+        hub = hub.moved(at + np.array([0, -0.0232, 0]))
         wheel.add(hub, palette.metal, "hub")
         for k in range(int(rng.integers(3, 6))):
-            spoke = (
-                s.cylinder(0.0055, 0.06, segments=10)
-                .moved((0, 0, 0.04))
-                .turned((0, 1, 0), 2 * np.pi * k / 4)
-            )
+            spoke = s.cylinder(0.0055, 0.06, segments=10)
+            spoke = spoke.moved((0, 0, 0.04)).turned((0, 1, 0), 2 * np.pi * k / 4)
             wheel.add(spoke.moved(at + np.array([0, -0.038, 0])), palette.metal, "spoke")
     return b.build()
 
@@ -169,19 +142,12 @@ def suitcase(rng: np.random.Generator) -> ProceduralObject:
     body.add(shell(False), skin, "shell")
     side = -1 if rng.random() < 0.5 else 1
     axis = (0, 0, -1) if side < 0 else (0, 0, 1)
-    lid = b.hinge(
-        "lid",
-        body,
-        axis,
-        (side * (w / 2 + 0.001), 0.0, bottom + h / 2),
-        0.0,
-        float(rng.uniform(1.8, 3.0)),
-    )
+    origin = (side * (w / 2 + 0.001), 0.0, bottom + h / 2)
+    lid = b.hinge("lid", body, axis, origin, 0.0, float(rng.uniform(1.8, 3.0)))
     lid.add(shell(True), skin, "shell")
     for k in range(int(rng.integers(0, 5))):
-        rib = s.box(
-            (0.012, 0.006, 0.72 * h), ((k - 2) * 0.14 * w, -half - 0.001, bottom + h / 2), 0.002
-        )
+        size = (0.012, 0.006, 0.72 * h)
+        rib = s.box(size, ((k - 2) * 0.14 * w, -half - 0.001, bottom + h / 2), 0.002)
         lid.add(rib, skin, "rib")
     pull = float(rng.uniform(0.25, 0.4))
     handle = b.slide("handle", body, (0, 0, 1), 0.0, pull, (0, d / 4, bottom + h))
@@ -189,15 +155,13 @@ def suitcase(rng: np.random.Generator) -> ProceduralObject:
     y = half + 0.016
     length = 0.85 * h
     for x in (-0.18 * w, 0.18 * w):
-        sleeve = s.ring(
-            [
-                (0.0075, bottom),
-                (0.0105, bottom),
-                (0.0105, bottom + h - 0.03),
-                (0.0075, bottom + h - 0.03),
-            ],
-            14,
-        )
+        profile = [
+            (0.0075, bottom),
+            (0.0105, bottom),
+            (0.0105, bottom + h - 0.03),
+            (0.0075, bottom + h - 0.03),
+        ]
+        sleeve = s.ring(profile, 14)
         body.add(sleeve.moved((x, y, 0)), plain("sleeve", (50, 52, 56)), "sleeve")
         bar = s.cylinder(0.0065, length, segments=12).moved((x, y, bottom + h - length / 2 + 0.02))
         handle.add(bar, grey, "bar")
@@ -235,69 +199,28 @@ def trash_can(rng: np.random.Generator) -> ProceduralObject:
     wall, lift = 0.004, 0.02
     if round_:
         r = w / 2
-        body.add(
-            s.lathe(
-                [
-                    (0.88 * r, lift),
-                    (r, lift + h),
-                    (r - wall, lift + h),
-                    (0.88 * r - wall, lift + wall),
-                ],
-                32,
-            ),
-            skin,
-            "body",
-        )
+        profile = [
+            (0.88 * r, lift),
+            (r, lift + h),
+            (r - wall, lift + h),
+            (0.88 * r - wall, lift + wall),
+        ]
+        body.add(s.lathe(profile, 32), skin, "body")
     else:
-        body.add(
-            s.tray((w, d, h), wall, radius=0.03, taper=0.08 * w).moved((0, 0, lift)), skin, "body"
-        )
+        size = (w, d, h)
+        body.add(s.tray(size, wall, radius=0.03, taper=0.08 * w).moved((0, 0, lift)), skin, "body")
     body.add(s.box((0.7 * w, 0.7 * d, lift), (0, 0, lift / 2)), dark, "base")
     top, kind = lift + h + 0.001, rng.random()
     rest: dict[str, float] = {}
     outline = s.circle(w / 2, 32) if round_ else s.rectangle(w, d, 0.03, 3)
     if kind < 0.55:
-        lid = b.hinge(
-            "lid", body, (-1, 0, 0), (0, d / 2 + 0.004, top), 0.0, float(rng.uniform(1.2, 1.7))
-        )
+        axis = (-1, 0, 0)
+        lid = b.hinge("lid", body, axis, (0, d / 2 + 0.004, top), 0.0, float(rng.uniform(1.2, 1.7)))
         loops = [s.at(outline, top), s.at(outline, top + 0.012), s.at(0.9 * outline, top + 0.025)]
         lid.add(s.loft(loops), dark if rng.random() < 0.5 else skin, "lid")
-        lid.add(
-            s.along(s.cylinder(0.006, 0.35 * w, segments=12), 0).moved(
-                (0, d / 2 + 0.004, top + 0.002)
-            ),
-            dark,
-            "hinge",
-        )
-        if rng.random() < 0.5:
-            pedal = b.hinge("pedal", body, (1, 0, 0), (0, -d / 2 + 0.12 * d, 0.014), 0.0, 0.1)
-            reach = 0.1 * d + 0.05
-            pedal.add(
-                s.box(
-                    (0.3 * w, reach, 0.006),
-                    (0, -d / 2 - reach / 2 + 0.05 * d + 0.003, 0.0145),
-                    0.001,
-                ),
-                metal("steel"),
-                "pedal",
-            )
-        elif rng.random() < 0.4:
-            for side in (-1, 1):
-                at = (side * (0.35 * w + 0.012), d / 2 - 0.02, 0.05)
-                wheel = b.spin("wheel", body, (1, 0, 0), at)
-                tyre, hub = controls.wheel(0.05, 0.02)
-                m.add(
-                    wheel,
-                    [t.moved((side * (w / 2 + 0.014), d / 2 - 0.02, 0.05)) for t in tyre],
-                    rubber(),
-                    "tyre",
-                )
-                m.add(
-                    wheel,
-                    [t.moved((side * (w / 2 + 0.014), d / 2 - 0.02, 0.05)) for t in hub],
-                    dark,
-                    "hub",
-                )
+        offset = (0, d / 2 + 0.004, top + 0.002)
+        lid.add(s.along(s.cylinder(0.006, 0.35 * w, segments=12), 0).moved(offset), dark, "hinge")
+        _pedal_or_wheels(b, body, w, d, dark, rng)
         if rng.random() < 0.25:
             rest[lid.link] = float(rng.uniform(0.1, 1.2))
     elif kind < 0.8:
@@ -331,12 +254,25 @@ def trash_can(rng: np.random.Generator) -> ProceduralObject:
             s.at(0.85 * outline, top + 0.035),
         ]
         lid.add(s.loft(loops), dark, "lid")
-        m.add(
-            lid,
-            m.place(
-                m.handle("bow", 0.4 * w, 0.035), (0, 0, top + 0.034), face="up", roll=np.pi / 2
-            ),
-            dark,
-            "handle",
-        )
+        solids = m.handle("bow", 0.4 * w, 0.035)
+        m.add(lid, m.place(solids, (0, 0, top + 0.034), face="up", roll=np.pi / 2), dark, "handle")
     return b.build(rest)
+
+
+def _pedal_or_wheels(
+    b: Builder, body: Body, w: float, d: float, dark: Surface, rng: np.random.Generator
+) -> None:
+    if rng.random() < 0.5:
+        pedal = b.hinge("pedal", body, (1, 0, 0), (0, -d / 2 + 0.12 * d, 0.014), 0.0, 0.1)
+        reach = 0.1 * d + 0.05
+        center = (0, -d / 2 - reach / 2 + 0.05 * d + 0.003, 0.0145)
+        pedal.add(s.box((0.3 * w, reach, 0.006), center, 0.001), metal("steel"), "pedal")
+    elif rng.random() < 0.4:
+        for side in (-1, 1):
+            at = (side * (0.35 * w + 0.012), d / 2 - 0.02, 0.05)
+            wheel = b.spin("wheel", body, (1, 0, 0), at)
+            tyre, hub = controls.wheel(0.05, 0.02)
+            solids = [t.moved((side * (w / 2 + 0.014), d / 2 - 0.02, 0.05)) for t in tyre]
+            m.add(wheel, solids, rubber(), "tyre")
+            solids = [t.moved((side * (w / 2 + 0.014), d / 2 - 0.02, 0.05)) for t in hub]
+            m.add(wheel, solids, dark, "hub")

@@ -44,16 +44,13 @@ def housing(
         ((opening.x0, opening.x1), (opening.z1, z1), "ceiling"),
     )
     for (a, b), (low, high), piece in blocks:
-        solid = s.box(
-            (b - a, hollow, high - low), ((a + b) / 2, front + hollow / 2, (low + high) / 2), 0.003
-        )
+        center = ((a + b) / 2, front + hollow / 2, (low + high) / 2)
+        solid = s.box((b - a, hollow, high - low), center, 0.003)
         body.add(solid, palette.body, piece)
     rear = s.box((w, d - hollow, h), (0, back - (d - hollow) / 2, (z0 + z1) / 2), 0.004)
     body.add(rear, palette.body, "back")
-    lining = s.box(
-        (opening.width, 0.004, opening.height),
-        (opening.center[0], front + hollow - 0.002, opening.center[1]),
-    )
+    center = (opening.center[0], front + hollow - 0.002, opening.center[1])
+    lining = s.box((opening.width, 0.004, opening.height), center)
     body.add(lining, inside, "lining")
 
 
@@ -68,9 +65,8 @@ def rack(
     """A wire shelf centred on ``at``."""
     x, y, z = at
     for side in (-1, 1):
-        rail = s.along(s.cylinder(0.004, depth, segments=8), 1).moved(
-            (x + side * (width / 2 - 0.004), y, z)
-        )
+        rail = s.along(s.cylinder(0.004, depth, segments=8), 1)
+        rail = rail.moved((x + side * (width / 2 - 0.004), y, z))
         body.add(rail, surface, "rail")
     for k in range(bars):
         wire = s.along(s.cylinder(0.0025, width, segments=6), 0)
@@ -110,30 +106,16 @@ def build_oven(spec: OvenSpec, palette: Palette, rng: np.random.Generator) -> Pr
     low = bottom + (0.16 if spec.drawer else 0.03)
     high = bottom + h - spec.fascia
     wall = 0.05
-    housing(
-        body,
-        spec.size,
-        m.Opening(-w / 2 + wall, w / 2 - wall, low + 0.03, high - 0.03),
-        palette,
-        bottom,
-        inside=plain("oven_lining", (60, 62, 66)),
-    )
+    opening = m.Opening(-w / 2 + wall, w / 2 - wall, low + 0.03, high - 0.03)
+    housing(body, spec.size, opening, palette, bottom, inside=plain("oven_lining", (60, 62, 66)))
     for x in (-1, 1):
         for y in (-1, 1):
-            body.add(
-                s.cylinder(0.02, bottom + 0.01, segments=12).moved(
-                    (x * (w / 2 - 0.05), y * (d / 2 - 0.05), (bottom + 0.01) / 2)
-                ),
-                palette.dark,
-                "foot",
-            )
+            at = (x * (w / 2 - 0.05), y * (d / 2 - 0.05), (bottom + 0.01) / 2)
+            body.add(s.cylinder(0.02, bottom + 0.01, segments=12).moved(at), palette.dark, "foot")
     front = -d / 2
     thick = 0.035
-    fascia = s.box(
-        (w - 0.004, thick, spec.fascia - 0.006),
-        (0, front - thick / 2, bottom + h - spec.fascia / 2),
-        0.004,
-    )
+    size = (w - 0.004, thick, spec.fascia - 0.006)
+    fascia = s.box(size, (0, front - thick / 2, bottom + h - spec.fascia / 2), 0.004)
     body.add(fascia, palette.front if rng.random() < 0.6 else palette.dark, "control_panel")
     for k, z in enumerate((low + 0.15, low + 0.3)):
         if z < high - 0.08:
@@ -171,12 +153,8 @@ def _warming_drawer(
     r = m.Opening(-w / 2 + 0.002, w / 2 - 0.002, bottom + 0.004, low - 0.001)
     m.panel(part, r, front - 0.002, thick - 0.002, "plain", palette)
     grip = m.handle("lip", 0.5 * w, 0.025)
-    m.add(
-        part,
-        m.place(grip, (0, front - thick, low - 0.03), roll=np.pi / 2),
-        palette.accent,
-        "handle",
-    )
+    solids = m.place(grip, (0, front - thick, low - 0.03), roll=np.pi / 2)
+    m.add(part, solids, palette.accent, "handle")
 
 
 def _oven_knobs(
@@ -189,11 +167,8 @@ def _oven_knobs(
         half = spec.knobs // 2
         xs = np.concatenate([np.linspace(-0.42, -0.2, half), np.linspace(0.2, 0.42, half)]) * w
     if spec.display and (middle or spec.knobs == 1):
-        body.add(
-            s.box((0.12, 0.006, 0.045), (0, y - 0.002, z)),
-            picture("panel", int(spec.knobs)),
-            "display",
-        )
+        size = (0.12, 0.006, 0.045)
+        body.add(s.box(size, (0, y - 0.002, z)), picture("panel", int(spec.knobs)), "display")
     spread = float(np.diff(xs).min()) if len(xs) > 1 else 0.1
     radius = min(0.024, 0.38 * spread, 0.33 * spec.fascia)
     mark = (
@@ -223,13 +198,8 @@ def _cooktop(body: Body, w: float, d: float, top: float, burners: int, palette: 
         r = 0.085 if k % 3 else 0.068
         plate = s.lathe([(r, 0), (r, 0.01), (0.9 * r, 0.014), (0.3 * r, 0.014)], 24)
         body.add(plate.moved((x * w, y * d, top + 0.009)), iron, "burner")
-        body.add(
-            s.ring([(1.06 * r, 0), (1.12 * r, 0), (1.12 * r, 0.004), (1.06 * r, 0.004)], 24).moved(
-                (x * w, y * d, top + 0.009)
-            ),
-            palette.metal,
-            "trim",
-        )
+        profile = [(1.06 * r, 0), (1.12 * r, 0), (1.12 * r, 0.004), (1.06 * r, 0.004)]
+        body.add(s.ring(profile, 24).moved((x * w, y * d, top + 0.009)), palette.metal, "trim")
 
 
 def oven(rng: np.random.Generator) -> ProceduralObject:
@@ -271,24 +241,14 @@ def microwave(rng: np.random.Generator) -> ProceduralObject:
     housing(body, (w, d, h), opening, palette, bottom)
     for x in (-1, 1):
         for y in (-1, 1):
-            body.add(
-                s.cylinder(0.015, bottom + 0.004, segments=12).moved(
-                    (x * 0.4 * w, y * 0.38 * d, bottom / 2 + 0.002)
-                ),
-                palette.dark,
-                "foot",
-            )
+            height = bottom + 0.004
+            offset = (x * 0.4 * w, y * 0.38 * d, bottom / 2 + 0.002)
+            body.add(s.cylinder(0.015, height, segments=12).moved(offset), palette.dark, "foot")
     front = -d / 2
     fascia = m.Opening(split + 0.0015, w / 2, bottom, bottom + h)
-    body.add(
-        s.box(
-            (fascia.width, thick, fascia.height),
-            (fascia.center[0], front - thick / 2, fascia.center[1]),
-            0.003,
-        ),
-        palette.dark,
-        "control_panel",
-    )
+    size = (fascia.width, thick, fascia.height)
+    center = (fascia.center[0], front - thick / 2, fascia.center[1])
+    body.add(s.box(size, center, 0.003), palette.dark, "control_panel")
     face = front - thick
     side: m.Side = "left"
     look = m.DoorSpec(
@@ -306,11 +266,9 @@ def microwave(rng: np.random.Generator) -> ProceduralObject:
         b, body, m.Opening(-w / 2, split - 0.0015, bottom, bottom + h), front - 0.002, look, palette
     )
     cx = fascia.center[0]
-    body.add(
-        s.box((0.75 * panel_width, 0.004, 0.14 * h), (cx, face - 0.001, bottom + 0.87 * h)),
-        picture("panel", int(rng.integers(6))),
-        "display",
-    )
+    size = (0.75 * panel_width, 0.004, 0.14 * h)
+    center = (cx, face - 0.001, bottom + 0.87 * h)
+    body.add(s.box(size, center), picture("panel", int(rng.integers(6))), "display")
     if rng.random() < 0.5:
         mark = plain("mark", (240, 240, 240))
         for z in (0.3, 0.62)[: int(rng.integers(1, 3))]:
@@ -331,16 +289,13 @@ def microwave(rng: np.random.Generator) -> ProceduralObject:
         for i in range(rows):
             for j in range(cols):
                 at = (cx + (j - 1) * pitch[0], face, bottom + 0.1 * h + (i + 0.5) * pitch[1])
-                controls.push_button(
-                    b, body, at, (0.8 * pitch[0], 0.7 * pitch[1], 0.004), palette.accent
-                )
+                size = (0.8 * pitch[0], 0.7 * pitch[1], 0.004)
+                controls.push_button(b, body, at, size, palette.accent)
     if rng.random() < 0.6:
-        plate = b.spin(
-            "tray", body, (0, 0, 1), (opening.center[0], front + 0.43 * d, opening.z0 + 0.012)
-        )
+        origin = (opening.center[0], front + 0.43 * d, opening.z0 + 0.012)
+        plate = b.spin("tray", body, (0, 0, 1), origin)
         r = 0.45 * min(opening.width, 0.86 * d)
-        dish = s.lathe(
-            [(0.3 * r, 0.012), (r, 0.016), (r, 0.02), (0.95 * r, 0.019), (0.3 * r, 0.016)], 28
-        )
+        profile = [(0.3 * r, 0.012), (r, 0.016), (r, 0.02), (0.95 * r, 0.019), (0.3 * r, 0.016)]
+        dish = s.lathe(profile, 28)
         plate.add(dish.moved((opening.center[0], front + 0.43 * d, opening.z0)), glass(), "plate")
     return b.build()

@@ -18,6 +18,7 @@ from model.data.procedural.materials import (
     one_color,
     wood,
 )
+from model.data.procedural.shapes import Vector
 
 
 def lever_handle(b: Builder, door: Body, at: np.ndarray, side: float, surface: Surface) -> None:
@@ -42,9 +43,8 @@ def door(rng: np.random.Generator) -> ProceduralObject:
     frame = b.base("door_frame")
     for side in (-1, 1):
         x = side * (w + jamb) / 2
-        frame.add(
-            s.box((jamb, deep, h + jamb), (x, 0, (h + jamb) / 2), 0.003), palette.body, "jamb"
-        )
+        size = (jamb, deep, h + jamb)
+        frame.add(s.box(size, (x, 0, (h + jamb) / 2), 0.003), palette.body, "jamb")
     frame.add(s.box((w, deep, jamb), (0, 0, h + jamb / 2), 0.003), palette.body, "lintel")
     stop = s.box((w, 0.012, 0.02), (0, -deep / 2 + thick + 0.008, h - 0.01))
     frame.add(stop, palette.body, "stop")
@@ -97,37 +97,9 @@ def window(rng: np.random.Generator) -> ProceduralObject:
         frame.add(sill, paint, "sill")
     area = m.Opening(-w / 2, w / 2, bar, h + bar)
     kind = ("casement", "slide", "hung", "awning")[rng.integers(4)]
-    thick, border = 0.034, 0.045
+    thick = 0.034
     if kind in ("slide", "hung"):
-        upright = kind == "hung"
-        for k in range(2):
-            overlap = border / 2
-            if upright:
-                mid = area.center[1]
-                r = replace(area, z1=mid + overlap) if k == 0 else replace(area, z0=mid - overlap)
-                axis, travel = (
-                    ((0, 0, 1), 0.85 * (h / 2 - overlap))
-                    if k == 0
-                    else ((0, 0, -1), 0.85 * (h / 2 - overlap))
-                )
-            else:
-                r = replace(area, x1=overlap) if k == 0 else replace(area, x0=-overlap)
-                axis = (1, 0, 0) if k == 0 else (-1, 0, 0)
-                travel = 0.85 * (w / 2 - overlap)
-            y = -0.002 if k == 0 else thick + 0.002
-            sash = b.slide("window", frame, axis, 0.0, travel, (r.center[0], y, r.center[1]))
-            m.panel(sash, r.shrunk(0.002), y, thick, "glass", palette, border=border)
-            if k == 0 or not upright:
-                grip = m.handle("lip", 0.12, 0.012)
-                z = r.z0 + 0.02 if upright else r.center[1]
-                x = r.center[0] if upright else (r.x0 + 0.02 if k == 0 else r.x1 - 0.02)
-                if k == 0:
-                    m.add(
-                        sash,
-                        m.place(grip, (x, y - thick, z), roll=np.pi / 2 if upright else 0.0),
-                        palette.accent,
-                        "handle",
-                    )
+        _sliding_sashes(b, frame, area, (w, h), kind == "hung", palette)
         return b.build()
     count = 1 if kind == "awning" or w < 0.9 else 2
     rest = {}
@@ -137,9 +109,8 @@ def window(rng: np.random.Generator) -> ProceduralObject:
             ("left", "right")[k] if count == 2 else ("top" if kind == "awning" else "left")
         )
         spec = m.DoorSpec(side, float(rng.uniform(0.9, 1.6)), "glass", None, thickness=thick)
-        sash = m.door(
-            b, frame, r.shrunk(0.003), -deep / 2 + thick + 0.004, spec, palette, name="window"
-        )
+        opening = r.shrunk(0.003)
+        sash = m.door(b, frame, opening, -deep / 2 + thick + 0.004, spec, palette, name="window")
         end = r.x1 - 0.022 if side == "left" else r.x0 + 0.022
         at = np.array(
             [
@@ -157,11 +128,40 @@ def window(rng: np.random.Generator) -> ProceduralObject:
                 palette.metal,
                 "neck",
             )
-            lever.add(
-                s.box((0.016, 0.012, 0.11), at + np.array([0, -0.027, -0.045]), 0.003),
-                palette.metal,
-                "lever",
-            )
+            center = at + np.array([0, -0.027, -0.045])
+            lever.add(s.box((0.016, 0.012, 0.11), center, 0.003), palette.metal, "lever")
         if rng.random() < 0.25:
             rest[sash.link] = float(rng.uniform(0.1, spec.swing))
     return b.build(rest)
+
+
+def _sliding_sashes(
+    b: Builder, frame: Body, area: m.Opening, size: Vector, upright: bool, palette: Palette
+) -> None:
+    """Two sashes, one before the other; only the front one has a handle."""
+    w, h = size
+    thick, border = 0.034, 0.045
+    for k in range(2):
+        overlap = border / 2
+        if upright:
+            mid = area.center[1]
+            r = replace(area, z1=mid + overlap) if k == 0 else replace(area, z0=mid - overlap)
+            axis, travel = (
+                ((0, 0, 1), 0.85 * (h / 2 - overlap))
+                if k == 0
+                else ((0, 0, -1), 0.85 * (h / 2 - overlap))
+            )
+        else:
+            r = replace(area, x1=overlap) if k == 0 else replace(area, x0=-overlap)
+            axis = (1, 0, 0) if k == 0 else (-1, 0, 0)
+            travel = 0.85 * (w / 2 - overlap)
+        y = -0.002 if k == 0 else thick + 0.002
+        sash = b.slide("window", frame, axis, 0.0, travel, (r.center[0], y, r.center[1]))
+        m.panel(sash, r.shrunk(0.002), y, thick, "glass", palette, border=border)
+        if k == 0 or not upright:
+            grip = m.handle("lip", 0.12, 0.012)
+            z = r.z0 + 0.02 if upright else r.center[1]
+            x = r.center[0] if upright else (r.x0 + 0.02 if k == 0 else r.x1 - 0.02)
+            if k == 0:
+                solids = m.place(grip, (x, y - thick, z), roll=np.pi / 2 if upright else 0.0)
+                m.add(sash, solids, palette.accent, "handle")

@@ -36,10 +36,8 @@ def eyeglasses(rng: np.random.Generator) -> ProceduralObject:
         inner = shape * [lens_w / 2, lens_h / 2]
         outer = shape * [lens_w / 2 + t, lens_h / 2 + t]
         half = 0.7 * t
-        rim = s.loft(
-            [s.at(outer, half), s.at(outer, -half), s.at(inner, -half), s.at(inner, half)],
-            ring=True,
-        )
+        loops = [s.at(outer, half), s.at(outer, -half), s.at(inner, -half), s.at(inner, half)]
+        rim = s.loft(loops, ring=True)
         front.add(s.along(rim, 1).moved((x, 0, z)), skin, "rim")
         front.add(s.slab(inner * 1.01, 0.0012, axis=1).moved((x, 0, z)), tint, "lens")
     arch = np.array(
@@ -55,9 +53,8 @@ def eyeglasses(rng: np.random.Generator) -> ProceduralObject:
     length = float(rng.uniform(0.125, 0.145))
     for k, side in enumerate((-1, 1)):
         x = side * (edge + 0.003)
-        front.add(
-            s.box((0.012, 0.006, 0.007), (side * (edge - 0.001), 0.0005, hz), 0.001), skin, "lug"
-        )
+        size = (0.012, 0.006, 0.007)
+        front.add(s.box(size, (side * (edge - 0.001), 0.0005, hz), 0.001), skin, "lug")
         # One temple folds onto the other: its hinge stands a little further back.
         back = 0.005 + 0.006 * k
         front.add(s.box((0.004, back + 0.001, 0.006), (x, back / 2 + 0.001, hz)), skin, "lug")
@@ -82,66 +79,41 @@ def pen(rng: np.random.Generator) -> ProceduralObject:
     lay = lambda solid: s.along(solid, 0).moved((0, 0, lift))  # noqa: E731
     if rng.random() < 0.5:
         cut = 0.42 * length
-        body.add(
-            lay(
-                s.lathe(
-                    [
-                        (0.8 * r, 0),
-                        (r, 0.004),
-                        (r, length - cut),
-                        (0.78 * r, length - cut),
-                        (0.74 * r, length - 0.014),
-                        (0.2 * r, length),
-                    ],
-                    20,
-                )
-            ),
-            skin,
-            "barrel",
-        )
+        profile = [
+            (0.8 * r, 0),
+            (r, 0.004),
+            (r, length - cut),
+            (0.78 * r, length - cut),
+            (0.74 * r, length - 0.014),
+            (0.2 * r, length),
+        ]
+        body.add(lay(s.lathe(profile, 20)), skin, "barrel")
         cap = b.slide("cap", body, (1, 0, 0), 0.0, float(rng.uniform(1.0, 1.4)) * cut, (0, 0, lift))
         z0, z1 = length - cut + 0.0008, length + 0.008
-        cap.add(
-            lay(
-                s.lathe(
-                    [
-                        (0.82 * r, z1 - 0.004),
-                        (0.86 * r, z0),
-                        (1.02 * r, z0),
-                        (1.02 * r, z1 - 0.003),
-                        (0.7 * r, z1),
-                    ],
-                    20,
-                )
-            ),
-            accent if rng.random() < 0.5 else skin,
-            "cap",
-        )
+        profile = [
+            (0.82 * r, z1 - 0.004),
+            (0.86 * r, z0),
+            (1.02 * r, z0),
+            (1.02 * r, z1 - 0.003),
+            (0.7 * r, z1),
+        ]
+        cap.add(lay(s.lathe(profile, 20)), accent if rng.random() < 0.5 else skin, "cap")
         clip = s.box((0.7 * cut, 0.0026, 0.0012), (z1 - 0.38 * cut, 0, lift + r + 0.0016), 0.0003)
         cap.add(clip, accent, "clip")
-        cap.add(
-            s.box((0.004, 0.0026, 0.0022), (z1 - 0.05 * cut, 0, lift + r + 0.0007)), accent, "clip"
-        )
+        size = (0.004, 0.0026, 0.0022)
+        cap.add(s.box(size, (z1 - 0.05 * cut, 0, lift + r + 0.0007)), accent, "clip")
         return b.build()
     travel = 0.004
-    body.add(
-        lay(
-            s.lathe(
-                [
-                    (0.2 * r, length),
-                    (0.55 * r, length - 0.006),
-                    (r, length - 0.02),
-                    (r, 0.004),
-                    (0.8 * r, 0.0),
-                    (0.5 * r, 0.0),
-                    (0.5 * r, 0.02),
-                ],
-                20,
-            )
-        ),
-        skin,
-        "barrel",
-    )
+    profile = [
+        (0.2 * r, length),
+        (0.55 * r, length - 0.006),
+        (r, length - 0.02),
+        (r, 0.004),
+        (0.8 * r, 0.0),
+        (0.5 * r, 0.0),
+        (0.5 * r, 0.02),
+    ]
+    body.add(lay(s.lathe(profile, 20)), skin, "barrel")
     button = b.slide("button", body, (1, 0, 0), 0.0, travel, (0, 0, lift))
     button.add(
         lay(s.cylinder(0.45 * r, 0.016, segments=14, bevel=0.0005).moved((0, 0, -0.0005))),
@@ -167,42 +139,28 @@ def lighter(rng: np.random.Generator) -> ProceduralObject:
     cut = float(rng.uniform(0.55, 0.68)) * h
     body.add(s.rounded_box((w, d, cut), 0.003, rim=0.001).moved((0, 0, cut / 2)), skin, "case")
     chimney = 0.42 * w
-    body.add(
-        s.box((chimney, 0.6 * d, 0.011), (0.08 * w, 0, cut + 0.005), 0.001),
-        metal("steel"),
-        "chimney",
-    )
+    size = (chimney, 0.6 * d, 0.011)
+    body.add(s.box(size, (0.08 * w, 0, cut + 0.005), 0.001), metal("steel"), "chimney")
     at = (-0.24 * w, 0, cut + 0.006)
     wheel = b.spin("wheel", body, (0, 1, 0), at)
-    wheel.add(
-        s.along(s.cylinder(0.0034, 0.5 * d, segments=16), 1).moved(at), metal("dark"), "wheel"
-    )
+    height = 0.5 * d
+    wheel.add(s.along(s.cylinder(0.0034, height, segments=16), 1).moved(at), metal("dark"), "wheel")
     if rng.random() < 0.65:
         top = h - cut - 0.0006
-        lid = b.hinge(
-            "lid",
-            body,
-            (0, 1, 0),
-            (w / 2 + 0.0004, 0, cut + 0.0003),
-            0.0,
-            float(rng.uniform(1.8, 2.4)),
-        )
+        origin = (w / 2 + 0.0004, 0, cut + 0.0003)
+        lid = b.hinge("lid", body, (0, 1, 0), origin, 0.0, float(rng.uniform(1.8, 2.4)))
         shell = s.tray((w, d, top), 0.0008, radius=0.003).scaled((1, 1, -1))
         lid.add(shell.moved((0, 0, cut + 0.0006 + top)), skin, "lid")
+        offset = (w / 2 + 0.0014, 0, cut + 0.0003)
+        surface = metal("steel")
         lid.add(
-            s.along(s.cylinder(0.0011, 0.6 * d, segments=10), 1).moved(
-                (w / 2 + 0.0014, 0, cut + 0.0003)
-            ),
-            metal("steel"),
-            "hinge",
+            s.along(s.cylinder(0.0011, 0.6 * d, segments=10), 1).moved(offset), surface, "hinge"
         )
         return b.build({lid.link: float(rng.uniform(0.6, 1.8))} if rng.random() < 0.5 else None)
     button = b.slide("button", body, (0, 0, -1), 0.0, 0.003, (-0.42 * w, 0, cut))
-    button.add(
-        s.box((0.12 * w, 0.7 * d, 0.005), (-0.43 * w, 0, cut + 0.0032), 0.0008),
-        plain("button", (190, 50, 44)),
-        "button",
-    )
+    size = (0.12 * w, 0.7 * d, 0.005)
+    center = (-0.43 * w, 0, cut + 0.0032)
+    button.add(s.box(size, center, 0.0008), plain("button", (190, 50, 44)), "button")
     return b.build()
 
 
@@ -223,26 +181,19 @@ def usb(rng: np.random.Generator) -> ProceduralObject:
         shell = s.frame((w, t), (plug[0] + 0.001, plug[2] + 0.001), length)
         body.add(shell.moved((0, 0, lift)), skin, "case")
         stick = b.slide("usb_rotation", body, (0, -1, 0), 0.0, 0.0118, (0, 0, lift))
-        stick.add(
-            s.box((plug[0], 0.7 * length, plug[2]), (0, -0.13 * length, lift), 0.0004),
-            metal("steel"),
-            "plug",
-        )
+        size = (plug[0], 0.7 * length, plug[2])
+        stick.add(s.box(size, (0, -0.13 * length, lift), 0.0004), metal("steel"), "plug")
         return b.build()
     body.add(s.rounded_box((w, length, t), 0.003, rim=0.0015).moved((0, 0, lift)), skin, "case")
     front = -length / 2
     body.add(s.box(plug, (0, front - plug[1] / 2 + 0.0004, lift), 0.0004), metal("steel"), "plug")
     if kind == "cap":
-        cap = b.slide(
-            "lid", body, (0, -1, 0), 0.0, 0.014 + float(rng.uniform(0.0, 0.02)), (0, front, lift)
-        )
+        upper = 0.014 + float(rng.uniform(0.0, 0.02))
+        cap = b.slide("lid", body, (0, -1, 0), 0.0, upper, (0, front, lift))
         tube = s.tray((w, t, 0.015), 0.001, radius=0.002).turned((1, 0, 0), -np.pi / 2)
         low, high = tube.bounds
-        cap.add(
-            tube.moved((0, front - 0.0006 - high[1], lift - (low[2] + high[2]) / 2)),
-            skin,
-            "cap",
-        )
+        at = (0, front - 0.0006 - high[1], lift - (low[2] + high[2]) / 2)
+        cap.add(tube.moved(at), skin, "cap")
         return b.build()
     pin = np.array([0, length / 2 - 0.5 * w, 0])
     cover = (

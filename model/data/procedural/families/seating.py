@@ -33,9 +33,8 @@ def office_chair(
     casters = bool(rng.random() < 0.75) if casters is None else casters
     wheel = float(rng.uniform(0.024, 0.032))
     hub_z = (2.0 * wheel + 0.055) if casters else 0.06
-    base.add(
-        s.cylinder(0.04, 0.07, segments=18, bevel=0.004).moved((0, 0, hub_z + 0.01)), frame, "hub"
-    )
+    at = (0, 0, hub_z + 0.01)
+    base.add(s.cylinder(0.04, 0.07, segments=18, bevel=0.004).moved(at), frame, "hub")
     turn = rng.random() * 6.28
     for k in range(arms):
         a = turn + 2 * np.pi * k / arms
@@ -45,28 +44,21 @@ def office_chair(
         base.add(arm.turned((0, 0, 1), a), frame, "arm")
         top = (reach * np.cos(a) * 0.97, reach * np.sin(a) * 0.97, tip_z - 0.008)
         if casters:
-            controls.caster(
-                b, base, top, wheel, palette, rubber(), heading=float(rng.random() * 6.28)
-            )
+            heading = float(rng.random() * 6.28)
+            controls.caster(b, base, top, wheel, palette, rubber(), heading=heading)
     seat_z = float(rng.uniform(0.42, 0.5))
-    sleeve = s.ring(
-        [
-            (0.0225, hub_z + 0.02),
-            (0.029, hub_z + 0.02),
-            (0.027, 0.62 * seat_z),
-            (0.0225, 0.62 * seat_z),
-        ],
-        18,
-    )
+    profile = [
+        (0.0225, hub_z + 0.02),
+        (0.029, hub_z + 0.02),
+        (0.027, 0.62 * seat_z),
+        (0.0225, 0.62 * seat_z),
+    ]
+    sleeve = s.ring(profile, 18)
     base.add(sleeve, frame, "sleeve")
     seat = b.screw("seat", base, (0, 0, 1), (0, 0, seat_z), float(rng.uniform(0.06, 0.12)))
-    seat.add(
-        s.cylinder(0.0215, seat_z - hub_z - 0.07, segments=16).moved(
-            (0, 0, (seat_z + hub_z + 0.07) / 2 - 0.02)
-        ),
-        metal("steel"),
-        "column",
-    )
+    height = seat_z - hub_z - 0.07
+    at = (0, 0, (seat_z + hub_z + 0.07) / 2 - 0.02)
+    seat.add(s.cylinder(0.0215, height, segments=16).moved(at), metal("steel"), "column")
     cloth = fabric(_cloth(rng))
     _swivel_seat(
         b, seat, seat_z, frame, cloth, rng, bool(rng.random() < 0.85) if back is None else back
@@ -88,9 +80,8 @@ def _cloth(rng: np.random.Generator) -> tuple[int, int, int]:
 
 def cushion(width: float, depth: float, thick: float) -> s.Solid:
     """A padded slab centred on the origin, lying flat."""
-    return s.rounded_box(
-        (width, depth, thick), 0.22 * min(width, depth), corner=5, rim=0.45 * thick
-    )
+    size = (width, depth, thick)
+    return s.rounded_box(size, 0.22 * min(width, depth), corner=5, rim=0.45 * thick)
 
 
 def _swivel_seat(
@@ -108,20 +99,15 @@ def _swivel_seat(
     if rng.random() < 0.6:
         for side in (-1, 1):
             x = side * (w / 2 + 0.025)
-            path = s.bent_path(
-                [(side * 0.08, 0, z - 0.025), (x, 0, z - 0.025), (x, 0, z + 0.2)], 0.05
-            )
+            corners = [(side * 0.08, 0, z - 0.025), (x, 0, z - 0.025), (x, 0, z + 0.2)]
+            path = s.bent_path(corners, 0.05)
             seat.add(s.sweep(path, s.rectangle(0.035, 0.014, 0.004)), frame, "arm_post")
             seat.add(cushion(0.06, 0.25, 0.028).moved((x, -0.01, z + 0.21)), frame, "armrest")
     if rng.random() < 0.5:
         lever = b.hinge("lever", seat, (0, 1, 0), (0.09, -0.02, z - 0.035), 0.0, 0.35)
-        lever.add(
-            s.along(s.cylinder(0.006, 0.13, segments=10, bevel=0.001), 0).moved(
-                (0.1565, -0.02, z - 0.035)
-            ),
-            frame,
-            "lever",
-        )
+        at = (0.1565, -0.02, z - 0.035)
+        solid = s.along(s.cylinder(0.006, 0.13, segments=10, bevel=0.001), 0).moved(at)
+        lever.add(solid, frame, "lever")
     if not back:
         return
     hinge_y, hinge_z = 0.122, z - 0.03
@@ -136,9 +122,8 @@ def _swivel_seat(
     post = s.bent_path([(0, 0.115, hinge_z), (0, y, hinge_z), (0, y + 0.01, z + 0.3)], 0.07)
     tilt.add(s.sweep(post, s.rectangle(0.07, 0.012, 0.003)), frame, "bar")
     h = float(rng.uniform(0.38, 0.58))
-    rest = s.rounded_box((0.94 * w, h, 0.06), 0.09, corner=5, rim=0.026, rings=4).turned(
-        (1, 0, 0), np.pi / 2
-    )
+    rest = s.rounded_box((0.94 * w, h, 0.06), 0.09, corner=5, rim=0.026, rings=4)
+    rest = rest.turned((1, 0, 0), np.pi / 2)
 
     def curve(v: np.ndarray) -> np.ndarray:
         v[:, 1] -= 0.55 * v[:, 0] ** 2 + 0.04 * np.sin(v[:, 2] / h * 3.0)
@@ -155,24 +140,19 @@ def four_legged_chair(rng: np.random.Generator) -> ProceduralObject:
     w, d, z = (float(v) for v in rng.uniform((0.36, 0.36, 0.4), (0.46, 0.46, 0.75)))
     legs(base, w, d, z - 0.03, ("taper", "round", "block")[rng.integers(3)], surface)
     for side in (-1, 1):
-        base.add(
-            s.box((0.02, 0.86 * d, 0.03), (side * (w / 2 - 0.035), 0, 0.45 * z), 0.002),
-            surface,
-            "rail",
-        )
+        size = (0.02, 0.86 * d, 0.03)
+        base.add(s.box(size, (side * (w / 2 - 0.035), 0, 0.45 * z), 0.002), surface, "rail")
     base.add(s.box((0.9 * w, 0.9 * d, 0.03), (0, 0, z - 0.035), 0.003), surface, "frame")
-    base.add(
-        s.cylinder(0.05, 0.012, segments=18).moved((0, 0, z - 0.014)), metal("steel"), "bearing"
-    )
+    at = (0, 0, z - 0.014)
+    base.add(s.cylinder(0.05, 0.012, segments=18).moved(at), metal("steel"), "bearing")
     seat = b.spin("seat", base, (0, 0, 1), (0, 0, z))
     pad = s.cylinder(0.46 * w, 0.035, segments=32, bevel=0.012).moved((0, 0, z + 0.0105))
     seat.add(pad, fabric(_cloth(rng)) if rng.random() < 0.6 else surface, "cushion")
     if rng.random() < 0.6:
         h = float(rng.uniform(0.2, 0.4))
         for side in (-1, 1):
-            post = s.bent_path(
-                [(side * 0.3 * w, 0.3 * w, z), (side * 0.32 * w, 0.4 * w, z + h)], 0.02
-            )
+            corners = [(side * 0.3 * w, 0.3 * w, z), (side * 0.32 * w, 0.4 * w, z + h)]
+            post = s.bent_path(corners, 0.02)
             seat.add(s.tube(post, 0.01), surface, "bar")
         arc = np.array(
             [
@@ -227,21 +207,12 @@ def folding_chair(rng: np.random.Generator) -> ProceduralObject:
     rear = b.hinge("leg", front, (-1, 0, 0), pin, 0.0, 0.92 * fold)
     for side in (-1, 1):
         rear.add(s.tube(np.stack([pin, end]) + np.array([side * rear_half, 0, 0]), r), bar, "bar")
-        rear.add(
-            s.along(s.cylinder(0.6 * r, 1.1 * r, segments=10), 0).moved(
-                pin + np.array([side * (rear_half + 1.6 * r), 0, 0])
-            ),
-            bar,
-            "pin",
-        )
-    rear.add(
-        s.along(s.cylinder(0.8 * r, 2 * rear_half, segments=12), 0).moved(pin + 0.8 * down),
-        bar,
-        "bar",
-    )
-    _folding_seat(
-        b, front, along_front(seat_z - 0.02), rear_half - 1.6 * r, pad, bar, float(lean), rng
-    )
+        at = pin + np.array([side * (rear_half + 1.6 * r), 0, 0])
+        rear.add(s.along(s.cylinder(0.6 * r, 1.1 * r, segments=10), 0).moved(at), bar, "pin")
+    at = pin + 0.8 * down
+    rear.add(s.along(s.cylinder(0.8 * r, 2 * rear_half, segments=12), 0).moved(at), bar, "bar")
+    hinge = along_front(seat_z - 0.02)
+    _folding_seat(b, front, hinge, rear_half - 1.6 * r, pad, bar, float(lean), rng)
     return b.build()
 
 

@@ -102,14 +102,8 @@ def cupboard(
     body = b.base("furniture_body")
     bottom = spec.leg_height
     m.carcass(body, spec.size, spec.wall, palette, bottom=bottom, top_overhang=spec.overhang)
-    legs(
-        body,
-        w,
-        d,
-        bottom,
-        spec.leg,
-        palette.body if spec.leg in ("block", "plinth", "taper") else palette.metal,
-    )
+    surface = palette.body if spec.leg in ("block", "plinth", "taper") else palette.metal
+    legs(body, w, d, bottom, spec.leg, surface)
     inside = wood("birch")
     for cell in spec.cells:
         _inside(body, cell, spec, palette)
@@ -135,28 +129,19 @@ def _inside(body: Body, cell: Cell, spec: Cupboard, palette: Palette) -> None:
     y = (d / 2 - 0.006) - deep / 2
     low, high = max(a.z0 - t / 2, bottom + t), min(a.z1 + t / 2, bottom + h - t)
     if a.x1 < w / 2 - 0.01:
-        body.add(
-            s.box((t, deep, high - low), (a.x1, y, (low + high) / 2)),
-            palette.body,
-            "divider",
-            grain=2,
-        )
+        size = (t, deep, high - low)
+        body.add(s.box(size, (a.x1, y, (low + high) / 2)), palette.body, "divider", grain=2)
     left, right = max(a.x0 + t / 2, -w / 2 + t), min(a.x1 - t / 2, w / 2 - t)
     if a.z1 < bottom + h - 0.01:
-        body.add(
-            s.box((right - left, deep, t), ((left + right) / 2, y, a.z1)),
-            palette.body,
-            "divider",
-            grain=0,
-        )
+        size = (right - left, deep, t)
+        body.add(s.box(size, ((left + right) / 2, y, a.z1)), palette.body, "divider", grain=0)
     if cell.use == "drawer":
         return
     boards = min(spec.shelves, int(a.height // 0.2))
     for k in range(boards):
         z = a.z0 + a.height * (k + 1) / (boards + 1)
-        shelf = s.box(
-            (right - left, 0.88 * deep, 0.8 * t), ((left + right) / 2, y + 0.05 * deep, z)
-        )
+        size = (right - left, 0.88 * deep, 0.8 * t)
+        shelf = s.box(size, ((left + right) / 2, y + 0.05 * deep, z))
         body.add(shelf, palette.body, "shelf", grain=0)
 
 

@@ -42,17 +42,12 @@ def table(rng: np.random.Generator) -> ProceduralObject:
     wall = 0.015
     y = -d / 2 + 0.045
     for x in np.linspace(left, right, count + 1):
-        base.add(
-            s.box((wall, deep, tall), (x, y + deep / 2, low + tall / 2)), palette.body, "apron"
-        )
-    base.add(
-        s.box((right - left, wall, tall), (0, y + deep - wall / 2, low + tall / 2)),
-        palette.body,
-        "apron",
-    )
-    base.add(
-        s.box((right - left, deep, 0.008), (0, y + deep / 2, low - 0.004)), palette.body, "apron"
-    )
+        size = (wall, deep, tall)
+        base.add(s.box(size, (x, y + deep / 2, low + tall / 2)), palette.body, "apron")
+    size = (right - left, wall, tall)
+    base.add(s.box(size, (0, y + deep - wall / 2, low + tall / 2)), palette.body, "apron")
+    size = (right - left, deep, 0.008)
+    base.add(s.box(size, (0, y + deep / 2, low - 0.004)), palette.body, "apron")
     handle: m.HandleStyle = ("bar", "knob", "cup", "flat", "ball")[rng.integers(5)]
     cuts = np.linspace(left, right, count + 1)
     for a, z in pairwise(cuts):
@@ -93,19 +88,12 @@ def _pedestal(
     deep, wall = d - 0.12, 0.016
     y = -d / 2 + 0.05
     for x in (r.x0 + wall / 2, r.x1 - wall / 2):
-        base.add(
-            s.box((wall, deep, r.height), (x, y + deep / 2, r.center[1])), palette.body, "side_wall"
-        )
-    base.add(
-        s.box((width, deep, wall), (r.center[0], y + deep / 2, bottom + wall / 2)),
-        palette.body,
-        "floor",
-    )
-    base.add(
-        s.box((width, wall, r.height), (r.center[0], y + deep - wall / 2, r.center[1])),
-        palette.body,
-        "back",
-    )
+        size = (wall, deep, r.height)
+        base.add(s.box(size, (x, y + deep / 2, r.center[1])), palette.body, "side_wall")
+    size = (width, deep, wall)
+    base.add(s.box(size, (r.center[0], y + deep / 2, bottom + wall / 2)), palette.body, "floor")
+    size = (width, wall, r.height)
+    base.add(s.box(size, (r.center[0], y + deep - wall / 2, r.center[1])), palette.body, "back")
     clear = replace(r.shrunk(wall), z1=r.z1 - 0.004)
     cells = [Cell("door", r)]
     if rng.random() < 0.5:
@@ -113,9 +101,8 @@ def _pedestal(
         cells = [Cell("drawer", replace(r, z0=float(a), z1=float(z))) for a, z in pairwise(levels)]
     for cell in cells:
         if cell.use == "door":
-            spec = m.DoorSpec(
-                "left" if side < 0 else "right", 1.7, "plain", handle, 0.12, handle_at=0.8
-            )
+            hinge = "left" if side < 0 else "right"
+            spec = m.DoorSpec(hinge, 1.7, "plain", handle, 0.12, handle_at=0.8)
             m.door(b, base, r.shrunk(0.002), y - 0.001, spec, palette)
         else:
             inner = m.Opening(
@@ -148,11 +135,8 @@ def cart(rng: np.random.Generator) -> ProceduralObject:
     for x in (-1, 1):
         for y in (-1, 1):
             spot = (x * (w / 2 - 0.02), y * (d / 2 - 0.02))
-            body.add(
-                s.cylinder(0.011, h - low, segments=12).moved((*spot, low + (h - low) / 2)),
-                frame,
-                "post",
-            )
+            at = (*spot, low + (h - low) / 2)
+            body.add(s.cylinder(0.011, h - low, segments=12).moved(at), frame, "post")
             controls.caster(
                 b,
                 body,
@@ -165,19 +149,16 @@ def cart(rng: np.random.Generator) -> ProceduralObject:
             )
     levels = np.linspace(low + 0.03, h - 0.08, int(rng.integers(2, 4)))
     for z in levels:
-        body.add(
-            s.tray((w, d, 0.05), 0.004, radius=0.02).moved((0, 0, float(z))), palette.front, "tray"
-        )
+        at = (0, 0, float(z))
+        body.add(s.tray((w, d, 0.05), 0.004, radius=0.02).moved(at), palette.front, "tray")
     if rng.random() < 0.7:
-        path = s.bent_path(
-            [
-                (w / 2 - 0.02, -d / 2 + 0.02, h - 0.03),
-                (w / 2 + 0.1, -d / 2 + 0.02, h + 0.05),
-                (w / 2 + 0.1, d / 2 - 0.02, h + 0.05),
-                (w / 2 - 0.02, d / 2 - 0.02, h - 0.03),
-            ],
-            0.05,
-        )
+        corners = [
+            (w / 2 - 0.02, -d / 2 + 0.02, h - 0.03),
+            (w / 2 + 0.1, -d / 2 + 0.02, h + 0.05),
+            (w / 2 + 0.1, d / 2 - 0.02, h + 0.05),
+            (w / 2 - 0.02, d / 2 - 0.02, h - 0.03),
+        ]
+        path = s.bent_path(corners, 0.05)
         body.add(s.tube(path, 0.011), frame, "handle")
     if rng.random() < 0.4 and len(levels) > 1:
         z0, z1 = float(levels[-2]) + 0.055, float(levels[-1]) - 0.005

@@ -44,29 +44,19 @@ def scissors(rng: np.random.Generator) -> ProceduralObject:
             [(0.004, -0.001 * sign, z), (-0.4 * back, 0.35 * y, z), (-back, 0.75 * y, z)]
         )
         half.add(s.sweep(path, s.rectangle(0.011, t)), steel, "shank")
-        ring = s.ring(
-            [
-                (loop_r[k] - 0.0045, -0.003),
-                (loop_r[k], -0.004),
-                (loop_r[k] + 0.0015, 0),
-                (loop_r[k], 0.004),
-                (loop_r[k] - 0.0045, 0.003),
-            ],
-            28,
-        )
+        profile = [
+            (loop_r[k] - 0.0045, -0.003),
+            (loop_r[k], -0.004),
+            (loop_r[k] + 0.0015, 0),
+            (loop_r[k], 0.004),
+            (loop_r[k] - 0.0045, 0.003),
+        ]
+        ring = s.ring(profile, 28)
         stretch = float(rng.uniform(1.0, 1.5))
-        half.add(
-            ring.scaled((stretch, 1, 1)).moved(
-                (-back - loop_r[k] * stretch * 0.9, y, lift + 0.0002 * sign)
-            ),
-            grip,
-            "handle",
-        )
-    halves[0].add(
-        s.cylinder(0.0045, 0.002, segments=18, bevel=0.0004).moved((0, 0, lift + t + 0.001)),
-        steel,
-        "screw",
-    )
+        at = (-back - loop_r[k] * stretch * 0.9, y, lift + 0.0002 * sign)
+        half.add(ring.scaled((stretch, 1, 1)).moved(at), grip, "handle")
+    at = (0, 0, lift + t + 0.001)
+    halves[0].add(s.cylinder(0.0045, 0.002, segments=18, bevel=0.0004).moved(at), steel, "screw")
     rest = float(rng.uniform(0.2, 0.8)) * opening
     made = b.build({"link_1": rest})
     return made
@@ -105,11 +95,8 @@ def pliers(rng: np.random.Generator) -> ProceduralObject:
         end = bend[-1] + np.array([-0.008, 0.001 * sign, 0])
         cover = np.vstack([bend[0] * 0.35 + bend[1] * 0.65, bend[1:], end])
         half.add(s.sweep(cover, s.rectangle(0.014, 2.6 * t * 0.72, 0.003, 2)), sleeve, "sleeve")
-    halves[0].add(
-        s.cylinder(0.005, 0.002, segments=18, bevel=0.0004).moved((0, 0, lift + t + 0.001)),
-        steel,
-        "rivet",
-    )
+    at = (0, 0, lift + t + 0.001)
+    halves[0].add(s.cylinder(0.005, 0.002, segments=18, bevel=0.0004).moved(at), steel, "rivet")
     return b.build({"link_1": float(rng.uniform(0.1, 0.8)) * opening})
 
 
@@ -123,21 +110,12 @@ def knife(rng: np.random.Generator) -> ProceduralObject:
     gap, wall = 0.0034, 0.004
     z0 = wall + 0.0005
     for z in (wall / 2, wall + gap + wall / 2):
-        body.add(
-            s.rounded_box((length, width, wall), 0.3 * width, rim=0.0012).moved((0, 0, z)),
-            skin,
-            "scale",
-        )
+        size = (length, width, wall)
+        body.add(s.rounded_box(size, 0.3 * width, rim=0.0012).moved((0, 0, z)), skin, "scale")
     if rng.random() < 0.5:
         for y in (-1, 1):
-            body.add(
-                s.box(
-                    (0.96 * length - 0.3 * width, 0.0022, gap + 0.001),
-                    (0, y * (width / 2 - 0.0013), wall + gap / 2),
-                ),
-                skin,
-                "rail",
-            )
+            size = (0.96 * length - 0.3 * width, 0.0022, gap + 0.001)
+            body.add(s.box(size, (0, y * (width / 2 - 0.0013), wall + gap / 2)), skin, "rail")
         out = float(rng.uniform(0.0, 0.3)) * length
         reach = 0.75 * length
         blade = b.slide("translation_blade", body, (1, 0, 0), 0.0, 0.7 * length, (0, 0, z0))
@@ -146,11 +124,8 @@ def knife(rng: np.random.Generator) -> ProceduralObject:
         solid = _flat(edge, 0.0012, wall + gap / 2).moved((length / 2 - reach + 0.004, 0, 0))
         blade.add(solid, steel, "blade")
         return b.build({blade.link: out} if out > 0.002 else None)
-    body.add(
-        s.box((0.8 * length, 0.0025, gap + 0.001), (0, -width / 2 + 0.0022, wall + gap / 2)),
-        metal("dark"),
-        "spring",
-    )
+    size = (0.8 * length, 0.0025, gap + 0.001)
+    body.add(s.box(size, (0, -width / 2 + 0.0022, wall + gap / 2)), metal("dark"), "spring")
     count = int(rng.integers(1, 3))
     rest = {}
     ends = [1, -1][:count]
@@ -185,15 +160,13 @@ def stapler(rng: np.random.Generator) -> ProceduralObject:
     skin, dark = any_plastic(rng), plain("dark", (44, 46, 50))
     length, w = float(rng.uniform(0.11, 0.17)), float(rng.uniform(0.026, 0.036))
     base = b.base("stapler_base")
-    base.add(
-        s.rounded_box((w, length, 0.007), 0.009, rim=0.002).moved((0, 0, 0.0035)), dark, "base"
-    )
+    size = (w, length, 0.007)
+    base.add(s.rounded_box(size, 0.009, rim=0.002).moved((0, 0, 0.0035)), dark, "base")
     base.add(s.box((0.5 * w, 0.02, 0.0012), (0, -0.4 * length, 0.0072)), metal("steel"), "anvil")
     y, z = 0.42 * length, 0.022
     for side in (-1, 1):
-        base.add(
-            s.box((0.0022, 0.026, 0.024), (side * (w / 2 - 0.0012), y, 0.0175), 0.0006), dark, "ear"
-        )
+        size = (0.0022, 0.026, 0.024)
+        base.add(s.box(size, (side * (w / 2 - 0.0012), y, 0.0175), 0.0006), dark, "ear")
     at = (0.0, y, z)
     angle = float(rng.uniform(0.05, 0.18))
 
@@ -213,7 +186,6 @@ def stapler(rng: np.random.Generator) -> ProceduralObject:
         v[:, 2] += 0.006 * np.cos(v[:, 1] / reach * 2.4)
         return v
 
-    lever.add(
-        tilt(tilt(top.shaped(arch).moved((0, y - reach / 2 + 0.006, z + 0.0125)))), skin, "lever"
-    )
+    offset = (0, y - reach / 2 + 0.006, z + 0.0125)
+    lever.add(tilt(tilt(top.shaped(arch).moved(offset))), skin, "lever")
     return b.build()

@@ -24,16 +24,14 @@ def shell_profile(outline: list[tuple[float, float]], wall: float) -> list[tuple
 
 def _knob_on_lid(rng: np.random.Generator, z: float) -> s.Solid:
     r = float(rng.uniform(0.012, 0.02))
-    return s.lathe(
-        [
-            (0.5 * r, z - 0.001),
-            (0.45 * r, z + 0.4 * r),
-            (r, z + 0.9 * r),
-            (0.9 * r, z + 1.4 * r),
-            (0.3 * r, z + 1.6 * r),
-        ],
-        18,
-    )
+    profile = [
+        (0.5 * r, z - 0.001),
+        (0.45 * r, z + 0.4 * r),
+        (r, z + 0.9 * r),
+        (0.9 * r, z + 1.4 * r),
+        (0.3 * r, z + 1.6 * r),
+    ]
+    return s.lathe(profile, 18)
 
 
 def kettle(rng: np.random.Generator) -> ProceduralObject:
@@ -80,15 +78,13 @@ def kettle(rng: np.random.Generator) -> ProceduralObject:
     if over:
         _bow(b, body, outline, h, skin, dark, swings=bool(rng.random() < 0.6))
     else:
-        path = s.bent_path(
-            [
-                (0.93 * r, 0, 0.85 * h),
-                (r + 0.055, 0, 0.86 * h),
-                (r + 0.05, 0, 0.2 * h),
-                (0.98 * r, 0, 0.16 * h),
-            ],
-            0.04,
-        )
+        corners = [
+            (0.93 * r, 0, 0.85 * h),
+            (r + 0.055, 0, 0.86 * h),
+            (r + 0.05, 0, 0.2 * h),
+            (0.98 * r, 0, 0.16 * h),
+        ]
+        path = s.bent_path(corners, 0.04)
         body.add(s.sweep(path, s.rectangle(0.02, 0.012, 0.004)), dark, "handle")
     return b.build()
 
@@ -133,16 +129,12 @@ def _spout(body: Body, r: float, h: float, thick: float, skin: Surface, goosenec
             (-2.0 * r, 0, 0.97 * h),
         ]
         path = s.bent_path(corners, 0.05)
-        body.add(
-            s.sweep(path, s.circle(thick, 14), scale=np.linspace(1.2, 0.55, len(path))),
-            skin,
-            "spout",
-        )
+        outline = s.circle(thick, 14)
+        body.add(s.sweep(path, outline, scale=np.linspace(1.2, 0.55, len(path))), skin, "spout")
     else:
         path = np.linspace([-0.7 * r, 0, 0.5 * h], [-1.5 * r, 0, 0.95 * h], 5)
-        body.add(
-            s.sweep(path, s.circle(1.4 * thick, 16), scale=np.linspace(1.3, 0.7, 5)), skin, "spout"
-        )
+        outline = s.circle(1.4 * thick, 16)
+        body.add(s.sweep(path, outline, scale=np.linspace(1.3, 0.7, 5)), skin, "spout")
 
 
 def kitchen_pot(rng: np.random.Generator) -> ProceduralObject:
@@ -164,23 +156,18 @@ def kitchen_pot(rng: np.random.Generator) -> ProceduralObject:
     if rng.random() < 0.65:
         for side in (-1, 1):
             x = side * (r - 0.002)
-            path = s.bent_path(
-                [
-                    (x, -0.035, 0.82 * h),
-                    (x + side * 0.035, -0.03, 0.84 * h),
-                    (x + side * 0.035, 0.03, 0.84 * h),
-                    (x, 0.035, 0.82 * h),
-                ],
-                0.02,
-            )
+            corners = [
+                (x, -0.035, 0.82 * h),
+                (x + side * 0.035, -0.03, 0.84 * h),
+                (x + side * 0.035, 0.03, 0.84 * h),
+                (x, 0.035, 0.82 * h),
+            ]
+            path = s.bent_path(corners, 0.02)
             body.add(s.tube(path, 0.005, 10), grip, "handle")
     else:
         path = np.linspace([r - 0.003, 0, 0.75 * h], [r + 0.19, 0, 0.75 * h + 0.03], 6)
-        body.add(
-            s.sweep(path, s.rectangle(0.024, 0.014, 0.005), scale=[0.7, 0.8, 1, 1.1, 1.1, 1.0]),
-            grip,
-            "handle",
-        )
+        scale = [0.7, 0.8, 1, 1.1, 1.1, 1.0]
+        body.add(s.sweep(path, s.rectangle(0.024, 0.014, 0.005), scale=scale), grip, "handle")
     z = h + 0.003
     clear = glass() if rng.random() < 0.4 else skin
     rise = float(rng.uniform(0.015, 0.035))
@@ -221,19 +208,13 @@ def bottle(rng: np.random.Generator) -> ProceduralObject:
     ]
     profile = [(0.85 * r, 0), (r, 0.012), *bend, (neck, h)]
     body.add(s.lathe(shell_profile(profile, 0.0015), 32), skin, "body")
-    body.add(
-        s.ring(
-            [
-                (neck, h - 0.32 * neck_h),
-                (1.25 * neck, h - 0.32 * neck_h),
-                (1.25 * neck, h - 0.25 * neck_h),
-                (neck, h - 0.25 * neck_h),
-            ],
-            24,
-        ),
-        skin,
-        "collar",
-    )
+    outline = [
+        (neck, h - 0.32 * neck_h),
+        (1.25 * neck, h - 0.32 * neck_h),
+        (1.25 * neck, h - 0.25 * neck_h),
+        (neck, h - 0.25 * neck_h),
+    ]
+    body.add(s.ring(outline, 24), skin, "collar")
     cap_h = 0.24 * neck_h + 0.014
     z0 = h - 0.24 * neck_h
     style = rng.random()
@@ -253,48 +234,27 @@ def bottle(rng: np.random.Generator) -> ProceduralObject:
         ]
         lid.add(s.loft(loops), cap, "cap")
     elif style < 0.85:
-        body.add(
-            s.cylinder(1.2 * neck, 0.012, segments=24, bevel=0.001).moved((0, 0, h + 0.005)),
-            cap,
-            "cap_base",
-        )
+        at = (0, 0, h + 0.005)
+        body.add(s.cylinder(1.2 * neck, 0.012, segments=24, bevel=0.001).moved(at), cap, "cap_base")
         z = h + 0.0115
         lid = b.hinge("lid", body, (-1, 0, 0), (0, 1.22 * neck, z), 0.0, 2.2)
-        lid.add(
-            s.cylinder(1.2 * neck, 0.01, segments=24, bevel=0.0015).moved((0, 0, z + 0.0055)),
-            cap,
-            "cap",
-        )
-        lid.add(
-            s.along(s.cylinder(0.0016, neck, segments=8), 0).moved((0, 1.22 * neck, z)),
-            cap,
-            "hinge",
-        )
+        at = (0, 0, z + 0.0055)
+        lid.add(s.cylinder(1.2 * neck, 0.01, segments=24, bevel=0.0015).moved(at), cap, "cap")
+        at = (0, 1.22 * neck, z)
+        lid.add(s.along(s.cylinder(0.0016, neck, segments=8), 0).moved(at), cap, "hinge")
     else:
         pump = b.slide("lid", body, (0, 0, -1), 0.0, 0.018, (0, 0, h))
-        body.add(
-            s.ring(
-                [
-                    (0.32 * neck, h - 0.001),
-                    (1.2 * neck, h - 0.001),
-                    (1.2 * neck, h + 0.012),
-                    (0.32 * neck, h + 0.012),
-                ],
-                24,
-            ),
-            cap,
-            "cap_base",
-        )
-        pump.add(
-            s.cylinder(0.28 * neck, 0.05, segments=14).moved((0, 0, h + 0.023)),
-            metal("steel"),
-            "stem",
-        )
-        pump.add(
-            s.cylinder(0.8 * neck, 0.012, segments=20, bevel=0.002).moved((0, 0, h + 0.05)),
-            cap,
-            "head",
-        )
+        outline = [
+            (0.32 * neck, h - 0.001),
+            (1.2 * neck, h - 0.001),
+            (1.2 * neck, h + 0.012),
+            (0.32 * neck, h + 0.012),
+        ]
+        body.add(s.ring(outline, 24), cap, "cap_base")
+        at = (0, 0, h + 0.023)
+        pump.add(s.cylinder(0.28 * neck, 0.05, segments=14).moved(at), metal("steel"), "stem")
+        at = (0, 0, h + 0.05)
+        pump.add(s.cylinder(0.8 * neck, 0.012, segments=20, bevel=0.002).moved(at), cap, "head")
         nozzle = np.array(
             [(0, 0, h + 0.05), (0, -1.2 * neck, h + 0.05), (0, -2.6 * neck, h + 0.044)]
         )
@@ -318,9 +278,8 @@ def bucket(rng: np.random.Generator) -> ProceduralObject:
     z = h - 0.03
     reach = 1.04 * r + 0.006
     for side in (-1, 1):
-        ear = s.along(s.cylinder(0.012, 0.012, segments=14), 0).moved(
-            (side * (reach - 0.0075), 0, z)
-        )
+        at = (side * (reach - 0.0075), 0, z)
+        ear = s.along(s.cylinder(0.012, 0.012, segments=14), 0).moved(at)
         body.add(ear, skin, "ear")
     handle = b.hinge("handle", body, (1, 0, 0), (0, 0, z), -1.5, 1.5)
     a = np.linspace(0, np.pi, 21)
@@ -358,24 +317,15 @@ def dispenser(rng: np.random.Generator) -> ProceduralObject:
         ]
         body.add(s.lathe(shell_profile(outline, 0.002), 30), skin, "body")
     r = 0.016
-    body.add(
-        s.ring([(0.0062, h - 0.0005), (r, h - 0.0005), (r, h + 0.016), (0.0062, h + 0.016)], 24),
-        top,
-        "collar",
-    )
+    profile = [(0.0062, h - 0.0005), (r, h - 0.0005), (r, h + 0.016), (0.0062, h + 0.016)]
+    body.add(s.ring(profile, 24), top, "collar")
     travel = float(rng.uniform(0.012, 0.022))
     z = h + 0.016 + travel
     pump = b.slide("lid", body, (0, 0, -1), 0.0, 0.95 * travel, (0, 0, h))
-    pump.add(
-        s.cylinder(0.0055, 0.03 + travel, segments=14).moved(
-            (0, 0, z - 0.011 - travel / 2 + 0.004)
-        ),
-        metal("steel"),
-        "stem",
-    )
-    pump.add(
-        s.cylinder(0.012, 0.014, segments=20, bevel=0.003).moved((0, 0, z + 0.0075)), top, "head"
-    )
+    at = (0, 0, z - 0.011 - travel / 2 + 0.004)
+    pump.add(s.cylinder(0.0055, 0.03 + travel, segments=14).moved(at), metal("steel"), "stem")
+    at = (0, 0, z + 0.0075)
+    pump.add(s.cylinder(0.012, 0.014, segments=20, bevel=0.003).moved(at), top, "head")
     path = s.bent_path([(0, 0, z + 0.009), (0, -0.036, z + 0.009), (0, -0.044, z + 0.001)], 0.01)
     pump.add(s.sweep(path, s.circle(0.0042, 10)), top, "nozzle")
     return b.build()

@@ -24,11 +24,8 @@ def dishwasher(rng: np.random.Generator) -> ProceduralObject:
     w, d, h = (float(v) for v in rng.uniform((0.45, 0.52, 0.76), (0.6, 0.6, 0.84)))
     bottom, wall, thick = 0.08, 0.03, 0.03
     body = b.base("dishwasher_body")
-    body.add(
-        s.box((0.96 * w, 0.8 * d, bottom + 0.002), (0, 0.05 * d, bottom / 2)),
-        palette.dark,
-        "plinth",
-    )
+    size = (0.96 * w, 0.8 * d, bottom + 0.002)
+    body.add(s.box(size, (0, 0.05 * d, bottom / 2)), palette.dark, "plinth")
     built_in = rng.random() < 0.5
     strip = 0.0 if built_in else 0.1
     opening = m.Opening(-w / 2 + wall, w / 2 - wall, bottom + wall, bottom + h - strip - wall)
@@ -46,21 +43,13 @@ def dishwasher(rng: np.random.Generator) -> ProceduralObject:
     )
     count = int(rng.integers(2, 7))
     if strip:
-        body.add(
-            s.box((w, thick, strip - 0.002), (0, front - thick / 2, top + strip / 2), 0.003),
-            palette.dark,
-            "control_panel",
-        )
+        center = (0, front - thick / 2, top + strip / 2)
+        body.add(s.box((w, thick, strip - 0.002), center, 0.003), palette.dark, "control_panel")
         for k in range(count):
             x = (k - (count - 1) / 2) * 0.045
-            controls.push_button(
-                b,
-                body,
-                (x, front - thick, top + strip / 2),
-                (0.026, 0.016, 0.005),
-                palette.accent,
-                round_=bool(k % 2),
-            )
+            at = (x, front - thick, top + strip / 2)
+            size = (0.026, 0.016, 0.005)
+            controls.push_button(b, body, at, size, palette.accent, round_=bool(k % 2))
         controls.knob(
             b,
             body,
@@ -93,30 +82,22 @@ def washing_machine(rng: np.random.Generator) -> ProceduralObject:
     _round_opening(body, w, d, h, bottom, radius, cz, palette)
     for x in (-1, 1):
         for y in (-1, 1):
-            body.add(
-                s.cylinder(0.02, bottom + 0.004, segments=12).moved(
-                    (x * 0.42 * w, y * 0.4 * d, bottom / 2 + 0.002)
-                ),
-                palette.dark,
-                "foot",
-            )
+            at = (x * 0.42 * w, y * 0.4 * d, bottom / 2 + 0.002)
+            body.add(s.cylinder(0.02, bottom + 0.004, segments=12).moved(at), palette.dark, "foot")
     _porthole(b, body, radius, front, cz, palette, rng)
     drum = b.spin("drum", body, (0, 1, 0), (0, 0, cz))
     r = 0.93 * radius
-    shell = s.lathe(
-        [
-            (r, 0),
-            (r, 0.6 * d),
-            (0.0, 0.6 * d),
-            (0.0, 0.59 * d),
-            (0.95 * r, 0.59 * d),
-            (0.95 * r, 0),
-        ],
-        28,
-    )
-    drum.add(
-        s.along(shell, 1).scaled((1, -1, 1)).moved((0, front + 0.05, cz)), metal("steel"), "drum"
-    )
+    profile = [
+        (r, 0),
+        (r, 0.6 * d),
+        (0.0, 0.6 * d),
+        (0.0, 0.59 * d),
+        (0.95 * r, 0.59 * d),
+        (0.95 * r, 0),
+    ]
+    shell = s.lathe(profile, 28)
+    at = (0, front + 0.05, cz)
+    drum.add(s.along(shell, 1).scaled((1, -1, 1)).moved(at), metal("steel"), "drum")
     for k in range(3):
         fin = s.box((0.03, 0.45 * d, 0.16 * r), (0, front + 0.05 + 0.3 * d, 0.86 * r), 0.004)
         drum.add(fin.turned((0, 1, 0), 2.094 * k).moved((0, 0, cz)), metal("steel"), "fin")
@@ -161,17 +142,13 @@ def _round_opening(
     body.add(plate, palette.front, "front")
     z = bottom + h / 2
     for side in (-1, 1):
-        body.add(
-            s.box((wall, d - wall, h), (side * (w - wall) / 2, wall / 2, z), 0.003),
-            palette.body,
-            "side_wall",
-        )
+        center = (side * (w - wall) / 2, wall / 2, z)
+        body.add(s.box((wall, d - wall, h), center, 0.003), palette.body, "side_wall")
     body.add(s.box((w - 2 * wall, wall, h), (0, (d - wall) / 2, z)), palette.body, "back")
     for at in (bottom + wall / 2, bottom + h - wall / 2):
         body.add(s.box((w - 2 * wall, d - 2 * wall, wall), (0, 0, at)), palette.body, "wall")
-    body.add(
-        s.box((w + 0.004, d + 0.004, 0.02), (0, 0, bottom + h + 0.009), 0.005), palette.body, "top"
-    )
+    size = (w + 0.004, d + 0.004, 0.02)
+    body.add(s.box(size, (0, 0, bottom + h + 0.009), 0.005), palette.body, "top")
 
 
 def _porthole(
@@ -187,41 +164,32 @@ def _porthole(
     side = -1 if rng.random() < 0.6 else 1
     hinge_x = side * (outer + 0.012)
     axis = (0, 0, -1) if side < 0 else (0, 0, 1)
-    door = b.hinge(
-        "door", body, axis, (hinge_x, front - 0.5 * thick, cz), 0.0, float(rng.uniform(1.8, 2.6))
-    )
-    rim = s.ring(
-        [
-            (0.72 * radius, 0.004),
-            (outer, 0.004),
-            (outer, 0.6 * thick),
-            (0.92 * outer, thick),
-            (0.78 * radius, 0.9 * thick),
-        ],
-        36,
-    )
-    door.add(
-        s.along(rim, 1).moved((0, front, cz)),
-        palette.accent if rng.random() < 0.5 else metal("white"),
-        "rim",
-    )
-    bowl = s.lathe(
-        [
-            (0.74 * radius, 0.012),
-            (0.74 * radius, 0.024),
-            (0.0, 0.03),
-            (0.0, 0.024),
-            (0.7 * radius, 0.012),
-        ],
-        28,
-    )
+    origin = (hinge_x, front - 0.5 * thick, cz)
+    door = b.hinge("door", body, axis, origin, 0.0, float(rng.uniform(1.8, 2.6)))
+    profile = [
+        (0.72 * radius, 0.004),
+        (outer, 0.004),
+        (outer, 0.6 * thick),
+        (0.92 * outer, thick),
+        (0.78 * radius, 0.9 * thick),
+    ]
+    rim = s.ring(profile, 36)
+    surface = palette.accent if rng.random() < 0.5 else metal("white")
+    door.add(s.along(rim, 1).moved((0, front, cz)), surface, "rim")
+    profile = [
+        (0.74 * radius, 0.012),
+        (0.74 * radius, 0.024),
+        (0.0, 0.03),
+        (0.0, 0.024),
+        (0.7 * radius, 0.012),
+    ]
+    bowl = s.lathe(profile, 28)
     door.add(s.along(bowl, 1).moved((0, front, cz)), glass((90, 110, 120), 160), "glass")
     lug = s.box((0.05, 0.02, 0.09), (side * (outer - 0.012), front - 0.5 * thick, cz), 0.004)
     door.add(lug, palette.metal, "hinge")
     grip = m.handle("flat", 0.09, 0.02)
-    m.add(
-        door, m.place(grip, (-side * 0.9 * outer, front - 0.8 * thick, cz)), palette.dark, "handle"
-    )
+    solids = m.place(grip, (-side * 0.9 * outer, front - 0.8 * thick, cz))
+    m.add(door, solids, palette.dark, "handle")
 
 
 def _washing_controls(
@@ -240,17 +208,10 @@ def _washing_controls(
         drawer = b.slide("drawer", body, (0, -1, 0), 0.0, 0.18, (r.center[0], front, r.center[1]))
         m.panel(drawer, r, front - 0.001, 0.014, "plain", palette)
         grip = m.handle("lip", 0.6 * r.width, 0.016)
-        m.add(
-            drawer,
-            m.place(grip, (r.center[0], front - 0.015, r.z0 + 0.02), roll=np.pi / 2),
-            palette.dark,
-            "handle",
-        )
-    body.add(
-        s.box((0.64 * w, 0.012, 0.74 * strip), (0.155 * w, front - 0.006, z), 0.003),
-        palette.dark,
-        "control_panel",
-    )
+        solids = m.place(grip, (r.center[0], front - 0.015, r.z0 + 0.02), roll=np.pi / 2)
+        m.add(drawer, solids, palette.dark, "handle")
+    size = (0.64 * w, 0.012, 0.74 * strip)
+    body.add(s.box(size, (0.155 * w, front - 0.006, z), 0.003), palette.dark, "control_panel")
     mark = plain("mark", (240, 240, 240))
     controls.knob(
         b,
@@ -263,17 +224,9 @@ def _washing_controls(
         style=int(rng.integers(3)),
         limits=None if rng.random() < 0.7 else (-2.6, 2.6),
     )
-    body.add(
-        s.box((0.15 * w, 0.004, 0.35 * strip), (0.17 * w, face - 0.001, z)),
-        picture("panel", int(rng.integers(5))),
-        "display",
-    )
+    size = (0.15 * w, 0.004, 0.35 * strip)
+    center = (0.17 * w, face - 0.001, z)
+    body.add(s.box(size, center), picture("panel", int(rng.integers(5))), "display")
     for k in range(int(rng.integers(2, 6))):
-        controls.push_button(
-            b,
-            body,
-            (0.29 * w + 0.034 * k - 0.02, face, z),
-            (0.018, 0.018, 0.005),
-            mark,
-            round_=True,
-        )
+        at = (0.29 * w + 0.034 * k - 0.02, face, z)
+        controls.push_button(b, body, at, (0.018, 0.018, 0.005), mark, round_=True)
