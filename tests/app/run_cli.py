@@ -1,4 +1,4 @@
-"""Runs the real ``artiworld`` program on real files."""
+"""Runs ``artiworld`` commands on real files."""
 
 from __future__ import annotations
 
@@ -6,26 +6,55 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryFile
+from unittest import mock
 
 import numpy as np
 import trimesh
 
+from app.cli.main import main
+
 PROGRAM = Path(sys.executable).with_name("artiworld")
 
 
-def artiworld(*words: object, folder: Path | None = None, seconds: float = 120.0, **variables: str):
-    """Run it and return the finished process, with text output."""
-    environment = {**os.environ, "OMP_NUM_THREADS": "1", **variables}
+def artiworld(*words: object) -> subprocess.CompletedProcess[str]:
+    """Run a command in this process and return its exit code and what it printed."""
+    with _redirected(1, "stdout") as out, _redirected(2, "stderr") as err:
+        code = main([str(word) for word in words])
+    return subprocess.CompletedProcess(list(words), code, "".join(out), "".join(err))
+
+
+def artiworld_process(*words: object) -> subprocess.CompletedProcess[str]:
+    """Run the installed program, for tests of what only a process of its own shows."""
     return subprocess.run(
         [str(PROGRAM), *map(str, words)],
-        cwd=folder,
-        env=environment,
+        env={**os.environ, "OMP_NUM_THREADS": "1"},
         capture_output=True,
         text=True,
-        timeout=seconds,
+        timeout=120.0,
         check=False,
     )
+
+
+@contextmanager
+def _redirected(descriptor: int, name: str) -> Iterator[list[str]]:
+    """Collect what is written to ``sys.<name>`` and, by libraries in C, to its descriptor."""
+    text: list[str] = []
+    saved = os.dup(descriptor)
+    with TemporaryFile() as file, os.fdopen(descriptor, "w", closefd=False) as stream:
+        os.dup2(file.fileno(), descriptor)
+        try:
+            with mock.patch.object(sys, name, stream):
+                yield text
+        finally:
+            stream.flush()
+            os.dup2(saved, descriptor)
+            os.close(saved)
+            file.seek(0)
+            text.append(file.read().decode())
 
 
 def assert_users_mistake(done, *words: str) -> None:

@@ -1,0 +1,71 @@
+"""Worker processes that outlive their server, because starting four of them takes seconds."""
+
+from __future__ import annotations
+
+import contextlib
+import weakref
+from collections.abc import Hashable, Iterator
+from typing import Any
+from unittest import mock
+
+from app.server import workers
+from app.server.job import Job
+from app.server.jobs import WorkerProcess
+
+
+class SharedWorker:
+    """One server's use of a worker process: stands in for a :class:`WorkerProcess` of its own."""
+
+    def __init__(self, worker: WorkerProcess) -> None:
+        self._worker = worker
+        self._jobs: weakref.WeakSet[Job[Any]] = weakref.WeakSet()
+        self._closed = False
+
+    def submit(
+        self,
+        function: Any,
+        *args: Any,
+        key: Hashable = None,
+        works_on: Hashable = None,
+        **more: Any,
+    ) -> Job[Any]:
+        if self._closed:
+            raise RuntimeError("the worker is closed")
+        key, works_on = (None if k is None else (id(self), k) for k in (key, works_on))
+        job = self._worker.submit(function, *args, key=key, works_on=works_on, **more)
+        self._jobs.add(job)
+        return job
+
+    @property
+    def pid(self) -> int | None:
+        return self._worker.pid
+
+    @property
+    def busy(self) -> bool:
+        return any(not job.done for job in list(self._jobs))
+
+    def close(self) -> None:
+        """Cancel the jobs of this server and wait for their end."""
+        self._closed = True
+        jobs = [job for job in list(self._jobs) if not job.done]
+        for job in jobs:
+            job.cancel()
+        for job in jobs:
+            with contextlib.suppress(Exception):
+                job.result(timeout=20.0)
+
+
+@contextlib.contextmanager
+def shared_workers() -> Iterator[None]:
+    """Let all servers that start meanwhile share one worker process of each kind."""
+    processes: dict[str, WorkerProcess] = {}
+
+    def worker(name: str) -> SharedWorker:
+        if name not in processes:
+            processes[name] = WorkerProcess(name)
+        return SharedWorker(processes[name])
+
+    with mock.patch.object(workers, "WorkerProcess", worker):
+        yield
+    for process in processes.values():
+        process.close()
