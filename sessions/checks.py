@@ -50,6 +50,12 @@ def check_finite(values: Iterable[float], what: str) -> None:
         raise CommandError(f"{what} must be finite numbers, got {tuple(values)}")
 
 
+def check_unit_scale(scale: float, what: str) -> None:
+    """Refuse a scale that isn't a positive number."""
+    if not (math.isfinite(scale) and scale > 0):
+        raise CommandError(f"{what} must be a positive number, got {scale}")
+
+
 def check_pose(
     position: tuple[float, float, float], wxyz: tuple[float, float, float, float]
 ) -> None:

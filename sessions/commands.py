@@ -7,7 +7,6 @@ and new fields have defaults.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, cast, get_args
@@ -18,11 +17,19 @@ from model.core.asset import UpAxis
 from model.core.errors import CommandError
 from model.core.joint import Joint
 from model.segmentation.prompts import BASE, MAX_PARTS, Click
-from sessions.checks import NAME_LIMIT, check_count, check_part, check_ref, clean_name, put_field
+from sessions.checks import (
+    NAME_LIMIT,
+    check_count,
+    check_part,
+    check_ref,
+    check_unit_scale,
+    clean_name,
+    put_field,
+)
 from sessions.review import REJECT_REASONS, RejectReason
 from sessions.scene_commands import DecideObjects, PickOut, SetArticulable
 from sessions.text import clean_text
-from sessions.tool_commands import ApplyTool, CropOut, CutFaces, LeaveOut, Placed
+from sessions.tool_commands import ApplyTool, CropOut, CutFaces, LeaveOut, ObjectFrame, Placed
 
 COMMENT_LIMIT = 2000
 NOTE_LIMIT = 500
@@ -137,7 +144,10 @@ class SetCategory:
 
 @dataclass(frozen=True)
 class SetFrame:
-    """Set the up axis and metres per unit of the source. Restarts the annotation."""
+    """Set the up axis and metres per unit of the source. Restarts the annotation.
+
+    Earlier versions gave it; now :class:`Prepare` says more.
+    """
 
     up_axis: UpAxis
     unit_scale: float
@@ -145,8 +155,28 @@ class SetFrame:
     def __post_init__(self) -> None:
         if self.up_axis not in UP_AXES:
             raise CommandError(f"up_axis must be one of {', '.join(UP_AXES)}, got {self.up_axis!r}")
-        if not (math.isfinite(self.unit_scale) and self.unit_scale > 0):
-            raise CommandError(f"unit_scale must be a positive number, got {self.unit_scale}")
+        check_unit_scale(self.unit_scale, "unit_scale")
+
+
+@dataclass(frozen=True)
+class Prepare:
+    """Level, size and clean the source. Restarts the annotation.
+
+    Attributes:
+        unit_scale: metres per unit of the source.
+        frame: the object's frame in that of the source as it is read.
+        leave_out: what is left out from now on.
+        what: was changed, for people.
+    """
+
+    unit_scale: float
+    frame: ObjectFrame
+    leave_out: LeaveOut
+    what: str
+
+    def __post_init__(self) -> None:
+        check_unit_scale(self.unit_scale, "unit_scale")
+        put_field(self, "what", clean_text(self.what, NAME_LIMIT, "what was changed"))
 
 
 @dataclass(frozen=True)
@@ -315,6 +345,7 @@ Command = (
     | DeletePart
     | SetCategory
     | SetFrame
+    | Prepare
     | RecordSegmentation
     | RecordPrediction
     | SetJoint
@@ -347,6 +378,7 @@ KINDS: Mapping[str, type[Command]] = {
     "delete_part": DeletePart,
     "set_category": SetCategory,
     "set_frame": SetFrame,
+    "prepare": Prepare,
     "record_segmentation": RecordSegmentation,
     "record_prediction": RecordPrediction,
     "set_joint": SetJoint,

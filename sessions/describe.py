@@ -12,6 +12,7 @@ from sessions.commands import (
     DeletePart,
     LockJoint,
     NamePart,
+    Prepare,
     RecordPrediction,
     RecordSegmentation,
     Redo,
@@ -65,6 +66,8 @@ def describe(command: Command) -> str:
             return f"category {category!r}" if category else "no category"
         case SetFrame():
             return f"read with {command.up_axis} up, scale {command.unit_scale:g}"
+        case Prepare(what=what):
+            return what
         case SetJoint(joint=joint):
             return f"change joint {joint.name}"
         case SetRoot(link=link):

@@ -14,7 +14,7 @@ from model.core.tree import KinematicTree
 from model.segmentation.prompts import BASE, MAX_PARTS, UNASSIGNED, Click
 from sessions.review import RejectReason, ReviewState
 from sessions.scene_commands import Decided, PickOut
-from sessions.tool_commands import FaceCut
+from sessions.tool_commands import SOURCE_FRAME, FaceCut, ObjectFrame
 
 
 @dataclass(frozen=True)
@@ -181,6 +181,7 @@ class Document:
         left_out: elements of the source that are left out, or None.
         face_cuts: cuts that split the remaining faces, in order.
         crops: objects that were cut out of this scan.
+        frame: the object's frame in that of the source as it is read.
         placement: place of the object in the scan that it was cut out of, or None.
         articulable: of a scene: object id → whether it is articulable, where a person decided.
         decided: of a scene: the decisions about its objects, in order.
@@ -210,6 +211,7 @@ class Document:
     articulable: Mapping[str, bool] = field(default_factory=dict)
     decided: tuple[DecisionRecord, ...] = ()
     picked: tuple[PickOut, ...] = ()
+    frame: ObjectFrame = SOURCE_FRAME
 
     @cached_property
     def key(self) -> str:
@@ -297,6 +299,8 @@ def prompts_key(document: Document) -> str:
     references. Recorded results hold the key, so its computation is part of the format.
     """
     digest = hashlib.sha256(repr((document.up_axis, document.unit_scale)).encode())
+    if document.frame != SOURCE_FRAME:
+        digest.update(repr(document.frame).encode())
     if document.left_out is not None:
         digest.update(document.left_out.elements.encode())
     if document.face_cuts:

@@ -18,6 +18,7 @@ from sessions.commands import (
     DeletePart,
     LockJoint,
     NamePart,
+    Prepare,
     RecordPrediction,
     RecordSegmentation,
     Redo,
@@ -160,6 +161,8 @@ def _changed(document: Document, command: Command, context: Context) -> tuple[Do
             return _delete_part(document, part), "annotate"
         case SetFrame():
             return _set_frame(document, command), "annotate"
+        case Prepare():
+            return _prepare(document, command), "annotate"
         case NamePart(part=part, name=name):
             return _name_part(document, part, name), "adjust"
         case SetCategory(category=category):
@@ -204,7 +207,7 @@ def _reviewed(
         # The reviewer's comment stays while the annotator corrects the object.
         review = replace(review, state=state, by=context.who, at=context.at)
     joint_edits = before.joint_edits
-    if isinstance(command, (RecordPrediction, SetFrame)):
+    if isinstance(command, (RecordPrediction, SetFrame, Prepare)):
         joint_edits = 0
     elif isinstance(command, (SetJoint, SetRoot, ResetJoint)):
         joint_edits += 1
@@ -300,6 +303,14 @@ def _set_frame(document: Document, command: SetFrame) -> Document:
     return replace(_afresh(document), up_axis=command.up_axis, unit_scale=command.unit_scale)
 
 
+def _prepare(document: Document, command: Prepare) -> Document:
+    after = replace(
+        document, unit_scale=command.unit_scale, frame=command.frame,
+        left_out=_left_out(command.leave_out),
+    )  # fmt: skip
+    return document if after == document else _afresh(after)
+
+
 def _afresh(document: Document) -> Document:
     """Return it without all that refers to elements, whose numbers changed."""
     return replace(
@@ -315,12 +326,16 @@ def _afresh(document: Document) -> Document:
 
 
 def _leave_out(document: Document, command: LeaveOut) -> Document:
-    left_out = None
-    if command.elements is not None:
-        left_out = LeftOut(command.elements, command.count, command.what)
+    left_out = _left_out(command)
     if left_out == document.left_out:
         return document
     return replace(_afresh(document), left_out=left_out)
+
+
+def _left_out(command: LeaveOut) -> LeftOut | None:
+    if command.elements is None:
+        return None
+    return LeftOut(command.elements, command.count, command.what)
 
 
 def _crop_out(document: Document, command: CropOut) -> Document:

@@ -7,12 +7,17 @@ from collections.abc import Iterable, Mapping
 from importlib import metadata
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+
 from model.core import codec
 from model.core.asset import Source
+from model.io.geometry_files import turned_up
 from model.segmentation.prompts import Click
 from sessions.commands import (
     LockJoint,
     Placed,
+    Prepare,
     RecordPrediction,
     RecordSegmentation,
     Redo,
@@ -28,6 +33,7 @@ from sessions.describe import describe
 from sessions.document import Document
 from sessions.state import SessionState
 from sessions.store import Entry
+from sessions.tool_commands import ObjectFrame
 
 FORMAT = 1
 
@@ -45,17 +51,28 @@ def provenance(
         source: where the asset was read from, None for one made in memory.
 
     Returns:
-        A dict that JSON can hold. ``edits`` lists the joint edits made on the last prediction that
-        are still in force, without undone ones.
+        A dict that JSON can hold. ``object_from_source``, (4, 4), leads from the file's own
+        numbers to the asset; ``scan_from_object`` to the scan that the object was cut out of.
+        ``edits`` lists the joint edits made on the last prediction that are still in force,
+        without undone ones.
     """
     document = state.present
     kept = effective(history)
+    object_from_source = _object_from_source(document, source)
+    placement = document.placement
     return {
         "format": FORMAT,
         "source": None if source is None else _source(source),
+        "object_from_source": object_from_source.tolist(),
         "left_out": codec.write(document.left_out, "left_out"),
         "face_cuts": codec.write(document.face_cuts, "face_cuts"),
-        "placement": codec.write(document.placement, "placement"),
+        "placement": codec.write(placement, "placement"),
+        "scan_from_object": None
+        if placement is None
+        else (
+            ObjectFrame(placement.position, placement.wxyz).object_from_read
+            @ np.linalg.inv(object_from_source)
+        ).tolist(),
         "category": document.category,
         "parts": _parts(document),
         "prompts": [_prompt(p) for p in document.prompts],
@@ -70,6 +87,17 @@ def provenance(
         "commands": state.seq,
         "versions": _versions(),
     }
+
+
+def _object_from_source(document: Document, source: Source | None) -> npt.NDArray[np.float64]:
+    """(4, 4) the object's frame in the source file's own axes and unit."""
+    out = document.frame.object_from_read
+    if source is None:
+        return out
+    read = turned_up(source.up_axis)
+    read[:3, :3] *= source.unit_scale
+    read[:3, 3] = np.negative(source.shift)
+    return out @ read
 
 
 def effective(history: Iterable[Entry]) -> list[Entry]:
@@ -140,7 +168,7 @@ def _predictor(document: Document, kept: list[Entry]) -> dict[str, Any] | None:
 def _edits(kept: list[Entry]) -> list[dict[str, Any]]:
     out: list[dict[str, Any]] = []
     for e in kept:
-        starts_afresh = isinstance(e.command, SetFrame) or (
+        starts_afresh = isinstance(e.command, (SetFrame, Prepare)) or (
             isinstance(e.command, RecordPrediction) and e.command.prediction.tree is not None
         )
         if starts_afresh:

@@ -4,6 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
 from model.core.errors import CommandError
 from model.geometry.splitting import Plane
 from model.segmentation.prompts import BASE
@@ -14,6 +18,7 @@ from sessions.checks import (
     check_part,
     check_pose,
     check_ref,
+    check_unit_scale,
     clean_name,
     put_field,
 )
@@ -111,6 +116,46 @@ class CutFaces:
 
     def __post_init__(self) -> None:
         put_field(self, "tool", clean_text(self.tool, NAME_LIMIT, "tool"))
+
+
+@dataclass(frozen=True)
+class ObjectFrame:
+    """The object's frame in that of the source: scale, then rotation, then shift.
+
+    Attributes:
+        position: (3,) metres, where the source's origin lies in the object's frame.
+        wxyz: the rotation from the source's frame to the object's, a unit quaternion.
+        scale: of the object against the source.
+    """
+
+    position: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    wxyz: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
+    scale: float = 1.0
+
+    def __post_init__(self) -> None:
+        check_pose(self.position, self.wxyz)
+        check_unit_scale(self.scale, "scale")
+
+    @property
+    def object_from_read(self) -> npt.NDArray[np.float64]:
+        """(4, 4) from the source as it was read."""
+        w, x, y, z = self.wxyz
+        out = np.eye(4)
+        out[:3, :3] = self.scale * Rotation.from_quat([x, y, z, w]).as_matrix()
+        out[:3, 3] = self.position
+        return out
+
+    def then(self, matrix: npt.NDArray[np.float64]) -> ObjectFrame:
+        """The frame after a further (4, 4) rotation, uniform scale and shift of the object."""
+        whole = matrix @ self.object_from_read
+        scale = float(np.cbrt(np.linalg.det(whole[:3, :3])))
+        x, y, z, w = Rotation.from_matrix(whole[:3, :3] / scale).as_quat().tolist()
+        px, py, pz = whole[:3, 3].tolist()
+        return ObjectFrame((px, py, pz), (w, x, y, z), scale)
+
+
+SOURCE_FRAME = ObjectFrame()
+"""The frame of the source itself."""
 
 
 @dataclass(frozen=True)

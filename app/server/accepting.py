@@ -188,4 +188,4 @@ def _refuse(
 
 def _source_record(obj: OpenObject) -> Source:
     asset = obj.need_asset()
-    return Source(asset.path, asset.sha256, asset.up_axis, asset.unit_scale)
+    return Source(asset.path, asset.sha256, asset.up_axis, asset.unit_scale, asset.shift)

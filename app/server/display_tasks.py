@@ -10,18 +10,22 @@ import numpy as np
 import numpy.typing as npt
 
 from app.server.part_tasks import PartSource
+from app.server.prepare_tasks import removed_of
 from app.server.segmenting_tasks import source_regions
 from app.server.tasks import ReadOptions, arrays_of, asset_of, working_copy
 from model.core.articulated_object import Prediction
 from model.core.asset import Asset, ElementKind, UpAxis
 from model.core.point_cloud import PointCloud
 from model.core.progress import Progress, no_progress
-from model.geometry.display import display_asset
+from model.geometry.display import display_asset, thin
 from model.geometry.upright_box import box_yaw
 from model.io.find_assets import model_of
 from model.io.write.glb import face_order, mesh_to_glb
 from sessions.checks import NAME_LIMIT
 from sessions.text import clipped
+
+REMOVED_SHOWN = 30_000
+"""Points that show what is left out."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +44,9 @@ class OpenedAsset:
         source_parts: part of the file → reference of its stored elements and their number.
         source_labels: reference of the same as stored (E,) labels.
         source_joints: the joints of the file.
+        display_confidence: (D,) of the displayed cloud's points, or None.
+        removed: (R, 3) some of what is left out, to be shown.
+        shift: of the source; see :class:`~model.core.asset.Source`.
     """
 
     name: str
@@ -66,6 +73,17 @@ class OpenedAsset:
     category: str | None = None
     warnings: tuple[str, ...] = ()
     front: tuple[float, float, float] = (0.0, -1.0, 0.0)
+    display_confidence: npt.NDArray[np.float32] | None = None
+    removed: npt.NDArray[np.float32] | None = None
+    shift: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    @property
+    def display_centers(self) -> npt.NDArray[np.floating]:
+        """(D, 3) displayed points, or middles of the displayed faces."""
+        if self.display_points is not None:
+            return self.display_points
+        assert self.display_vertices is not None and self.display_faces is not None
+        return self.display_vertices[self.display_faces].mean(1)
 
     @property
     def diagonal(self) -> float:
@@ -94,6 +112,9 @@ def open_asset(
     progress(0.8, "Preparing the picture")
     unchanged = options.left_out is None and not options.face_cuts
     opened = _opened(asset, folder, path)
+    if options.left_out is not None:
+        gone = removed_of(path, workspace, options).element_centers.astype(np.float32)
+        opened = replace(opened, removed=gone[thin(gone, REMOVED_SHOWN)])
     if asset.element_part is None or not unchanged:
         return opened
     return replace(
@@ -137,6 +158,8 @@ def _opened(asset: Asset, folder: Path, path: Path) -> OpenedAsset:
         part_names=part_names,
         category=category,
         warnings=(*asset.warnings, *warnings),
+        display_confidence=None if cloud is None else cloud.confidence,
+        shift=source.shift if source else (0.0, 0.0, 0.0),
         front=front_direction(mesh.triangles.mean(1) if mesh is not None else cloud.points),  # type: ignore[union-attr]
     )
 

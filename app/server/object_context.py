@@ -15,6 +15,7 @@ from app.server.observable import Observable
 from app.server.part_tasks import PartSource
 from app.server.running_jobs import RunningJobs
 from app.server.services import Services
+from app.server.tasks import ReadOptions
 from model.core.errors import CommandError
 from model.segmentation.prompts import BASE
 from sessions import commands as cmd
@@ -71,6 +72,18 @@ class ObjectContext(Observable):
         if self.asset is None:
             raise CommandError("the object is still being read")
         return self.asset
+
+    @property
+    def read_options(self) -> ReadOptions:
+        """How the present document has the source read."""
+        doc, config = self.document, self.services.config
+        return ReadOptions(
+            doc.up_axis or config.up_axis,
+            doc.unit_scale * config.unit_scale,
+            None if doc.left_out is None else doc.left_out.elements,
+            doc.face_cuts,
+            doc.frame,
+        )
 
     def source(self, document: Document | None = None) -> PartSource:
         """Return the parts of the document as the workers cut them.

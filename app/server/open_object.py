@@ -17,10 +17,11 @@ from app.server import display_tasks, part_tasks, picking_tasks
 from app.server.display_tasks import OpenedAsset, PartPayload
 from app.server.jobs import CLICKS, EDITS, Job, JobFailed
 from app.server.object_context import ObjectContext
+from app.server.preparing import Preparing
 from app.server.scene_member import SceneMember
 from app.server.segmenting import SOURCE, Segmenting
 from app.server.services import Services
-from app.server.tasks import ReadOptions, Stamp, stamp_if_there
+from app.server.tasks import Stamp, stamp_if_there
 from app.server.validating import JointCollision, Validation
 from model.core.errors import ArtiworldError, CommandError
 from model.prediction.registry import DEFAULT as DEFAULT_PREDICTOR
@@ -55,6 +56,7 @@ class OpenObject(ObjectContext):
         self._anew = False
         self._failed_on: Stamp | None = None
         self.segmenting = Segmenting(self)
+        self.preparing = Preparing(self)
         self.validation = Validation(self)
         self._unsubscribe = self.live.subscribe(lambda state, command: self._decided(state))
 
@@ -132,31 +134,24 @@ class OpenObject(ObjectContext):
         """
         with self._lock:
             doc = self.document
-            frame = (doc.up_axis, doc.unit_scale, doc.left_out, doc.face_cuts)
+            frame = (doc.up_axis, doc.unit_scale, doc.frame, doc.left_out, doc.face_cuts)
             if "open" in self.jobs or (self.asset is not None and self._frame == frame):
                 return
             now = (frame, None if self.problem is None else stamp_if_there(self.record.path))
             if self.problem is not None and not again and now == (self._frame, self._failed_on):
                 return
             # In another frame the object starts afresh, with the parts and joints of the file.
-            self._anew = self._frame is not None and self._frame[:2] != frame[:2]
+            self._anew = self._frame is not None and self._frame[:3] != frame[:3]
             self._frame, self.problem = frame, None
             self._failed_on = stamp_if_there(self.record.path)
             self.asset = None
             self.segmenting.forget()
             self.payloads.clear()
-            config = self.services.config
-            options = ReadOptions(
-                doc.up_axis or config.up_axis,
-                doc.unit_scale * config.unit_scale,
-                None if doc.left_out is None else doc.left_out.elements,
-                doc.face_cuts,
-            )
             job = self.services.workers.geometry.submit(
                 display_tasks.open_asset,
                 Path(self.record.path),
                 self.services.workspace,
-                options,
+                self.read_options,
                 on_progress=self.jobs.progress("open"),
                 priority=5,
                 preempted_by=CLICKS,
@@ -188,6 +183,8 @@ class OpenObject(ObjectContext):
             self.notify("Opened with a warning", warning, "yellow")
         self.services.workers.geometry.submit(picking_tasks.prepare_picking, asset.folder)
         self.segmenting.prepare()
+        if self.in_scene is None and asset.source_labels is None:
+            self.preparing.look()
         self._state_changed()
 
     # --- jobs that the state asks for

@@ -66,7 +66,7 @@ def floor_and_walls(
     if not border.any():
         raise CommandError("no floor, ceiling or wall was found: this looks like a single object")
     gone[inside[border]] = True
-    return _removal(workspace, asset, np.flatnonzero(gone), left_out)
+    return removal(workspace, asset, np.flatnonzero(gone), left_out)
 
 
 def leave_out_part(
@@ -74,10 +74,15 @@ def leave_out_part(
 ) -> Removal:
     """Return the elements of one part, and what was left out before."""
     mine = np.flatnonzero(tasks.arrays_of(workspace).get(labels) == part)
-    return _removal(workspace, tasks.asset_of(folder), mine, left_out)
+    return removal(workspace, tasks.asset_of(folder), mine, left_out)
 
 
-def _removal(workspace: Path, asset: Asset, gone: Elements, left_out: str | None) -> Removal:
+def removal(workspace: Path, asset: Asset, gone: Elements, left_out: str | None) -> Removal:
+    """Elements of an open scan and what is left out already, as elements of the whole source.
+
+    Raises:
+        CommandError: where these are none, or all.
+    """
     if len(gone) >= asset.element_count:
         raise CommandError("nothing would be left of the scan")
     if not len(gone):

@@ -345,7 +345,7 @@ def _shares(
 
 def _tool_input(doc: Document) -> tuple[object, ...]:
     """Return the decisions that a tool's result refers to."""
-    frame = (doc.up_axis, doc.unit_scale, doc.left_out, doc.face_cuts)
+    frame = (doc.up_axis, doc.unit_scale, doc.frame, doc.left_out, doc.face_cuts)
     return doc.prompts, {p.id for p in doc.parts}, frame
 
 

@@ -20,12 +20,13 @@ from model.core.asset import Asset, UpAxis
 from model.core.errors import ArtiworldError, CommandError
 from model.core.progress import Progress, no_progress
 from model.geometry.crop import crop
+from model.geometry.prepare import moved
 from model.geometry.splitting import split_faces
 from model.io.asset_cache import load_asset, save_asset
 from model.io.model_files import files_named_by, is_model
 from model.io.open_asset import open_asset
 from sessions.arrays import ArrayFiles
-from sessions.tool_commands import FaceCut
+from sessions.tool_commands import SOURCE_FRAME, FaceCut, ObjectFrame
 
 Stamp = tuple[tuple[str, int, int], ...]
 
@@ -37,6 +38,7 @@ class ReadOptions:
     Attributes:
         up_axis: None is the format's default.
         unit_scale: metres per unit.
+        frame: the object's frame in that of the source as it is read.
         left_out: reference of the stored elements to leave out, or None.
         face_cuts: cuts that split the remaining faces, in order.
     """
@@ -45,6 +47,12 @@ class ReadOptions:
     unit_scale: float = 1.0
     left_out: str | None = None
     face_cuts: tuple[FaceCut, ...] = ()
+    frame: ObjectFrame = SOURCE_FRAME
+
+    @property
+    def as_read(self) -> ReadOptions:
+        """The options of the whole source in its own frame."""
+        return ReadOptions(self.up_axis, self.unit_scale)
 
 
 def working_copy(
@@ -54,6 +62,8 @@ def working_copy(
     identity = (str(path.resolve()), stamp(path), options.up_axis, options.unit_scale)
     if options.left_out is not None:
         identity = (*identity, options.left_out)
+    if options.frame != SOURCE_FRAME:
+        identity = (*identity, options.frame)
     if options.face_cuts:
         identity = (*identity, options.face_cuts)
     key = hashlib.sha256(repr(identity).encode()).hexdigest()[:24]
@@ -69,12 +79,16 @@ def working_copy(
             before = replace(options, face_cuts=options.face_cuts[:-1])
             asset, _ = working_copy(path, workspace, before, progress)
             asset = _split(asset, options.face_cuts[-1], workspace)
+        elif options != options.as_read:
+            asset, _ = working_copy(path, workspace, options.as_read, progress)
+            if options.left_out is not None:
+                asset = _without(asset, arrays_of(workspace).get(options.left_out))
+            if options.frame != SOURCE_FRAME:
+                asset = moved(asset, options.frame.object_from_read)
         else:
             asset = open_asset(
                 path, up_axis=options.up_axis, unit_scale=options.unit_scale, progress=progress
             )
-            if options.left_out is not None:
-                asset = _without(asset, arrays_of(workspace).get(options.left_out))
         progress(0.6, "Saving a working copy")
         save_asset(asset, folder)
     return asset, folder

@@ -19,11 +19,13 @@ class PointCloud:
         points: (N, 3) float32.
         normals: (N, 3) float32 unit vectors, or None.
         colors: (N, 3) uint8 RGB, or None.
+        confidence: (N,) float32 as the source gives it, such as a splat's opacity, or None.
     """
 
     points: npt.NDArray[np.float32]
     normals: npt.NDArray[np.float32] | None = None
     colors: npt.NDArray[np.uint8] | None = None
+    confidence: npt.NDArray[np.float32] | None = None
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__
@@ -32,7 +34,9 @@ class PointCloud:
             set_(self, "normals", frozen(self.normals, np.float32, 3, "normals"))
         if self.colors is not None:
             set_(self, "colors", frozen(self.colors, np.uint8, 3, "colors"))
-        for name in ("normals", "colors"):
+        if self.confidence is not None:
+            set_(self, "confidence", frozen(self.confidence, np.float32, None, "confidence"))
+        for name in ("normals", "colors", "confidence"):
             value = getattr(self, name)
             if value is not None and len(value) != len(self.points):
                 raise GeometryError(
@@ -48,6 +52,7 @@ class PointCloud:
             self.points[index],
             None if self.normals is None else self.normals[index],
             None if self.colors is None else self.colors[index],
+            None if self.confidence is None else self.confidence[index],
         )
 
     @property

@@ -26,6 +26,8 @@ _SAMPLE = 20_000
 """Points that are looked at; more change no answer."""
 _DIRECTIONS = 1500
 """Directions of the half sphere whose share of normals is counted, 3.6 degrees apart."""
+_UPRIGHT = np.radians(3)
+"""Tilt up to which a scan counts as upright: registration drifts by a degree or two."""
 _CANDIDATES = 6
 """Directions that are described, each both ways; of 400 scans none had its up further behind."""
 
@@ -40,12 +42,14 @@ class Levelling:
         support: height along ``up`` of the surface that the object stands on, in the source's
             unit; None where none reaches beyond the object.
         alternatives: other directions, the likelier first.
+        upright: probability that +z is up; 0 where nothing in the scan faces along z.
     """
 
     up: tuple[float, float, float]
     confidence: float
     support: float | None
     alternatives: tuple[tuple[float, float, float], ...] = ()
+    upright: float = 0.0
 
     @property
     def tilt(self) -> float:
@@ -71,11 +75,13 @@ def find_up(points: npt.NDArray[np.floating], normals: Array | None = None) -> L
     odds /= odds.sum()
     order = np.argsort(-odds)
     best = found[order[0]]
+    along_z = [odds[k] for k, c in enumerate(found) if c.refined[2] > np.cos(_UPRIGHT)]
     return Levelling(
         _vector(best.refined),
         float(odds[order[0]]),
         best.height,
         tuple(_vector(found[k].up) for k in order[1:4]),
+        float(max(along_z, default=0.0)),
     )
 
 

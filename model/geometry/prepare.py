@@ -15,8 +15,9 @@ from scipy.spatial.transform import Rotation
 
 from model.core.asset import Asset
 from model.core.errors import ConfigurationError, GeometryError
-from model.core.point_cloud import PointCloud
-from model.core.progress import Progress, no_progress
+from model.core.joint import Joint
+from model.core.progress import Progress, no_progress, scaled_progress
+from model.core.tree import KinematicTree
 from model.geometry.cleaning import KIND_NAMES, OBJECT, Kinds, classify
 from model.geometry.crop import crop
 from model.geometry.levelling import Levelling, find_up, supporting_height
@@ -64,14 +65,28 @@ class PrepareSettings:
 
 
 @dataclass(frozen=True, eq=False)
+class PrepareProposal:
+    """How a scan would be prepared.
+
+    Attributes:
+        object_from_source: (4, 4) rotation, uniform scale and shift.
+        levelling: the up direction in the source's frame with its confidence; 1.0 where it was
+            given.
+        kinds: (E,) int8 kind of each element; see :mod:`model.geometry.cleaning`.
+    """
+
+    object_from_source: Array
+    levelling: Levelling
+    kinds: Kinds
+
+
+@dataclass(frozen=True, eq=False)
 class Prepared:
     """A prepared scan.
 
     Attributes:
         asset: the object in its own frame.
-        object_from_source: (4, 4) rotation, uniform scale and shift.
-        levelling: the up direction in the source's frame with its confidence; 1.0 where it was
-            given.
+        object_from_source, levelling: as in :class:`PrepareProposal`.
         kept: (K,) int64, ascending, the source's elements that the asset has.
         removed: kind of point → elements taken away.
     """
@@ -83,57 +98,104 @@ class Prepared:
     removed: dict[str, int]
 
 
-def prepare(
+def propose(
     asset: Asset, settings: PrepareSettings | None = None, progress: Progress = no_progress
-) -> Prepared:
-    """Level, size and clean a scan.
+) -> PrepareProposal:
+    """Find up, the object's frame and the kinds of elements.
 
     Args:
         asset: in the source's own frame and unit.
         settings: how; by default all of it is found.
         progress: called between the steps; it may cancel.
+    """
+    settings = settings or PrepareSettings()
+    progress(0.0, "finding up")
+    points, normals, face = _surface(asset)
+    found = _levelling(points, normals, settings.up)
+    progress(0.45, "finding the object")
+    rotation = _yaw_aligned(points, _rotation_to_z(np.array(found.up)))
+    levelled = points @ rotation.T
+    of_points = classify(levelled, found.support)
+    kinds = of_points if face is None else _face_kinds(asset, points, face, of_points)
+    progress(0.9, "finding the frame")
+    return PrepareProposal(
+        _frame(rotation, levelled, of_points, found.support, settings), found, kinds
+    )
+
+
+def prepare(
+    asset: Asset, settings: PrepareSettings | None = None, progress: Progress = no_progress
+) -> Prepared:
+    """Level, size and clean a scan; arguments as of :func:`propose`.
 
     Raises:
         GeometryError: where nothing of the object is left.
     """
     settings = settings or PrepareSettings()
-    points, normals, face = _surface(asset)
-    progress(0.1, "finding up")
-    found = _levelling(points, normals, settings.up)
-    progress(0.4, "finding the object")
-    rotation = _yaw_aligned(points, _rotation_to_z(np.array(found.up)))
-    levelled = points @ rotation.T
-    of_points = classify(levelled, found.support)
-    kinds = of_points if face is None else _face_kinds(asset, points, face, of_points)
-    keep = kinds == OBJECT
+    found = propose(asset, settings, scaled_progress(progress, 0.1, 0.8))
+    keep = found.kinds == OBJECT
     if settings.keep_support:
-        keep = kinds < len(KIND_NAMES) - 1
+        keep = found.kinds < len(KIND_NAMES) - 1
     if not keep.any():
         raise GeometryError(f"{asset.name}: nothing of the object is left; keep the support")
     progress(0.8, "moving")
-    frame = _frame(rotation, levelled, of_points, found.support, settings)
     whole = crop(asset, keep) if not keep.all() else asset
     removed = {
         KIND_NAMES[k]: int(n)
-        for k, n in enumerate(np.bincount(kinds[~keep], minlength=len(KIND_NAMES)))
+        for k, n in enumerate(np.bincount(found.kinds[~keep], minlength=len(KIND_NAMES)))
         if n
     }
+    frame = found.object_from_source
     progress(1.0, "prepared")
-    return Prepared(moved(whole, frame), frame, found, np.flatnonzero(keep), removed)
+    return Prepared(moved(whole, frame), frame, found.levelling, np.flatnonzero(keep), removed)
+
+
+def standing(points: npt.NDArray[np.floating], rotation: Array) -> Array:
+    """(4, 4) frame of a (3, 3) rotation in which (N, 3) points stand on z = 0 about x = y = 0."""
+    turned = points @ rotation.T
+    kinds = np.full(len(points), OBJECT, np.int8)
+    return _frame(rotation, turned, kinds, None, PrepareSettings())
+
+
+def turned_to(up: npt.ArrayLike) -> Array:
+    """(3, 3) the least rotation that turns a direction, (3,), to +z."""
+    direction = np.asarray(up, float)
+    return _rotation_to_z(direction / np.linalg.norm(direction))
 
 
 def moved(asset: Asset, target_from_asset: Array) -> Asset:
-    """The geometry of an asset under a (4, 4) rotation, uniform scale and shift."""
+    """An asset under a (4, 4) rotation, uniform scale and shift.
+
+    Masses and collision shapes that its file declares are dropped, with a warning.
+    """
     linear, shift = target_from_asset[:3, :3], target_from_asset[:3, 3]
-    rotation = linear / np.cbrt(np.linalg.det(linear))
+    scale = float(np.cbrt(np.linalg.det(linear)))
+    rotation = linear / scale
     mesh, cloud = asset.mesh, asset.cloud
     if mesh is not None:
         mesh = replace(mesh, vertices=mesh.vertices @ linear.T + shift)
     if cloud is not None:
         normals = None if cloud.normals is None else cloud.normals @ rotation.T.astype(np.float32)
         points = (cloud.points @ linear.T + shift).astype(np.float32)
-        cloud = PointCloud(points, normals, cloud.colors)
-    return Asset(asset.name, mesh=mesh, cloud=cloud, source=asset.source, warnings=asset.warnings)
+        cloud = replace(cloud, points=points, normals=normals)
+    warnings = asset.warnings
+    if asset.inertials or asset.shapes:
+        warnings = (*warnings, "was turned: its declared masses and collision shapes aren't used")
+    return replace(
+        asset, mesh=mesh, cloud=cloud, inertials={}, shapes={}, warnings=warnings,
+        tree=None if asset.tree is None else _moved_tree(asset.tree, rotation, scale, shift),
+    )  # fmt: skip
+
+
+def _moved_tree(tree: KinematicTree, rotation: Array, scale: float, shift: Array) -> KinematicTree:
+    def moved_joint(joint: Joint) -> Joint:
+        ax, ay, az = (rotation @ joint.axis).tolist()
+        ox, oy, oz = (scale * (rotation @ joint.origin) + shift).tolist()
+        far = scale if joint.type == "prismatic" else 1.0
+        low, high = (None if v is None else far * v for v in (joint.lower, joint.upper))
+        return replace(joint, axis=(ax, ay, az), origin=(ox, oy, oz), lower=low, upper=high)
+
+    return replace(tree, joints=tuple(moved_joint(j) for j in tree.joints))
 
 
 def _surface(asset: Asset) -> tuple[Array, Array | None, npt.NDArray[np.int32] | None]:

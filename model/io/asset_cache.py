@@ -38,7 +38,7 @@ _META = "asset.json"
 _SHAPES = "shapes.npz"
 _MESH = ("vertices", "faces", "face_material", "uv", "vertex_colors")
 _MAPS = ("normal", "emissive", "occlusion")
-_CLOUD = ("points", "normals", "colors")
+_CLOUD = ("points", "normals", "colors", "confidence")
 
 
 def save_asset(asset: Asset, folder: str | Path) -> None:

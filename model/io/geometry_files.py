@@ -53,6 +53,8 @@ FOLDER_SUFFIXES: tuple[str, ...] = tuple(s for s in SUFFIXES if s not in (*_TOO_
 
 _Y_UP = (".glb", ".gltf")
 
+_DECLARED_UP = (*_Y_UP, *STAGES, ".usdz", ".dae", ".urdf", ".xml", ".mjcf")
+
 _WORLD_FROM_SOURCE: dict[str, list[list[int]]] = {
     "z": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
     "y": [[1, 0, 0], [0, 0, -1], [0, 1, 0]],
@@ -69,6 +71,11 @@ def default_up_axis(path: Path, *, part_of_folder: bool = False) -> UpAxis:
     if suffix in _Y_UP or (suffix == ".obj" and not part_of_folder):
         return "y"
     return "z"
+
+
+def declares_up(path: Path) -> bool:
+    """Whether the format of a file or folder says which axis is up."""
+    return path.is_dir() or path.suffix.lower() in _DECLARED_UP
 
 
 def turned_up(up_axis: UpAxis) -> np.ndarray:

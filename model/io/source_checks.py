@@ -94,6 +94,9 @@ def to_cloud(loaded: Loaded) -> PointCloud:
         _locked(loaded.vertices, np.float32),
         None if loaded.normals is None else _locked(loaded.normals, np.float32),
         None if loaded.colors is None else _locked(loaded.colors[:, :3], np.uint8),
+        None
+        if loaded.confidence is None
+        else _locked(np.nan_to_num(loaded.confidence, posinf=1.0, neginf=0.0), np.float32),
     )
 
 
@@ -146,6 +149,7 @@ def _taken(loaded: Loaded, index: npt.NDArray[Any]) -> Loaded:
         normals=pick(loaded.normals),
         colors=pick(loaded.colors),
         uv=pick(loaded.uv),
+        confidence=pick(loaded.confidence),
     )
 
 

@@ -142,6 +142,13 @@ VERSION_1 = [
     {"kind": "set_category", "category": "oven"},
     {"kind": "set_frame", "up_axis": "-y", "unit_scale": 0.001},
     {
+        "kind": "prepare",
+        "unit_scale": 0.001,
+        "frame": {"position": [0.1, 0, 2], "wxyz": [0.6, 0, 0.8, 0], "scale": 1.5},
+        "leave_out": {"elements": REF, "count": 3, "what": "support"},
+        "what": "level by 34°",
+    },
+    {
         "kind": "record_segmentation",
         "prompts_key": "k",
         "labels": REF,
@@ -225,6 +232,17 @@ BAD = [
     ({"kind": "set_frame", "up_axis": "w", "unit_scale": 1.0}, "up_axis", "'w'"),
     ({"kind": "set_frame", "up_axis": "z", "unit_scale": 0}, "unit_scale", "0"),
     ({"kind": "set_frame", "up_axis": "z", "unit_scale": 10**400}, "unit_scale", "finite"),
+    (
+        {
+            "kind": "prepare",
+            "unit_scale": 1.0,
+            "frame": {"scale": -1.0},
+            "leave_out": {"elements": None},
+            "what": "",
+        },
+        "scale",
+        "-1",
+    ),
     ({"kind": "delete_part", "part": 0}, "part 0", "base"),
     ({"kind": "reject", "reason": "ugly"}, "reason", "'ugly'"),
     ({"kind": "lock_joint", "child": "link_1", "locked": 1}, "locked", "1"),

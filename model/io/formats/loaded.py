@@ -40,6 +40,7 @@ class Loaded:
         warnings: what was passed over, for people.
         pieces: where the file is in pieces that have names, each one's name and number of faces,
             in the faces' order; else empty.
+        confidence: (V,) of a cloud's points where the file has it, or None.
     """
 
     vertices: Array
@@ -51,6 +52,7 @@ class Loaded:
     materials: tuple[Material, ...] = ()
     warnings: tuple[str, ...] = ()
     pieces: tuple[tuple[str, int], ...] = ()
+    confidence: Array | None = None
 
     def moved(self, matrix: Array) -> Loaded:
         """Under the (4, 4) affine ``matrix``; faces are turned where it mirrors."""

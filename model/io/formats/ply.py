@@ -41,6 +41,7 @@ _UVS = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"))
 # Gaussian splats store colour as the first spherical-harmonics coefficient (Kerbl et al. 2023).
 _SPLAT = ("f_dc_0", "f_dc_1", "f_dc_2")
 _SPLAT_SCALE = 0.28209479177387814
+_CONFIDENCE = ("confidence", "conf", "quality")
 
 
 def read_ply(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
@@ -158,7 +159,10 @@ def _assemble(path: Path, tables: dict[str, Table], comments: list[str]) -> Load
     faces, polygon, corner = _faces(path, tables.get("face", {}), points)
     if not len(faces):
         strips = _strips(path, tables.get("tristrips", {}), len(points))
-        return Loaded(points, strips, None if len(strips) else normals, colors)
+        confidence = None if len(strips) else _confidence(vertex)
+        return Loaded(
+            points, strips, None if len(strips) else normals, colors, confidence=confidence
+        )
     face = tables["face"]
     face_colors = _colors(face)
     wedge = face.get("texcoord")
@@ -230,6 +234,17 @@ def _colors(table: Table) -> Array | None:
             return None
         return colors_from(np.clip(0.5 + _SPLAT_SCALE * splat, 0.0, 1.0))
     return colors_from(rgb)
+
+
+def _confidence(table: Table) -> Array | None:
+    """Confidence of each point; of Gaussian splats their opacity, which is stored as a logit."""
+    found = _columns(table, tuple((name,) for name in _CONFIDENCE))
+    if found is None and all(name in table for name in _SPLAT):
+        found = _columns(table, (("opacity",),))
+        if found is not None:
+            with np.errstate(over="ignore"):
+                return 1.0 / (1.0 + np.exp(-found[:, 0].astype(np.float64)))
+    return None if found is None else found[:, 0]
 
 
 def _strips(path: Path, table: Table, count: int) -> Array:

@@ -1,0 +1,229 @@
+"""Preparing one open object: what is proposed, what is noticed, and the decisions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from app.server import prepare_tasks
+from app.server.display_tasks import OpenedAsset
+from app.server.jobs import CLICKS, EDITS
+from app.server.object_context import ObjectContext
+from app.server.prepare_tasks import Marks, ScanProposal, Vector
+from app.server.room_tasks import Removal
+from model.core.errors import CommandError
+from model.geometry.cleaning import CLUTTER, OBJECT, OUTLIER, SUPPORT
+from model.geometry.picking import Camera
+from model.geometry.strokes import Stroke
+from model.io.geometry_files import declares_up
+from sessions import commands as cmd
+from sessions.tool_commands import SOURCE_FRAME, LeaveOut, ObjectFrame
+
+Array = npt.NDArray[np.float64]
+
+TILT = np.radians(3.0)
+"""Tilt that is noticed; registration drifts by a degree or two."""
+_SURE, _VERY_SURE = 0.5, 0.9
+"""Confidences from which an oblique scan is called tilted, and one along its axes: chosen on the
+bundled and free objects, of which none that is upright is called tilted."""
+_LEAST_OBJECT, _LEAST_SUPPORT = 0.15, 0.05
+"""Shares of the scan: a door that lies on nothing has a handle on a large "table"."""
+_MANY_OUTLIERS = 0.03
+"""Share of the scan; a few are in each."""
+UPRIGHT: Vector = (0.0, 0.0, 1.0)
+
+
+class Preparing:
+    """Proposes how to level and clean an object, and carries the decisions out.
+
+    Attributes:
+        proposal: of the present asset, or None until it is made.
+    """
+
+    def __init__(self, obj: ObjectContext) -> None:
+        self.proposal: ScanProposal | None = None
+        self._obj = obj
+        self._asset: OpenedAsset | None = None
+
+    @property
+    def current(self) -> ScanProposal | None:
+        """The proposal, unless the object was read again since."""
+        return self.proposal if self._asset is self._obj.asset is not None else None
+
+    @property
+    def untouched(self) -> bool:
+        """Whether nothing was decided about the object that preparing it would discard."""
+        doc = self._obj.document
+        return not doc.prompts and doc.tree is None and doc.placement is None
+
+    def look(self) -> None:
+        """Make a proposal for an object that was just opened."""
+        if self.untouched and self._obj.document.left_out is None:
+            self.propose()
+
+    def propose(self, up: Vector | None = None, *, anew: bool = False) -> None:
+        """Make a proposal for the present asset, unless it is there or being made.
+
+        Args:
+            up: the up direction; by default it is found, or +z where a person levelled it.
+            anew: discard the present one.
+        """
+        obj = self._obj
+        asset = obj.asset
+        if asset is None or (self._asset is asset and not anew):
+            return
+        if up is None and not anew and obj.document.frame.wxyz != SOURCE_FRAME.wxyz:
+            up = UPRIGHT
+        obj.jobs.cancel("prepare")
+        self._asset, self.proposal = asset, None
+        job = obj.services.workers.prediction.submit(
+            prepare_tasks.propose, asset.folder, asset.element, up,
+            on_progress=obj.jobs.progress("prepare"), priority=4, preempted_by=EDITS,
+        )  # fmt: skip
+
+        def keep(proposal: ScanProposal) -> None:
+            if self._asset is asset:
+                self.proposal = proposal
+
+        obj.start("prepare", job, keep)
+
+    # --- what is noticed
+
+    @property
+    def tilt(self) -> float:
+        """Radians by which the scan seems to be tilted; 0 where it may well be upright."""
+        found, asset = self.current, self._obj.asset
+        if found is None or asset is None or found.up is not None:
+            return 0.0
+        level = found.levelling
+        if level.tilt < TILT:
+            return 0.0
+        if level.upright == 0.0:  # nothing in it is level or upright as it lies
+            return level.tilt if level.confidence >= _SURE else 0.0
+        supported = level.support is not None and self._share(OBJECT) > _LEAST_OBJECT
+        sure = supported and level.confidence >= _VERY_SURE and not declares_up(asset.path)
+        return level.tilt if sure else 0.0
+
+    @property
+    def oblique(self) -> bool:
+        """Whether the scan is certainly not upright, but which way is up isn't sure."""
+        found = self.current
+        return (
+            found is not None
+            and found.up is None
+            and found.levelling.tilt > TILT
+            and found.levelling.upright == 0.0
+            and found.levelling.confidence < _SURE
+        )
+
+    def noticed(self) -> dict[int, int]:
+        """Kind → number of elements that don't belong to the object, where they are many."""
+        found = self.current
+        if found is None:
+            return {}
+        least = {SUPPORT: _LEAST_SUPPORT, CLUTTER: 0.0, OUTLIER: _MANY_OUTLIERS}
+        return {k: found.counts[k] for k, share in least.items() if self._share(k) > share}
+
+    def _share(self, kind: int) -> float:
+        found = self.current
+        return 0.0 if found is None else found.counts[kind] / max(sum(found.counts), 1)
+
+    # --- decisions
+
+    def turn(self, matrix: Array, what: str, who: str, *, unit_scale: float | None = None) -> None:
+        """Move the object by a (4, 4) rotation, uniform scale and shift in its present frame."""
+        doc = self._obj.document
+        left = doc.left_out
+        leave_out = (
+            LeaveOut(None) if left is None else LeaveOut(left.elements, left.count, left.what)
+        )
+        unit = doc.unit_scale if unit_scale is None else unit_scale
+        self._obj.do(cmd.Prepare(unit, doc.frame.then(matrix), leave_out, what), who)
+
+    def set_unit(self, metres: float, what: str, who: str) -> None:
+        """Read the file with another unit."""
+        doc = self._obj.document
+        ratio = metres / doc.unit_scale
+        frame = ObjectFrame(
+            tuple(ratio * v for v in doc.frame.position),
+            doc.frame.wxyz,
+            doc.frame.scale,  # type: ignore[arg-type]
+        )
+        left = doc.left_out
+        leave_out = (
+            LeaveOut(None) if left is None else LeaveOut(left.elements, left.count, left.what)
+        )
+        self._obj.do(cmd.Prepare(metres, frame, leave_out, what), who)
+
+    def apply(
+        self, matrix: Array, marks: Marks, what: str, who: str, done: Callable[[], None]
+    ) -> None:
+        """Move the object by (4, 4) and leave out what is marked, as one step; then ``done``."""
+        obj, found = self._obj, self.current
+        asset, doc = obj.need_asset(), obj.document
+        if found is None or marks == Marks():
+            self.turn(matrix, what, who)
+            done()
+            return
+
+        def keep(removal: Removal) -> None:
+            leave_out = LeaveOut(removal.elements, removal.count, what)
+            frame = doc.frame.then(matrix)
+            obj.do(cmd.Prepare(doc.unit_scale, frame, leave_out, what), who)
+            done()
+
+        # The worker that found the kinds has them still.
+        self._job(
+            keep, obj.services.workers.prediction, prepare_tasks.marked_elements, asset.folder,
+            obj.services.workspace, found.up, marks, self._left_out,
+        )  # fmt: skip
+
+    def remove(self, chosen: str, what: str, who: str) -> None:
+        """Leave out stored elements of the present asset."""
+        obj = self._obj
+        self._job(
+            lambda r: obj.do(cmd.LeaveOut(r.elements, r.count, what), who),
+            obj.services.workers.geometry, prepare_tasks.chosen_elements, obj.need_asset().folder,
+            obj.services.workspace, chosen, self._left_out,
+        )  # fmt: skip
+
+    def restore(self, camera: Camera, stroke: Stroke | tuple[Any, Any], who: str) -> None:
+        """Bring back what a stroke or a box covers of what is left out."""
+        obj, doc = self._obj, self._obj.document
+        asset, left = obj.need_asset(), doc.left_out
+        if left is None:
+            raise CommandError("nothing was removed")
+
+        def keep(removal: Removal | None) -> None:
+            command = cmd.LeaveOut(None)
+            if removal is not None:
+                command = cmd.LeaveOut(removal.elements, removal.count, left.what)
+            obj.do(command, who)
+
+        self._job(
+            keep, obj.services.workers.geometry, prepare_tasks.restored_elements, asset.path,
+            obj.services.workspace, obj.read_options, camera, stroke,
+        )  # fmt: skip
+
+    @property
+    def _left_out(self) -> str | None:
+        left = self._obj.document.left_out
+        return None if left is None else left.elements
+
+    def _job(
+        self, keep: Callable[[Any], None], worker: Any, task: Callable[..., Any], *arguments: Any
+    ) -> None:
+        obj = self._obj
+        if obj.document.face_cuts:
+            raise CommandError("faces were split by a cut: undo it first")
+        progress = (
+            {}
+            if task is not prepare_tasks.marked_elements
+            else {"on_progress": obj.jobs.progress("room")}
+        )
+        job = worker.submit(task, *arguments, **progress, priority=6, preempted_by=CLICKS)
+        obj.start("room", job, keep)
+        obj.changed()
