@@ -340,10 +340,6 @@ def test_what_keeps_an_object_from_being_accepted(predicted):
         (SessionState(), "predict it first"),
         (run(click(1, 9.0), state=predicted), "still being computed"),
         (
-            segmented(run(click(5), state=predicted), OTHER_REF, FIVE | {5: 3}),
-            "link_5 has points but isn't in the kinematic tree",
-        ),
-        (
             segmented(run(click(1, 9.0), state=predicted), OTHER_REF, FIVE | {3: 0}),
             "link_3 is in the kinematic tree but has no points",
         ),

@@ -2,23 +2,45 @@
 
 from __future__ import annotations
 
+import logging
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from model.core.part_names import category_key, words
+from model.core.progress import Cancelled
 from model.prediction.geometric.proposal import UP, unit
 from model.prediction.geometric.sampled_object import CONTACT_GAP, SampledObject
 from model.prediction.geometric.shape import PartShape, Protrusion
 
 Array = npt.NDArray[np.float64]
+T = TypeVar("T")
+
+log = logging.getLogger(__name__)
 
 SQUARE = np.deg2rad(8)
 """Largest angle (rad) between a shut panel and the object's directions."""
 IN_FRONT = 0.1
 """Largest gap (diagonals) between a shut panel and its parent."""
+
+
+def attempt(faults: list[str], name: str, rule: Callable[[], T], default: T) -> T:
+    """Return ``rule()``; where it fails, log it, add a remark to ``faults``, return ``default``.
+
+    One rule among many must not cost the prediction.
+    """
+    try:
+        return rule()
+    except Cancelled:
+        raise
+    except Exception as error:
+        log.exception("a rule of the geometric predictor failed: %s", name)
+        faults.append(f"{name} failed ({type(error).__name__}: {error}): decided without it")
+        return default
 
 
 @dataclass(eq=False)
@@ -36,6 +58,8 @@ class Assembly:
     parent: list[int]
     front: Array = field(default_factory=lambda: np.array([-1.0, 0.0, 0.0]))
     front_certainty: float = 0.0
+    faults: list[str] = field(default_factory=list)
+    """Rules that failed and were left out, for people."""
 
     @cached_property
     def category(self) -> str:
@@ -51,6 +75,10 @@ class PartContext:
     part: int
     barrels: dict[bytes, tuple[Array, int] | None] = field(default_factory=dict)
     """Hinge barrels by axis and origin of an edge, cached for all mechanisms."""
+
+    def attempt(self, name: str, rule: Callable[[], T], default: T) -> T:
+        """:func:`attempt` a rule on this part."""
+        return attempt(self.assembly.faults, f"{self.shape.link}: {name}", rule, default)
 
     @property
     def sampled(self) -> SampledObject:

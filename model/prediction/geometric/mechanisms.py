@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from model.core.motion_lexicon import Mechanism
 from model.prediction.explanation import Reason
-from model.prediction.geometric.context import Assembly, PartContext
+from model.prediction.geometric.context import Assembly, PartContext, attempt
 from model.prediction.geometric.edge_hinges import edge_proposals
 from model.prediction.geometric.edge_limits import with_swept_limits
 from model.prediction.geometric.pins import (
@@ -65,7 +65,8 @@ SWEPT_LIMITS: dict[Mechanism, Callable[[PartContext, JointProposal], JointPropos
 
 def proposals_for(context: PartContext, mechanism: Mechanism) -> list[JointProposal]:
     """The joints that a mechanism can have here, in no order, with its usual limits."""
-    return [replace(p, mechanism=mechanism) for p in BUILDERS[mechanism](context)]
+    found = context.attempt(f"the joint rule {mechanism}", lambda: BUILDERS[mechanism](context), [])
+    return [replace(p, mechanism=mechanism) for p in found]
 
 
 def propose(context: PartContext, mechanism: Mechanism) -> list[JointProposal]:
@@ -78,7 +79,8 @@ def propose(context: PartContext, mechanism: Mechanism) -> list[JointProposal]:
         reasons = (Reason.NO_PROPOSAL,)
         return [replace(p, reasons=reasons) for p in proposals_for(context, "fixed")]
     if mechanism in SWEPT_LIMITS:
-        found[0] = SWEPT_LIMITS[mechanism](context, found[0])
+        swept, best = SWEPT_LIMITS[mechanism], found[0]
+        found[0] = context.attempt("the motion sweep", lambda: swept(context, best), best)
     return found
 
 
@@ -90,7 +92,12 @@ def face_front(assembly: Assembly, mechanisms: dict[int, Mechanism]) -> None:
     Args:
         mechanisms: by part index.
     """
-    assembly.front, assembly.front_certainty = _front(assembly, mechanisms)
+    assembly.front, assembly.front_certainty = attempt(
+        assembly.faults,
+        "the search for the object's front",
+        lambda: _front(assembly, mechanisms),
+        (assembly.front, 0.0),
+    )
 
 
 def _front(assembly: Assembly, mechanisms: dict[int, Mechanism]) -> tuple[Array, float]:

@@ -7,6 +7,7 @@ long parts, pairs.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -85,7 +86,8 @@ def motion_scores(
     c = _cues(part, features, others)
     scores: Scores = {}
     for group in (_round_parts, _parts_on_top, _panels, _drawers, _long_parts, _pairs):
-        for mechanism, value in group(c).items():
+        name = f"the rule on {group.__name__.strip('_').replace('_', ' ')}"
+        for mechanism, value in part.attempt(name, partial(group, c), {}).items():
             scores[mechanism] = scores.get(mechanism, 0.0) + value
     return scores
 
@@ -315,7 +317,8 @@ def spans_doors(context: PartContext) -> bool:
         in_plane = abs(float((other.slab_center - shape.slab_center) @ normal)) < 2 * CONTACT_GAP
         within = abs(float(step @ level)) + wide / 2 < width / 2 + 2 * CONTACT_GAP
         gap = abs(float(step[2])) - (height + tall) / 2
-        if in_plane and within and tall > wide and abs(gap) < NEXT_TO:
+        level_with = step[2] == 0  # neither above nor below
+        if in_plane and within and tall > wide and abs(gap) < NEXT_TO and not level_with:
             doors[float(np.sign(step[2]))].append(wide)
     return width > 1.1 * height and any(
         len(side) > 1 and sum(side) > 0.7 * width for side in doors.values()

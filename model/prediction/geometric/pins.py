@@ -25,9 +25,8 @@ def pivot_proposals(context: PartContext) -> list[JointProposal]:
     """About the common thin direction, where the two parts cross or where their ends meet."""
     shape, base = context.shape, context.parent_shape
     both = np.concatenate([shape.points, base.points])
-    _, _, rows = np.linalg.svd(
-        (both - both.mean(0))[:: max(1, len(both) // 2000)], full_matrices=False
-    )
+    some = (both - both.mean(0))[:: max(1, len(both) // 2000)]
+    _, _, rows = np.linalg.svd(some, full_matrices=len(some) < 3)  # always three rows
     thin = shape.box.axes[:, shape.order[0]]
     common = rows[2]
     axis = thin if abs(thin @ common) > 0.8 or shape.thinness < 0.35 else common

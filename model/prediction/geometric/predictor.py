@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from functools import partial
+
+import numpy as np
+
 from model.core.articulated_object import Prediction, SegmentedObject
 from model.core.joint import Joint
 from model.core.progress import Progress, no_progress
 from model.prediction.builder import PredictionBuilder, unknown_link
-from model.prediction.confidence import Evidence, load_confidence, log_odds
+from model.prediction.confidence import MAX_LOG_ODDS, Evidence, load_confidence, log_odds
 from model.prediction.explanation import MECHANISM_TITLES, explain
-from model.prediction.geometric.context import Assembly, PartContext
+from model.prediction.geometric.context import Assembly, PartContext, attempt
 from model.prediction.geometric.edge_limits import from_zero
 from model.prediction.geometric.evidence import part_evidence
 from model.prediction.geometric.mechanisms import face_front, propose
@@ -18,7 +22,7 @@ from model.prediction.geometric.proposal import (
     distinct_motions,
     joints_of,
 )
-from model.prediction.geometric.roles import guess_mechanisms
+from model.prediction.geometric.roles import MechanismGuess, guess_mechanisms
 from model.prediction.geometric.sampled_object import CONTACT_GAP, SampledObject, sample_object
 from model.prediction.geometric.tree import root_scores, spanning_parents
 
@@ -55,8 +59,9 @@ class GeometricPredictor:
         progress(0.0, "sampling surfaces")
         sampled = sample_object(segmented, seed)
         progress(0.3, "finding contacts")
-        root, parent = _tree(sampled, locked, builder.problems)
-        assembly = Assembly(sampled, root, parent)
+        faults: list[str] = []
+        root, parent = _tree(sampled, locked, builder.problems, faults)
+        assembly = Assembly(sampled, root, parent, faults=faults)
         guesses = guess_mechanisms(assembly)
         face_front(assembly, {i: g.mechanism for i, g in guesses.items()})
         kept = {j.child for j in locked}
@@ -65,20 +70,38 @@ class GeometricPredictor:
             progress(0.4 + 0.6 * step / len(moving), f"joint of {links[i]}")
             if links[i] in kept:
                 continue
-            context, guess = PartContext(assembly, i), guesses[i]
-            found = propose(context, guess.mechanism)
-            share = best_share(distinct_motions(found))
-            odds = {"type rules": log_odds(guess.probability), "slot rules": log_odds(share)}
-            name = sampled.shapes[i].name
-            source = f'From the name "{name}"' if guess.named else "From the shape"
-            builder.add(
-                joints_of(sampled, i, parent[i], from_zero(context, found[0])),
-                odds | part_evidence(context, guess.mechanism),
-                explain(_title(found[0]), found[0].reasons, source),
-            )
-            builder.problems += _problems(context)
+            context = PartContext(assembly, i)
+            added = context.attempt("its joint", partial(_add, builder, context, guesses[i]), False)
+            if not added:
+                builder.add(*_fixed(context))
+        builder.problems += dict.fromkeys(faults)
         progress(1.0, "done")
         return builder.build(BACKEND, seed), builder.evidence
+
+
+def _add(builder: PredictionBuilder, context: PartContext, guess: MechanismGuess) -> bool:
+    """Add the joint of one part."""
+    sampled, part = context.sampled, context.part
+    found = propose(context, guess.mechanism)
+    share = best_share(distinct_motions(found))
+    odds = {"type rules": log_odds(guess.probability), "slot rules": log_odds(share)}
+    source = f'From the name "{context.shape.name}"' if guess.named else "From the shape"
+    problems = _problems(context)
+    builder.add(
+        joints_of(sampled, part, context.parent, from_zero(context, found[0])),
+        odds | part_evidence(context, guess.mechanism),
+        explain(_title(found[0]), found[0].reasons, source),
+    )
+    builder.problems += problems
+    return True
+
+
+def _fixed(context: PartContext) -> tuple[list[Joint], Evidence, str]:
+    """A fixed joint for a part whose own joint failed, with no confidence."""
+    link = context.shape.link
+    doubt = {"type rules": -MAX_LOG_ODDS, "slot rules": -MAX_LOG_ODDS}
+    joint = Joint(f"joint_{link}", "fixed", context.parent_shape.link, link)
+    return [joint], doubt, "Fixed, because its rules failed"
 
 
 def _title(proposal: JointProposal) -> str:
@@ -86,17 +109,21 @@ def _title(proposal: JointProposal) -> str:
 
 
 def _tree(
-    sampled: SampledObject, locked: tuple[Joint, ...], problems: list[str]
+    sampled: SampledObject, locked: tuple[Joint, ...], problems: list[str], faults: list[str]
 ) -> tuple[int, list[int]]:
     """Root and parents, with the parents of locked joints."""
     index = {s.link: i for i, s in enumerate(sampled.shapes)}
-    scores = root_scores(sampled)
+    sizes = np.array([s.size for s in sampled.shapes])
+    scores = attempt(faults, "the rules on the base", lambda: root_scores(sampled), sizes)
     children = {index[j.child] for j in locked if j.child in index}
     free = [i for i in range(len(sampled)) if i not in children]
     problems += [unknown_link(j) for j in locked if j.child not in index]
     candidates = free or list(range(len(sampled)))
     root = max(candidates, key=lambda i: (scores[i], -i))
-    parent = spanning_parents(sampled, root)
+    all_on_root = [-1 if i == root else root for i in range(len(sampled))]
+    parent = attempt(
+        faults, "the rules on parents", lambda: spanning_parents(sampled, root), all_on_root
+    )
     for j in locked:
         if j.child in index and j.parent in index:
             parent[index[j.child]] = index[j.parent]

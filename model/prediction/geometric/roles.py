@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -35,13 +36,21 @@ def guess_mechanisms(assembly: Assembly) -> dict[int, MechanismGuess]:
         if i == assembly.root:
             continue
         context = PartContext(assembly, i)
-        named = named_mechanism(context)
-        if named is not None:
-            guesses[i] = MechanismGuess(named, NAMED, True)
+        named: Mechanism | None
+        named = context.attempt("its name", partial(named_mechanism, context), None)
+        features = None
+        if named is None:
+            features = context.attempt("its features", partial(measure_features, context), None)
+        if features is not None:
+            unnamed[i] = features
         else:
-            unnamed[i] = measure_features(context)
+            mechanism: Mechanism = named or "fixed"
+            guesses[i] = MechanismGuess(mechanism, NAMED, named is not None)
     for i, features in unnamed.items():
-        scores = mechanism_scores(PartContext(assembly, i), features, unnamed)
+        context = PartContext(assembly, i)
+        rules = partial(mechanism_scores, context, features, unnamed)
+        nothing: Scores = {"fixed": 0.0}
+        scores = context.attempt("the rules on its motion", rules, nothing)
         best = max(scores, key=lambda m: scores[m])
         values = np.array(list(scores.values()))
         weights = np.exp(1.5 * (values - values.max()))
