@@ -1,8 +1,11 @@
-"""Small objects with known parts."""
+"""Small objects with known parts, and waiting."""
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -11,6 +14,15 @@ from model.core.asset import Asset
 from model.core.mesh import Mesh
 from model.core.point_cloud import PointCloud
 from model.data.simulated.primitives import block
+
+
+def wait_until(condition: Callable[[], Any], what: str = "a state", seconds: float = 300.0) -> Any:
+    """Poll until ``condition()`` is true and return its value; far longer than it takes."""
+    end = time.monotonic() + seconds
+    while not (value := condition()):
+        assert time.monotonic() < end, f"{seconds:.0f} s passed without: {what}"
+        time.sleep(0.02)
+    return value
 
 
 @dataclass(frozen=True)

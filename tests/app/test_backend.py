@@ -39,6 +39,7 @@ from model.prediction.remote.http_predictor import BackendError, BackendRefused,
 from model.prediction.remote.wire import CONTENT_TYPE, encode_request
 from tests.app import backend_plugin
 from tests.app.run_cli import PROGRAM, artiworld, assert_users_mistake, cupboard
+from tests.builders import wait_until
 
 TOKEN = "correct horse battery"
 
@@ -217,8 +218,8 @@ def test_one_after_the_other_and_too_many_are_refused(url, log):
 
     with ThreadPoolExecutor(5) as pool:
         asked = [pool.submit(ask, i) for i in range(5)]
-        _wait(lambda: sum(a.done() for a in asked) == 2 and "Dawdling" in messages)
-        _wait(lambda: "Waiting for 2 others" in messages)
+        wait_until(lambda: sum(a.done() for a in asked) == 2 and "Dawdling" in messages)
+        wait_until(lambda: "Waiting for 2 others" in messages)
         log.with_name("go").touch()
         answers = [a.result(60) for a in asked]
     log.with_name("go").unlink()
@@ -226,7 +227,7 @@ def test_one_after_the_other_and_too_many_are_refused(url, log):
     assert all("3 requests are under way" in a for a in answers if a != "answered")
     assert log.read_text().split() == ["begin", "end"] * 3
     assert {"Waiting for 1 other", "Waiting for 2 others", "Dawdling"} <= set(messages)
-    _wait(lambda: client.check()["under_way"] == 0)
+    wait_until(lambda: client.check()["under_way"] == 0)
 
 
 def test_cancelling_stops_the_backend(url, log):
@@ -238,11 +239,11 @@ def test_cancelling_stops_the_backend(url, log):
 
     with pytest.raises(Cancelled):
         client.predict(cupboard_object("slow 60"), progress=stop_soon)
-    _wait(lambda: "cancelled" in log.read_text())
+    wait_until(lambda: "cancelled" in log.read_text())
     # A connection that simply ends, while the request still waits, is noticed as well.
     with ThreadPoolExecutor(1) as pool:
         first = pool.submit(client.predict, cupboard_object("slow 2"))
-        _wait(lambda: log.read_text().count("begin") == 2)
+        wait_until(lambda: log.read_text().count("begin") == 2)
         host = url.removeprefix("http://")
         connection = http.client.HTTPConnection(host, timeout=30)
         body = encode_request(cupboard_object("slow 60"), (), 0)
@@ -253,15 +254,8 @@ def test_cancelling_stops_the_backend(url, log):
         answer.close()
         connection.close()
         assert first.result(60).tree is not None
-    _wait(lambda: client.check()["under_way"] == 0)
+    wait_until(lambda: client.check()["under_way"] == 0)
     assert log.read_text().split() == ["begin", "cancelled", "begin", "end"]
-
-
-def _wait(until, seconds: float = 30.0) -> None:
-    end = time.monotonic() + seconds
-    while not until():
-        assert time.monotonic() < end
-        time.sleep(0.05)
 
 
 def test_a_backend_that_is_killed(tmp_path):

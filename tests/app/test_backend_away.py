@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
-
 import pytest
 
 from app.server.app_state import AppState
 from app.server.config import ServeConfig
 from sessions.store import Store
 from tests.app.run_cli import cupboard
+from tests.builders import wait_until
 
 
 @pytest.fixture
@@ -26,25 +24,18 @@ def app_state(tmp_path):
     made.close()
 
 
-def wait(until: Callable[[], object], seconds: float = 200.0) -> None:
-    end = time.monotonic() + seconds
-    while not until():
-        assert time.monotonic() < end
-        time.sleep(0.05)
-
-
 def test_a_backend_that_is_away_is_told_and_this_machine_predicts(app_state):
     obj = app_state.object(app_state.queue.records()[0].id)
     told: list[tuple[str, str, str]] = []
     obj.watch(lambda: None, lambda *news: told.append(news))
-    wait(lambda: obj.document.segmentation is not None and obj.document.segmentation_current)
+    wait_until(lambda: obj.document.segmentation is not None and obj.document.segmentation_current)
     assert not obj.backend_away
     obj.predict("ada")
-    wait(lambda: not obj.predicting)
+    wait_until(lambda: not obj.predicting)
     assert obj.backend_away and obj.document.tree is None
     text = " ".join(f"{title} {body}" for title, body, _ in told)
     assert "can't be reached" in text and "Predict on this machine" in text
     obj.predict("ada", here=True)
-    wait(lambda: obj.document.tree is not None)
+    wait_until(lambda: obj.document.tree is not None)
     prediction = obj.document.prediction
     assert prediction is not None and "http" not in prediction.backend

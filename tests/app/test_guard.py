@@ -25,6 +25,7 @@ from app.server.login import ATTEMPTS, GUESSES, Login, new_token
 from app.server.network import check_address, free_port, is_loopback
 from app.server.upload_guard import plain_name
 from model.core.errors import ConfigurationError
+from tests.builders import wait_until
 
 TOKEN = "correct horse, battery"
 LIMIT = 3_000_000
@@ -424,13 +425,6 @@ def part(websocket, button: str, index: int, content: bytes, key: str = "t") -> 
     )
 
 
-def wait_for(condition, seconds: float = 5.0) -> None:
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.01)
-
-
 def kept_bytes(server) -> int:
     states = server.gui._current_file_upload_states.values()
     return sum(len(p) for s in states for p in s["parts"].values())
@@ -441,14 +435,14 @@ def test_a_small_upload_arrives_with_a_plain_name(uploads):
     announce(websocket, button, 5, 2, "../../etc/passwd\x00<b>.ply")
     part(websocket, button, 1, b"de")
     part(websocket, button, 0, b"abc")
-    wait_for(lambda: arrived)
+    wait_until(lambda: arrived)
     assert arrived == [("passwd__b_.ply", b"abcde")]
 
 
 def test_an_empty_upload_still_arrives(uploads):
     websocket, button, arrived = uploads
     announce(websocket, button, 0, 0)
-    wait_for(lambda: arrived)
+    wait_until(lambda: arrived)
     assert arrived == [("scan.ply", b"")]
 
 
@@ -466,7 +460,7 @@ def test_a_2_gb_upload_is_refused_at_its_announcement(open_server, uploads):
     assert kept_bytes(open_server) == 0 and not arrived
     announce(websocket, button, 3, 1, key="small")
     part(websocket, button, 0, b"abc", key="small")
-    wait_for(lambda: arrived)
+    wait_until(lambda: arrived)
 
 
 def test_more_bytes_than_announced_are_dropped(open_server, uploads):
@@ -519,13 +513,13 @@ def test_an_upload_into_one_clients_own_panel_is_guarded_too(open_server, client
             look_at=(0.0, 0.0, 0.0),
             up_direction=(0.0, 0.0, 1.0),
         )
-        wait_for(lambda: set(made) - before)
+        wait_until(lambda: set(made) - before)
         button = made[max(set(made) - before)]
         announce(websocket, button._impl.uuid, LIMIT + 1, 7)
         assert receive_until(websocket, "NotificationShowMessage")
         announce(websocket, button._impl.uuid, 3, 1, key="ok")
         part(websocket, button._impl.uuid, 0, b"abc", key="ok")
-        wait_for(lambda: button.value.content == b"abc")
+        wait_until(lambda: button.value.content == b"abc")
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,7 @@ from app.server.jobs import CANCEL_SECONDS, Job, JobFailed, WorkerProcess
 from model.core.errors import InputFileError, KinematicsError
 from model.core.progress import Cancelled
 from tests.app import job_functions as functions
+from tests.builders import wait_until
 
 ROOT = Path(__file__).parents[2]
 
@@ -34,13 +35,6 @@ def alive(pid: int) -> bool:
     except (FileNotFoundError, ProcessLookupError):
         return False
     return state != "Z"
-
-
-def wait_for(condition, seconds: float = 10.0) -> None:
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end, "waited in vain"
-        time.sleep(0.01)
 
 
 def test_runs_elsewhere_and_returns_the_value(worker):
@@ -113,9 +107,9 @@ def test_other_errors_bring_the_childs_traceback(worker):
 def test_who_comes_to_wait_for_a_job_hears_how_far_it_is(worker):
     seen = []
     job = worker.submit(functions.steps, 40, 0.02)
-    wait_for(lambda: job.fraction > 0)
+    wait_until(lambda: job.fraction > 0)
     job.listen(lambda f, m: seen.append((f, m)))
-    wait_for(lambda: seen)
+    wait_until(lambda: seen)
     assert not job.done and seen[0][0] >= 1 / 40 and seen[0][1].startswith("step")
 
 
@@ -123,7 +117,7 @@ def test_progress_reaches_the_callback_in_order(worker):
     seen: list[tuple[float, str]] = []
     job = worker.submit(functions.steps, 20, 0.01, on_progress=lambda f, m: seen.append((f, m)))
     assert job.result(20) == 20
-    wait_for(lambda: seen)
+    wait_until(lambda: seen)
     fractions = [f for f, _ in seen]
     assert fractions == sorted(fractions) and all(0 <= f <= 1 for f in fractions)
     assert all(message.startswith("step") for _, message in seen)
@@ -132,7 +126,7 @@ def test_progress_reaches_the_callback_in_order(worker):
 def test_cancel_while_running_stops_at_the_next_step_and_keeps_the_child(worker):
     before = worker.pid
     job = worker.submit(functions.steps, 1000, 0.01)
-    wait_for(lambda: job.state == "running" and job.message)
+    wait_until(lambda: job.state == "running" and job.message)
     job.cancel()
     with pytest.raises(Cancelled):
         job.result(2)
@@ -143,7 +137,7 @@ def test_cancel_of_a_deaf_job_kills_the_child_and_the_queue_goes_on(worker):
     before = worker.pid
     job = worker.submit(functions.deaf, 60)
     after = worker.submit(functions.pid)
-    wait_for(lambda: job.state == "running")
+    wait_until(lambda: job.state == "running")
     start = time.monotonic()
     job.cancel()
     with pytest.raises(Cancelled):
@@ -168,7 +162,7 @@ def test_cancel_of_a_queued_job_ends_it_at_once(worker, tmp_path):
 def test_priority_then_order_of_submission(worker, tmp_path):
     log = tmp_path / "log"
     blocker = worker.submit(functions.deaf, 0.3)
-    wait_for(lambda: blocker.state == "running")
+    wait_until(lambda: blocker.state == "running")
     jobs = [
         worker.submit(functions.append, str(log), name, priority=p)
         for name, p in (("a", 0), ("b", 0), ("C", 5), ("d", -1))
@@ -181,7 +175,7 @@ def test_priority_then_order_of_submission(worker, tmp_path):
 def test_newest_of_a_key_replaces_the_queued_one_in_its_place(worker, tmp_path):
     log = str(tmp_path / "log")
     running = worker.submit(functions.append, log, "1", 0.3, key="clicks")
-    wait_for(lambda: running.state == "running")
+    wait_until(lambda: running.state == "running")
     stale = [worker.submit(functions.append, log, str(i), key="clicks") for i in (2, 3)]
     other = worker.submit(functions.append, log, "x")
     newest = worker.submit(functions.append, log, "4", key="clicks")
@@ -231,7 +225,7 @@ def test_a_dead_child_fails_its_job_and_the_queue_goes_on(worker, number, words)
 def test_a_child_killed_while_idle_comes_back(worker):
     before = worker.pid
     os.kill(before, signal.SIGKILL)
-    wait_for(lambda: worker.pid not in (None, before))
+    wait_until(lambda: worker.pid not in (None, before))
     assert worker.submit(functions.pid).result(60) == worker.pid
 
 
@@ -244,7 +238,7 @@ def test_close_cancels_everything_and_leaves_no_process():
     worker = WorkerProcess("test")
     pid = worker.submit(functions.pid).result(60)
     jobs = [worker.submit(functions.deaf, 60), worker.submit(functions.deaf, 60)]
-    wait_for(lambda: jobs[0].state == "running")
+    wait_until(lambda: jobs[0].state == "running")
     worker.close()
     worker.close()
     assert [job.state for job in jobs] == ["cancelled", "cancelled"]
@@ -264,7 +258,7 @@ def test_no_orphan_when_the_server_is_killed():
     time.sleep(0.2)
     server.kill()
     server.wait()
-    wait_for(lambda: not alive(child), 3)
+    wait_until(lambda: not alive(child))
     server.stdout.close()
 
 
@@ -276,11 +270,11 @@ def test_numeric_threads_are_limited_unless_the_environment_says_so(monkeypatch)
 
 def test_what_is_urgent_is_answered_between_the_steps_of_what_gives_way(worker):
     long = worker.submit(functions.steps, 60, 0.05, preempted_by=9)
-    wait_for(lambda: long.state == "running")
+    wait_until(lambda: long.state == "running")
     later = worker.submit(functions.echo, "later", priority=8)
     assert worker.submit(functions.echo, "click", priority=9).result(1.5) == "click"
     inner = worker.submit(functions.steps, 6, 0.05, priority=9, preempted_by=12)
-    wait_for(lambda: inner.fraction > 0)
+    wait_until(lambda: inner.fraction > 0)
     assert worker.submit(functions.echo, "edit", priority=12).result(1) == "edit"
     assert inner.result(2) == 6
     assert not long.done and later.state == "queued"
@@ -290,7 +284,7 @@ def test_what_is_urgent_is_answered_between_the_steps_of_what_gives_way(worker):
 
 def test_what_gives_no_way_is_left_alone(worker):
     long = worker.submit(functions.steps, 20, 0.05)
-    wait_for(lambda: long.fraction > 0)
+    wait_until(lambda: long.fraction > 0)
     click = worker.submit(functions.echo, 1, priority=20)
     assert long.result(10) == 20 and click.result(5) == 1
     assert click._number > long._number
@@ -298,7 +292,7 @@ def test_what_gives_no_way_is_left_alone(worker):
 
 def test_jobs_that_work_on_the_same_wait_for_each_other(worker):
     long = worker.submit(functions.steps, 20, 0.05, preempted_by=0, works_on="a")
-    wait_for(lambda: long.fraction > 0)
+    wait_until(lambda: long.fraction > 0)
     same = worker.submit(functions.echo, "same", priority=9, works_on="a")
     assert worker.submit(functions.echo, "other", works_on="b").result(1) == "other"
     assert same.state == "queued" and not long.done
@@ -307,10 +301,10 @@ def test_jobs_that_work_on_the_same_wait_for_each_other(worker):
 
 def test_a_cancelled_job_has_time_until_what_came_between_is_over(worker):
     long = worker.submit(functions.steps, 400, 0.02, preempted_by=9)
-    wait_for(lambda: long.fraction > 0)
+    wait_until(lambda: long.fraction > 0)
     child = worker.pid
     deaf = worker.submit(functions.deaf, CANCEL_SECONDS + 0.5, priority=9)
-    wait_for(lambda: deaf._begun)
+    wait_until(lambda: deaf._begun)
     long.cancel()
     deaf.result(10)
     with pytest.raises(Cancelled):
@@ -320,7 +314,7 @@ def test_a_cancelled_job_has_time_until_what_came_between_is_over(worker):
 
 def test_a_job_begins_anew_where_the_child_died_of_one_that_came_between(worker):
     long = worker.submit(functions.steps, 20, 0.05, preempted_by=9)
-    wait_for(lambda: long.fraction > 0)
+    wait_until(lambda: long.fraction > 0)
     with pytest.raises(JobFailed, match="kill_myself"):
         worker.submit(functions.kill_myself, priority=9).result(10)
     assert long.result(30) == 20

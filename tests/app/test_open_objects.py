@@ -25,22 +25,14 @@ from sessions import commands as cmd
 from sessions.live import LiveSession
 from sessions.store import Store
 from tests.app.job_functions import killed_while_opening
+from tests.builders import wait_until
 
 GOOD = trimesh.creation.box((1, 0.5, 0.7))
 
 
-def wait(condition: Callable[[], Any], what: str, seconds: float = 120.0) -> Any:
-    end = time.monotonic() + seconds
-    while time.monotonic() < end:
-        if value := condition():
-            return value
-        time.sleep(0.02)
-    raise AssertionError(f"waited in vain for: {what}")
-
-
 def settled(app_state: AppState, number: int) -> OpenObject:
     obj = app_state.object(number)
-    wait(lambda: obj.asset and not obj.jobs, "it is open and nothing is under way")
+    wait_until(lambda: obj.asset and not obj.jobs, "it is open and nothing is under way")
     return obj
 
 
@@ -65,14 +57,14 @@ def test_a_file_that_changed_is_tried_again(begin_app, tmp_path: Path) -> None:
     app_state = begin_app(path)
     number = app_state.queue.records()[0].id
     obj = app_state.object(number)
-    wait(lambda: obj.problem, "the problem")
+    wait_until(lambda: obj.problem, "the problem")
     app_state.object(number)
     assert obj.problem and "open" not in obj.jobs
     assert obj.problem.startswith("box.ply: ")  # where it is kept is nothing to tell
     assert app_state.queue.unreadable == {number}
     GOOD.export(path)
     app_state.object(number)
-    wait(lambda: obj.asset, "it opens")
+    wait_until(lambda: obj.asset, "it opens")
     assert obj.problem is None and not app_state.queue.unreadable
 
 
@@ -85,7 +77,7 @@ def test_what_cannot_be_read_is_taken_off_the_queue_and_put_back(begin_app, tmp_
     with pytest.raises(CommandError, match="only unreadable"):
         app_state.queue.remove(good)
     obj = app_state.object(bad)
-    wait(lambda: obj.problem, "the problem")
+    wait_until(lambda: obj.problem, "the problem")
     obj.do(cmd.SetCategory("Box"), "tester")
     before = [r.id for r in app_state.queue.records()]
     app_state.queue.remove(bad)
@@ -109,7 +101,7 @@ def test_what_was_taken_off_stays_off_at_the_next_start(begin_app, tmp_path: Pat
     ids = [r.id for r in app_state.queue.records()]
     for number in ids[:0:-1]:
         obj = app_state.object(number)
-        wait(lambda obj=obj: obj.problem, "the problem")
+        wait_until(lambda obj=obj: obj.problem, "the problem")
         app_state.queue.remove(number)
     later = begin_app(good, *bad)
     assert [r.id for r in later.queue.records()] == ids[:1]
@@ -132,12 +124,12 @@ def test_it_is_tried_again_where_its_worker_died_or_a_person_asks(
     with monkeypatch.context() as patch:
         patch.setattr(display_tasks, "open_asset", killed_while_opening)
         obj = app_state.object(number)
-        wait(lambda: obj.problem, "the worker died")
+        wait_until(lambda: obj.problem, "the worker died")
         obj.try_again()
-        wait(lambda: obj.problem, "it died again")
+        wait_until(lambda: obj.problem, "it died again")
     assert "killed" in obj.problem
     app_state.object(number)
-    wait(lambda: obj.asset, "it opens")
+    wait_until(lambda: obj.asset, "it opens")
 
 
 def test_objects_that_nobody_looks_at_are_let_go_and_come_back(
@@ -175,15 +167,15 @@ def test_what_was_undone_before_it_was_answered_is_not_shown(begin_app, tmp_path
 
     def undone(command: Any) -> None:
         busy = app_state.workers.segmentation.submit(time.sleep, 0.3, priority=99)
-        wait(lambda: busy.state == "running", "the segmenter is held up")
+        wait_until(lambda: busy.state == "running", "the segmenter is held up")
         obj.do(cmd.AddClick(Click((0.5, 0.0, 0.0), 1)), "tester")
         obj.do(command, "tester")
-        wait(lambda: busy.done and not obj.jobs, "nothing is under way")
+        wait_until(lambda: busy.done and not obj.jobs, "nothing is under way")
 
     undone(cmd.Undo())
     assert obj.labels is None and not obj.document.prompts
     obj.do(cmd.AddClick(Click((0.0, 0.0, 0.35), 2)), "tester")
-    wait(lambda: obj.document.segmentation_current and not obj.jobs, "it is answered")
+    wait_until(lambda: obj.document.segmentation_current and not obj.jobs, "it is answered")
     assert obj.labels is not None and set(obj.labels.tolist()) == {0, 2}
     undone(cmd.Undo())
     assert set(obj.labels.tolist()) == {0, 2}

@@ -30,7 +30,7 @@ from model.io.open_asset import open_asset
 from model.physics.simulation_values import PhysicsSettings, physics_of
 from sessions import commands as cmd
 from sessions.store import Store
-from tests.app.test_open_objects import wait
+from tests.builders import wait_until
 from tests.model.io.test_named_meshes import glb
 
 NOW = "2026-01-01T00:00:00.000000Z"
@@ -63,8 +63,8 @@ def opened(tmp_path: Path) -> Iterator[Callable[[Path], OpenObject]]:
         app_state = AppState(ServeConfig(workspace=workspace), Store(workspace), [path])
         states.append(app_state)
         obj = app_state.object(app_state.queue.records()[0].id)
-        wait(lambda: obj.labels is not None if parts else obj.asset, "it is open")
-        wait(lambda: not obj.jobs, "nothing is under way")
+        wait_until(lambda: obj.labels is not None if parts else obj.asset, "it is open")
+        wait_until(lambda: not obj.jobs, "nothing is under way")
         return obj
 
     yield begin
@@ -111,7 +111,7 @@ def test_it_can_be_taken_back_and_is_not_taken_again(opened, urdf: Path) -> None
 def test_p_predicts_anew_and_undo_brings_the_file_back(opened, urdf: Path) -> None:
     obj = opened(urdf)
     obj.predict("tester")
-    wait(lambda: obj.document.prediction.file is None, "another prediction")
+    wait_until(lambda: obj.document.prediction.file is None, "another prediction")
     assert obj.document.tree is not None and obj.document.prediction.backend
     obj.do(cmd.Undo(), "tester")
     assert obj.document.prediction is not None and obj.document.prediction.file == "cupboard.urdf"
@@ -120,16 +120,16 @@ def test_p_predicts_anew_and_undo_brings_the_file_back(opened, urdf: Path) -> No
 def test_read_in_another_frame_it_begins_with_its_joints_again(opened, urdf: Path) -> None:
     obj = opened(urdf)
     obj.do(cmd.SetFrame("z", 0.5), "tester")
-    wait(lambda: obj.document.tree is not None, "the tree in the other unit")
+    wait_until(lambda: obj.document.tree is not None, "the tree in the other unit")
     tree: Any = obj.document.tree
     assert tree.joint_of["link_1"].origin[0] == pytest.approx(-0.15)
 
 
 def test_the_saved_asset_says_that_the_joints_came_from_the_file(opened, urdf: Path) -> None:
     obj = opened(urdf)
-    wait(lambda: obj.validation.report is not None and not obj.jobs, "the gate")
+    wait_until(lambda: obj.validation.report is not None and not obj.jobs, "the gate")
     accept(obj, "", "tester", NOW, seen=obj.validation.report)
-    wait(lambda: obj.document.saved, "it is saved")
+    wait_until(lambda: obj.document.saved, "it is saved")
     folder = Path(obj.document.saved.folder)
     told = json.loads((folder / "provenance.json").read_text())
     assert (told["predictor"]["file"], told["predictor"]["by"]) == ("cupboard.urdf", "source file")
@@ -164,9 +164,9 @@ def test_masses_dynamics_and_collision_shapes_of_the_file_are_kept(opened, urdf:
     told_of = made.inertials
     assert shown(made.shapes["link_1"]) == DOOR_SHAPES
     assert {k: i.mass for k, i in told_of.items()} == {"link_0": 7.0, "link_1": 2.5}
-    wait(lambda: obj.validation.report is not None and not obj.jobs, "the gate")
+    wait_until(lambda: obj.validation.report is not None and not obj.jobs, "the gate")
     accept(obj, "", "tester", NOW, seen=obj.validation.report)
-    wait(lambda: obj.document.saved, "it is saved")
+    wait_until(lambda: obj.document.saved, "it is saved")
     folder = Path(obj.document.saved.folder)
     asset = json.loads((folder / "provenance.json").read_text())["asset"]
     every = ["damping", "friction", "effort", "velocity"]

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
 from threading import Thread
 from types import SimpleNamespace
 from typing import Any
@@ -22,6 +20,7 @@ from sessions.commands import AddClick, AddPart, NamePart, SetFrame
 from sessions.describe import describe
 from sessions.state import Context, SessionState, apply
 from sessions.tool_commands import FaceCut
+from tests.builders import wait_until
 
 REF = "a" * 64
 HERE = Context("tester", "2026-01-01T00:00:00+00:00")
@@ -51,13 +50,6 @@ def open_with_tool(offers: Any, *commands: Any) -> tuple[Segmenting, Any]:
         do(command)
     obj.do = do
     return Segmenting(obj), obj
-
-
-def wait(until: Callable[[], object]) -> None:
-    end = time.monotonic() + 10
-    while not until():
-        assert time.monotonic() < end
-        time.sleep(0.01)
 
 
 def test_new_parts_take_the_numbers_of_empty_ones() -> None:
@@ -107,12 +99,12 @@ def test_a_tool_at_work_is_seen_and_can_be_stopped_while_its_tab_waits() -> None
 
     tab = Thread(target=use)
     tab.start()
-    wait(lambda: "tool" in jobs)
+    wait_until(lambda: "tool" in jobs)
     jobs.progress("tool")(0.4, "looking for parts")
     assert jobs.busy == {"tool": (0.4, "looking for parts")}
     jobs.cancel("tool")
     tab.join(10)
-    wait(lambda: not jobs.busy)
+    wait_until(lambda: not jobs.busy)
     assert len(ended) == 1 and obj.document.prompts == ()
 
 

@@ -20,7 +20,8 @@ from model.core.resources import static_assets
 from model.segmentation.prompts import Click
 from sessions import commands as cmd
 from sessions.store import Store
-from tests.app.test_open_objects import settled, wait
+from tests.app.test_open_objects import settled
+from tests.builders import wait_until
 
 
 @pytest.fixture
@@ -52,11 +53,11 @@ def test_clicks_of_others_and_of_other_tabs_come_between_the_steps_of_all_parts(
         target=lambda: found.append(fridge.segmenting.use_tool(request, "alice"))
     )
     thread.start()
-    wait(lambda: fridge.jobs.busy.get("tool", (0.0,))[0] > 0, "all parts is under way")
+    wait_until(lambda: fridge.jobs.busy.get("tool", (0.0,))[0] > 0, "all parts is under way")
     x, y, _ = kettle.asset.bounds.mean(0)
     start = time.monotonic()
     kettle.do(cmd.AddClick(Click((x, y, float(kettle.asset.bounds[1, 2])), 1)), "bob")
-    wait(lambda: kettle.document.segmentation_current, "the kettle's parts")
+    wait_until(lambda: kettle.document.segmentation_current, "the kettle's parts")
     waited = time.monotonic() - start
     assert thread.is_alive(), f"the click waited for all parts, {waited:.1f} s"
     thread.join(60)

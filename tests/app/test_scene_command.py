@@ -9,8 +9,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +23,7 @@ from model.io.urdf.writer import read_urdf
 from model.io.write.meshes import write_cloud, write_mesh
 from model.scenes.assets import asset_digest
 from model.scenes.registry import read_scene
+from tests.builders import wait_until
 from tests.model.scenes import scenes_made as made
 
 
@@ -269,13 +268,6 @@ def workers_of(pid: int) -> list[int]:
     return [int(word) for task in tasks for word in task.read_text().split()]
 
 
-def until(condition: Callable[[], object], what: str) -> None:
-    end = time.monotonic() + 240
-    while not condition():
-        assert time.monotonic() < end, f"waited in vain for: {what}"
-        time.sleep(0.01)
-
-
 def test_a_killed_run_is_resumed(assets: Path, tmp_path: Path) -> None:
     """First one of its workers, then the run itself."""
     objects = [
@@ -293,14 +285,14 @@ def test_a_killed_run_is_resumed(assets: Path, tmp_path: Path) -> None:
     def recorded() -> dict[str, int]:
         return {p.name: p.stat().st_mtime_ns for p in done.glob("*.json")}
 
-    until(lambda: recorded() or run.poll() is not None, "the first asset")
+    wait_until(lambda: recorded() or run.poll() is not None, "the first asset")
     os.kill(workers_of(run.pid)[0], signal.SIGKILL)
     first = recorded()
-    until(lambda: len(recorded()) > len(first) or run.poll() is not None, "it goes on without it")
+    wait_until(lambda: len(recorded()) > len(first) or run.poll() is not None, "it goes on")
     left = workers_of(run.pid)
     os.kill(run.pid, signal.SIGKILL)
     run.wait()
-    until(lambda: not any(Path(f"/proc/{p}").exists() for p in left), "the other workers end too")
+    wait_until(lambda: not any(Path(f"/proc/{p}").exists() for p in left), "others end")
     kept = recorded()
     assert first.items() <= kept.items() and len(first) < len(kept) < 8
     assert not (out / "summary.json").exists()

@@ -6,7 +6,7 @@ import json
 import re
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -40,20 +40,12 @@ from sessions import commands as cmd
 from sessions.document import Document, PartInfo
 from sessions.scene_commands import DecideObjects
 from sessions.store import Store
+from tests.builders import wait_until
 from tests.model.scenes.chat_server import chat_server
 from tests.model.scenes.saved import points_in_place
 from tests.model.scenes.scenes_made import POSITION, make_assets, own, write_scan, write_scene
 
 EVIL = "rock <script>alert(1)</script>"
-
-
-def wait(condition: Callable[[], Any], what: str, seconds: float = 240.0) -> Any:
-    end = time.monotonic() + seconds
-    while time.monotonic() < end:
-        if value := condition():
-            return value
-        time.sleep(0.05)
-    raise AssertionError(f"waited in vain for: {what}")
 
 
 def entry(id: str, asset: str | None, x: float, description: str, **more: Any) -> dict[str, Any]:
@@ -90,7 +82,7 @@ class World:
         config = ServeConfig(workspace=workspace, predictor="geometric", scene=self.scene)
         self.app_state = AppState(config, Store(workspace), [])
         self.scene_workspace = self.app_state.open_scene(self.scene, (self.assets,))
-        wait(
+        wait_until(
             lambda: self.scene_workspace.scene is not None or self.scene_workspace.problem,
             "the scene is read",
         )
@@ -100,7 +92,7 @@ class World:
 
     def settle(self) -> None:
         scene = self.scene_workspace
-        wait(
+        wait_until(
             lambda: not scene.busy and all(w.drawn for w in scene.wanted() if w.document.tree)
             and all(w.prepared or w.document.tree for w in scene.wanted()),
             "nothing is left to do",
@@ -123,7 +115,7 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> Iterator[World]:
 def accepted(world: World) -> World:
     """The decision is on disk, the server dies at once: the next one carries it out."""
     scene_workspace = world.scene_workspace
-    wait(lambda: scene_workspace.work("first") is not None, "the first is predicted")
+    wait_until(lambda: scene_workspace.work("first") is not None, "the first is predicted")
     first = scene_workspace.work("first")
     assert first is not None
     world.close()
@@ -132,7 +124,7 @@ def accepted(world: World) -> World:
     store.append(record.id, DecideObjects("accept", (first.id,), above=0.1), "ann", record.seq)
     store.close()
     scene_workspace = world.open()
-    wait(lambda: not scene_workspace.accepting.waiting, "it is carried out")
+    wait_until(lambda: not scene_workspace.accepting.waiting, "it is carried out")
     return world
 
 
@@ -195,9 +187,9 @@ def test_drawn_parts_stand_where_the_object_stands(world: World) -> None:
 def test_a_person_decides_what_is_articulable(world: World) -> None:
     scene_workspace = world.scene_workspace
     scene_workspace.set_articulable(EVIL, True, "ann")
-    wait(lambda: statuses(scene_workspace)[EVIL] == "todo", "the rock is to do")
-    work = wait(lambda: scene_workspace.work(EVIL), "its working copy")
-    wait(lambda: work.prepared, "it was looked at")
+    wait_until(lambda: statuses(scene_workspace)[EVIL] == "todo", "the rock is to do")
+    work = wait_until(lambda: scene_workspace.work(EVIL), "its working copy")
+    wait_until(lambda: work.prepared, "it was looked at")
     assert "cut it by clicks" in work.reason
     scene_workspace.do(cmd.Undo(), "ann")
     assert statuses(scene_workspace)[EVIL] == "static"
@@ -261,7 +253,7 @@ class Slow:
         monkeypatch.setattr(scene_workspace.services.workers.prediction, "submit", submit)
 
     def answer(self, severity: str) -> None:
-        wait(lambda: self.asked, "the gate is asked")
+        wait_until(lambda: self.asked, "the gate is asked")
         self.asked.pop()._end("done", report_of(severity))
 
 
@@ -288,7 +280,7 @@ def test_what_the_gate_objects_to_waits_for_who_asked(
         r.id == "small" for r in scene_workspace.rows() if r.undecided
     )
     gate.answer("look")
-    wait(lambda: mine, "it is told")
+    wait_until(lambda: mine, "it is told")
     assert mine == [
         "small, door 1: Penetrates link_0 by 131 mm at 104°. Select it again: "
         "Y accepts it anyway, Enter shows it."
@@ -301,7 +293,7 @@ def test_what_the_gate_objects_to_waits_for_who_asked(
     decide("accept")
     job = gate.asked[-1]
     scene_workspace.do(cmd.Undo(), "ann")
-    wait(
+    wait_until(
         lambda: job.state == "cancelled" and "accept" not in scene_workspace.jobs,
         "the gate is stopped",
     )
@@ -312,12 +304,12 @@ def test_what_the_gate_objects_to_waits_for_who_asked(
     mine.clear()
     decide("accept", looked=True)
     scene_workspace.do(DecideObjects("reject", (small.id,), reason="axis"), "rob", lambda *n: None)
-    wait(lambda: mine, "it is told")
+    wait_until(lambda: mine, "it is told")
     assert mine == ["small was rejected meanwhile by rob"] and shown("small") == "rejected"
     assert others == []
     scene_workspace.do(cmd.Undo(), "rob")
     scene_workspace.do(cmd.Undo(), "ann")
-    wait(lambda: "accept" not in scene_workspace.jobs, "nothing goes on")
+    wait_until(lambda: "accept" not in scene_workspace.jobs, "nothing goes on")
     gate.asked.clear()
 
     # Twins are two objects.
@@ -325,7 +317,7 @@ def test_what_the_gate_objects_to_waits_for_who_asked(
     mine.clear()
     decide("accept", first, looked=True)
     gate.answer("look")
-    wait(lambda: mine, "it is told", 60)
+    wait_until(lambda: mine, "it is told")
     assert mine == ["2 objects"] and shown("twin") == "accepted"
     assert first is not None and first.document.saved is not None
     told = json.loads((Path(first.document.saved.folder) / "provenance.json").read_text())
@@ -350,15 +342,15 @@ def test_what_was_held_back_and_decided_anew_meanwhile_is_told_once(
     both = (small.id, first.id)
     scene_workspace.do(DecideObjects("accept", both), "ann", lambda *n: mine.append(n[1]))
     gate.answer("look")
-    wait(lambda: scene_workspace.accepting.refusal(small), "it is held back")
+    wait_until(lambda: scene_workspace.accepting.refusal(small), "it is held back")
     # The other one is still being judged when the first is accepted as it is.
     scene_workspace.do(
         DecideObjects("accept", (small.id,), looked=True), "ann", lambda *n: mine.append(n[1])
     )
     gate.answer("fine")
-    wait(lambda: mine, "the first decision is told", 60)
+    wait_until(lambda: mine, "the first decision is told")
     gate.answer("look")
-    wait(lambda: len(mine) == 2, "the second one too", 60)
+    wait_until(lambda: len(mine) == 2, "the second one too")
     assert mine == ["2 objects", "1 object"]
     assert statuses(scene_workspace)["first"] == statuses(scene_workspace)["small"] == "accepted"
     scene_workspace.do(cmd.Undo(), "ann")
@@ -374,10 +366,10 @@ def test_what_is_decided_or_named_inside_meanwhile_counts(
     assert small is not None
     gate, mine = Slow(scene_workspace, monkeypatch), list[str]()
     scene_workspace.do(DecideObjects("accept", (small.id,)), "ann", lambda *n: mine.append(n[1]))
-    wait(lambda: gate.asked, "the gate is asked")
+    wait_until(lambda: gate.asked, "the gate is asked")
     small.live.do(cmd.Reject("axis"), "rob")
     gate.answer("fine")
-    wait(lambda: mine, "it is told", 60)
+    wait_until(lambda: mine, "it is told")
     assert mine == ["small, it was rejected meanwhile by rob. Select it again: Enter opens it."]
     assert statuses(scene_workspace)["small"] == "rejected"
     small.live.do(cmd.Undo(), "rob")
@@ -386,12 +378,12 @@ def test_what_is_decided_or_named_inside_meanwhile_counts(
     mine.clear()
     name = small.document.part_names[1]
     scene_workspace.do(DecideObjects("accept", (small.id,)), "ann", lambda *n: mine.append(n[1]))
-    wait(lambda: gate.asked, "the gate is asked")
+    wait_until(lambda: gate.asked, "the gate is asked")
     small.live.do(cmd.NamePart(1, "flap"), "rob")
     gate.answer("fine")
-    wait(lambda: gate.asked, "it is judged as it is now")
+    wait_until(lambda: gate.asked, "it is judged as it is now")
     gate.answer("fine")
-    wait(lambda: mine, "it is told", 60)
+    wait_until(lambda: mine, "it is told")
     assert mine == ["1 object"] and small.document.saved is not None
     saved = load_object(small.document.saved.folder)
     assert saved.name == "cab_2"  # as the robot is called in every format, without a hash
@@ -409,12 +401,12 @@ def test_what_was_asked_for_inside_is_held_back_in_the_scene(
     assert small is not None and world.app_state is not None
     gate, refused = Slow(scene_workspace, monkeypatch), list[CommandError]()
     obj = world.app_state.object(small.id)
-    wait(lambda: obj.asset is not None and gate.asked, "it is open, and the gate is asked")
+    wait_until(lambda: obj.asset is not None and gate.asked, "it is open, and the gate is asked")
     accept(obj, "the hinge is bent", "ann", "2026-01-01T00:00:00+00:00", refused=refused.append)
     row = scene_workspace.row(small.item)
     assert row.shown == "validating" and not row.undecided
     gate.answer("look")
-    wait(lambda: refused, "it is told")
+    wait_until(lambda: refused, "it is told")
     refusal = scene_workspace.accepting.refusal(small)
     assert refusal is not None and refusal.only_warnings
     assert refusal.why == "door 1: Penetrates link_0 by 131 mm at 104°."
@@ -428,7 +420,7 @@ def test_what_was_asked_for_inside_is_held_back_in_the_scene(
     # Seen there it is accepted as it is, and nothing is held back any more.
     scene_workspace.do(DecideObjects("accept", (small.id,), looked=True), "ann")
     gate.answer("look")
-    wait(lambda: scene_workspace.row(small.item).shown == "accepted", "accepted", 60)
+    wait_until(lambda: scene_workspace.row(small.item).shown == "accepted", "accepted")
     assert not obj.hold_reason
     scene_workspace.do(cmd.Undo(), "ann")
     scene_workspace.accepting.refused.clear()
@@ -446,8 +438,8 @@ def test_what_another_server_decides_is_seen_and_left_to_it(
     other = app_state.open_scene(world.scene, (world.assets,))
     seen: list[str] = []
     other.watch(lambda: None, lambda *note: seen.append(note[0]))
-    wait(lambda: other.scene is not None, "the scene is read")
-    wait(
+    wait_until(lambda: other.scene is not None, "the scene is read")
+    wait_until(
         lambda: not other.busy and statuses(other) == statuses(scene_workspace),
         "it stands there as here",
     )
@@ -464,11 +456,11 @@ def test_what_another_server_decides_is_seen_and_left_to_it(
     # While one server accepts, the other one neither does it as well nor is overruled.
     gate, mine = Slow(scene_workspace, monkeypatch), list[str]()
     scene_workspace.do(DecideObjects("accept", (small.id,)), "ann", lambda *n: mine.append(n[1]))
-    wait(lambda: gate.asked, "the gate is asked")
+    wait_until(lambda: gate.asked, "the gate is asked")
     other.do(DecideObjects("reject", (small.id,), reason="axis"), "rob")
     assert not other.accepting.waiting and "accept" not in other.jobs
     gate.answer("fine")
-    wait(lambda: mine, "it is told", 60)
+    wait_until(lambda: mine, "it is told")
     assert mine == ["small, it was rejected meanwhile by rob. Select it again: Enter opens it."]
     assert statuses(scene_workspace)["small"] == "rejected" and seen == ["Changed elsewhere"]
     assert other.undo("rob") == "reject small"
@@ -491,14 +483,14 @@ def test_undo_while_the_asset_takes_its_place_takes_it_back(
 
     def slow(*given: Any) -> Any:
         undoing.start()
-        wait(lambda: scene_workspace.document.decided == before, "it is undone", 20)
+        wait_until(lambda: scene_workspace.document.decided == before, "it is undone")
         time.sleep(0.3)
         return publish(*given)
 
     monkeypatch.setattr(scene_accepting, "publish", slow)
     scene_workspace.do(DecideObjects("accept", (small.id,)), "ann")
     gate.answer("fine")
-    wait(
+    wait_until(
         lambda: undoing.ident and not undoing.is_alive() and not scene_workspace.busy,
         "all is done",
         60,
@@ -561,7 +553,7 @@ def test_a_refused_acceptance_is_no_step_after_the_end_of_the_server(accepted: W
     assert scene_workspace.undo("ann") == "accept first"
     assert statuses(scene_workspace)["first"] == "predicted"
     scene_workspace.do(cmd.Redo(), "ann")
-    wait(
+    wait_until(
         lambda: not scene_workspace.accepting.waiting and not scene_workspace.busy,
         "it is accepted again",
     )
@@ -599,7 +591,7 @@ def test_the_saved_scene_loads_and_holds_what_was_accepted(accepted: World) -> N
     scene_workspace.do(DecideObjects("reject", (small.id,), reason="axis"), "bob")
     world.settle()
     scene_workspace.saving.save(False, "ann")
-    wait(lambda: scene_workspace.document.saved, "the scene is saved")
+    wait_until(lambda: scene_workspace.document.saved, "the scene is saved")
     world.settle()
     assert scene_workspace.document.saved is not None
     out = Path(scene_workspace.document.saved.folder)
@@ -640,8 +632,8 @@ def test_an_object_is_picked_out_of_a_room_that_nobody_labelled(tmp_path: Path) 
     assert app_state is not None and statuses(scene_workspace) == {"room": "static"}
     opened: list[int] = []
     scene_workspace.picking.open("room", opened.append)
-    obj = app_state.object(wait(lambda: opened, "the room is open")[0])
-    asset = wait(lambda: obj.asset, "its picture")
+    obj = app_state.object(wait_until(lambda: opened, "the room is open")[0])
+    asset = wait_until(lambda: obj.asset, "its picture")
     # The cabinet stands round made.POSITION; a box round it is what a person would draw.
     world = scene_workspace.world_from_copy(scene_workspace.items["room"])
     points = open_asset(scene_workspace.items["room"].copy).cloud.points  # type: ignore[union-attr, arg-type]
@@ -652,14 +644,14 @@ def test_an_object_is_picked_out_of_a_room_that_nobody_labelled(tmp_path: Path) 
     inside = np.flatnonzero((np.abs(points[kept][:, :2] - POSITION[:2]) < 0.5).all(1))
     ref = tasks.arrays_of(app_state.workspace).put(inside.astype(np.int64))
     obj.do(cmd.AddRegion(1, ref, True, len(inside), "box"), "ann")
-    wait(lambda: obj.document.segmentation_current and asset is obj.asset, "its parts")
+    wait_until(lambda: obj.document.segmentation_current and asset is obj.asset, "its parts")
     taken: list[str] = []
     told: list[tuple[str, str, str]] = []
     with pytest.raises(CommandError, match="part 0"):
         scene_workspace.picking.take_out(obj, "room", 0, "cabinet", "ann", taken.append)
     scene_workspace.picking.take_out(obj, "room", 1, "cabinet", "ann", taken.append)
     obj.watch(lambda: None, lambda *said: told.append(said))
-    wait(lambda: taken == ["cabinet 1"] or told, "it is taken out")
+    wait_until(lambda: taken == ["cabinet 1"] or told, "it is taken out")
     assert not told
     room.settle()
     assert statuses(scene_workspace) == {"room": "static", "cabinet 1": "todo"}
@@ -670,7 +662,7 @@ def test_an_object_is_picked_out_of_a_room_that_nobody_labelled(tmp_path: Path) 
     scene_workspace = room.open()
     assert statuses(scene_workspace) == {"room": "static", "cabinet 1": "todo"}
     scene_workspace.saving.save(False, "ann")
-    saved = wait(lambda: scene_workspace.document.saved, "the room is saved")
+    saved = wait_until(lambda: scene_workspace.document.saved, "the room is saved")
     room.settle()
     out = Path(saved.folder)
     points = points_in_place(out)
@@ -684,7 +676,7 @@ def test_the_report_holds_everything_and_runs_nothing(accepted: World) -> None:
     done: list[Path] = []
     world = accepted
     world.scene_workspace.saving.report(done.append)
-    wait(lambda: done, "the report")
+    wait_until(lambda: done, "the report")
     page = done[0].read_text(encoding="utf-8")
     assert "<script" not in page and "&lt;script&gt;" in page
     assert "src='http" not in page and page.count("data:image/png;base64") >= 3
@@ -709,7 +701,7 @@ def test_the_report_shows_the_limits_that_were_saved(accepted: World) -> None:
     path.write_text(json.dumps(told))
     done: list[Path] = []
     scene_workspace.saving.report(done.append)
-    wait(lambda: done, "the report")
+    wait_until(lambda: done, "the report")
     page = done[0].read_text(encoding="utf-8")
     assert "revolute 0…29°" in page and "by wall &lt;b&gt;" in page
     assert page.count("limited by wall") == 1  # not of its twin

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -31,6 +31,7 @@ from model.validation.report import Severity
 from sessions import commands as cmd
 from sessions.live import LiveSession
 from sessions.store import PendingAcceptance, Store
+from tests.builders import wait_until
 
 NOW = "2026-01-01T00:00:00+00:00"
 W = 0.02
@@ -41,15 +42,6 @@ DOOR = Joint(
 
 def box(low: Any, high: Any) -> trimesh.Trimesh:
     return trimesh.creation.box(bounds=[low, high])
-
-
-def wait(condition: Callable[[], Any], what: str, seconds: float = 240.0) -> Any:
-    end = time.monotonic() + seconds
-    while time.monotonic() < end:
-        if value := condition():
-            return value
-        time.sleep(0.05)
-    raise AssertionError(f"waited in vain for: {what}")
 
 
 @pytest.fixture(scope="module")
@@ -80,9 +72,9 @@ def cupboard(app_state: AppState) -> OpenObject:
     obj = app_state.object(app_state.queue.records()[0].id)
     # The parts that the source is in come with it: nothing of them waits behind other work.
     other = app_state.workers.geometry.submit(time.sleep, 5.0)
-    wait(lambda: len(obj.document.parts) == 2, "the source's parts")
+    wait_until(lambda: len(obj.document.parts) == 2, "the source's parts")
     assert not other.done
-    wait(
+    wait_until(
         lambda: obj.document.segmentation is not None and obj.document.segmentation_current, "parts"
     )
     inward = replace(DOOR, axis=(0, 0, 1))
@@ -93,7 +85,7 @@ def cupboard(app_state: AppState) -> OpenObject:
 
 
 def judged(obj: OpenObject) -> Any:
-    return wait(lambda: obj.validation.report, "a verdict")
+    return wait_until(lambda: obj.validation.report, "a verdict")
 
 
 def test_a_broken_object_is_mended_or_accepted_with_a_reason(cupboard: OpenObject) -> None:
@@ -104,7 +96,7 @@ def test_a_broken_object_is_mended_or_accepted_with_a_reason(cupboard: OpenObjec
     # While the gate is at work an accept waits for it, and is refused then.
     if obj.validation.report is None:
         accept(obj, "", "tester", NOW)
-        wait(lambda: any(n[0] in ("Not accepted", "Accepting") for n in notes), "it is told")
+        wait_until(lambda: any(n[0] in ("Not accepted", "Accepting") for n in notes), "it is told")
     report = judged(obj)
     assert report.severity == Severity.ERROR
     assert report.of("door").worst.other == "link_0"
@@ -127,7 +119,7 @@ def test_a_broken_object_is_mended_or_accepted_with_a_reason(cupboard: OpenObjec
     notes.clear()
     accept(obj, "as on the photo", "tester", NOW, "the shelf is soft")
     assert ("Accepting", "It is being saved already", "gray") in notes
-    saved = wait(lambda: obj.document.saved, "it is saved")
+    saved = wait_until(lambda: obj.document.saved, "it is saved")
     review = obj.document.review
     assert (review.state, review.override) == ("accepted", "the shelf is soft")
     assert review.problems[0].startswith("door: Penetrates ") or "Blocked" in review.problems[0]
@@ -142,11 +134,11 @@ def test_a_broken_object_is_mended_or_accepted_with_a_reason(cupboard: OpenObjec
     judged(obj)
     # What is fine is written while the person still looks; accepting moves it.
     drafts = obj.services.workspace / "drafts"
-    wait(lambda: any(not p.name.startswith(".") for p in drafts.glob("*")), "a draft")
+    wait_until(lambda: any(not p.name.startswith(".") for p in drafts.glob("*")), "a draft")
     accept(obj, "", "tester", NOW)
-    wait(lambda: obj.document.review.state == "accepted", "accepted again")
+    wait_until(lambda: obj.document.review.state == "accepted", "accepted again")
     assert list(drafts.iterdir()) == []
-    wait(lambda: "save" not in obj.busy, "saved again")
+    wait_until(lambda: "save" not in obj.busy, "saved again")
     gate = json.loads((Path(obj.document.saved.folder) / "provenance.json").read_text())["gate"]
     assert (gate["verdict"], gate["override"]) == ("fine", "")
     assert obj.document.review.problems == ()
@@ -161,8 +153,8 @@ def test_an_asset_stays_where_the_next_one_is_not_accepted(cupboard: OpenObject)
     judged(obj)
     if obj.document.review.state != "accepted":
         accept(obj, "", "tester", NOW)
-        wait(lambda: obj.document.review.state == "accepted", "accepted")
-    saved = wait(lambda: obj.document.saved, "saved")
+        wait_until(lambda: obj.document.review.state == "accepted", "accepted")
+    saved = wait_until(lambda: obj.document.saved, "saved")
     before = (Path(saved.folder) / "provenance.json").read_bytes()
     obj.do(cmd.Reopen(), "tester")
     obj.do(cmd.SetJoint(replace(DOOR, upper=1.2)), "tester")
@@ -170,7 +162,7 @@ def test_an_asset_stays_where_the_next_one_is_not_accepted(cupboard: OpenObject)
     obj.services.workers.saving.submit(time.sleep, 1.0, priority=9)
     accept(obj, "too early", "tester", NOW)
     obj.do(cmd.SetJoint(replace(DOOR, upper=1.1)), "tester")
-    wait(lambda: "Not accepted" in notes, "it is told")
+    wait_until(lambda: "Not accepted" in notes, "it is told")
     assert obj.document.review.state != "accepted"
     assert (Path(saved.folder) / "provenance.json").read_bytes() == before
 
@@ -184,7 +176,7 @@ def test_what_the_gate_wants_looked_at_is_not_accepted_unseen(cupboard: OpenObje
     said: list[CommandError] = []
     if obj.validation.report is None:  # asked for before the gate has answered: told, not accepted
         accept(obj, "", "tester", NOW, refused=said.append)
-        wait(lambda: said, "it is told to whoever asked")
+        wait_until(lambda: said, "it is told to whoever asked")
         assert isinstance(said[0], UnseenWarningsError)
     report = judged(obj)
     assert report.severity == Severity.WARNING
@@ -198,7 +190,9 @@ def test_what_the_gate_wants_looked_at_is_not_accepted_unseen(cupboard: OpenObje
     with pytest.raises(UnseenWarningsError):
         accept(obj, "", "tester", NOW, seen=report)
     accept(obj, "", "tester", NOW, seen=obj.validation.report)
-    wait(lambda: obj.document.review.state == "accepted" and "save" not in obj.busy, "accepted")
+    wait_until(
+        lambda: obj.document.review.state == "accepted" and "save" not in obj.busy, "accepted"
+    )
     gate = json.loads((Path(obj.document.saved.folder) / "provenance.json").read_text())["gate"]
     assert (gate["verdict"], gate["looked_at"]) == ("look", True)
 
@@ -213,11 +207,11 @@ def test_what_another_person_decided_meanwhile_is_not_overruled(cupboard: OpenOb
     store = Store(obj.services.workspace)
     elsewhere = LiveSession(store, obj.record.id)  # as of another server
     busy = obj.services.workers.saving.submit(time.sleep, 0.5, priority=9)
-    wait(lambda: busy.state == "running", "saving is held up")
+    wait_until(lambda: busy.state == "running", "saving is held up")
     accept(obj, "", "tester", NOW, refused=said.append)
     elsewhere.do(cmd.Reject("axis"), "rob")
     store.close()
-    wait(lambda: said, "it is told", 60)
+    wait_until(lambda: said, "it is told")
     assert "rejected meanwhile by rob" in str(said[0])
     assert obj.document.review.state == "rejected"
 
@@ -228,12 +222,12 @@ def test_what_another_person_decided_meanwhile_is_not_overruled(cupboard: OpenOb
     ):
         said.clear()
         busy = obj.services.workers.prediction.submit(time.sleep, 0.5, priority=9)
-        wait(lambda busy=busy: busy.state == "running", "the gate is held up")
+        wait_until(lambda busy=busy: busy.state == "running", "the gate is held up")
         obj.do(cmd.SetJoint(replace(DOOR, upper=upper)), "tester")
         assert obj.validation.report is None
         accept(obj, "", "tester", NOW, refused=said.append)
         obj.do(meanwhile, "rob")
-        wait(lambda: said or obj.document.review.state == "accepted", "it is told")
+        wait_until(lambda: said or obj.document.review.state == "accepted", "it is told")
         assert said and told in str(said[0])
         assert obj.document.review.state != "accepted"
 
@@ -256,7 +250,9 @@ def test_what_the_predictor_does_not_believe_is_not_accepted_unseen(cupboard: Op
     obj.do(cmd.LockJoint("link_1", False), "tester")
     assert judged(obj).severity == Severity.WARNING
     accept(obj, "", "tester", NOW, seen=obj.validation.report)
-    wait(lambda: obj.document.review.state == "accepted" and "save" not in obj.busy, "accepted")
+    wait_until(
+        lambda: obj.document.review.state == "accepted" and "save" not in obj.busy, "accepted"
+    )
     gate = json.loads((Path(obj.document.saved.folder) / "provenance.json").read_text())["gate"]
     assert (gate["verdict"], gate["looked_at"]) == ("look", True)
     assert gate["joints"][0]["findings"][0]["kind"] == "unsure"
@@ -294,14 +290,16 @@ def test_bodies_are_made_while_joints_are_predicted(
     obj = cupboard
     shutil.rmtree(app_state.workspace / "collision", ignore_errors=True)
     held = app_state.workers.prediction.submit(time.sleep, 600.0, priority=99)
-    wait(lambda: held.state == "running", "prediction is held up")
+    wait_until(lambda: held.state == "running", "prediction is held up")
     obj.predict("tester")
-    wait(lambda: len(list((app_state.workspace / "collision").glob("*.npz"))) == 2, "both bodies")
+    wait_until(
+        lambda: len(list((app_state.workspace / "collision").glob("*.npz"))) == 2, "both bodies"
+    )
     monkeypatch.setattr(build, "hollow_bodies", None)
     build.prepare_bodies(parts_of(obj.source()), app_state.workspace / "collision")
     obj.jobs.cancel("predict")
     held.cancel()
-    wait(lambda: not obj.predicting, "it is cancelled")
+    wait_until(lambda: not obj.predicting, "it is cancelled")
 
 
 def test_what_was_said_while_the_joints_were_being_judged_is_kept(
@@ -313,7 +311,7 @@ def test_what_was_said_while_the_joints_were_being_judged_is_kept(
     refused: list[CommandError] = []
     for upper, reason, accepted in ((1.04, "", False), (1.03, "it gives way", True)):
         held = app_state.workers.prediction.submit(time.sleep, 600.0, priority=99)
-        wait(lambda held=held: held.state == "running", "judging is held up")
+        wait_until(lambda held=held: held.state == "running", "judging is held up")
         obj.do(cmd.SetJoint(replace(DOOR, axis=(0, 0, 1), upper=upper)), "tester")
         refused.clear()
         accept(obj, "seen in person", "tester", NOW, reason, refused=refused.append)
@@ -321,7 +319,7 @@ def test_what_was_said_while_the_joints_were_being_judged_is_kept(
         assert app_state.store.pending_acceptances() == {obj.record.id: kept}
         held.cancel()
         judged(obj)
-        wait(
+        wait_until(
             lambda: not obj.jobs and (refused or not app_state.store.pending_acceptances()),
             "it is decided",
         )
@@ -338,7 +336,7 @@ def test_what_the_gate_holds_back_after_a_person_went_on_waits_for_another_look(
     told: list[None] = []
     app_state.queue.subscribe(lambda: told.append(None))
     held = app_state.workers.prediction.submit(time.sleep, 600.0, priority=99)
-    wait(lambda: held.state == "running", "judging is held up")
+    wait_until(lambda: held.state == "running", "judging is held up")
     obj.do(cmd.SetJoint(replace(DOOR, axis=(0, 0, 1), upper=1.02)), "tester")
     told.clear()
     accept(obj, "seen in person", "ann", NOW)
@@ -352,7 +350,7 @@ def test_what_the_gate_holds_back_after_a_person_went_on_waits_for_another_look(
     accept(obj, "", "rob", NOW)  # in another tab: what the first one typed stays
     assert app_state.store.pending_acceptances()[record.id].comment == "seen in person"
     held.cancel()
-    why = wait(lambda: app_state.on_hold(record), "it is held back")
+    why = wait_until(lambda: app_state.on_hold(record), "it is held back")
     assert "1 error. part 1" in why and obj.hold_reason == why
     assert obj.document.review.state != "accepted" and not obj.interrupted
     assert not app_state.is_accepting(record.id) and "save" not in obj.jobs
@@ -373,8 +371,8 @@ def test_what_the_gate_holds_back_after_a_person_went_on_waits_for_another_look(
     assert not obj.hold_reason and not app_state.on_hold(app_state.store.object(record.id))
     judged(obj)
     accept(obj, "", "ann", NOW, "it gives way")
-    wait(lambda: obj.document.review.state == "accepted" and not obj.jobs, "accepted")
-    wait(lambda: not app_state.store.pending_acceptances(), "it is over")
+    wait_until(lambda: obj.document.review.state == "accepted" and not obj.jobs, "accepted")
+    wait_until(lambda: not app_state.store.pending_acceptances(), "it is over")
 
 
 def test_a_wish_hears_at_once_that_the_joints_changed(
@@ -385,13 +383,13 @@ def test_a_wish_hears_at_once_that_the_joints_changed(
     if obj.document.review.state == "accepted":
         obj.do(cmd.Reopen(), "tester")
     held = app_state.workers.prediction.submit(time.sleep, 600.0, priority=99)
-    wait(lambda: held.state == "running", "judging is held up")
+    wait_until(lambda: held.state == "running", "judging is held up")
     obj.do(cmd.SetJoint(replace(DOOR, upper=0.97)), "tester")
     said: list[CommandError] = []
     accept(obj, "", "ann", NOW, refused=said.append)
     assert not said and obj.validation.acceptance_waits
     obj.do(cmd.SetJoint(replace(DOOR, upper=0.96)), "rob")
-    wait(lambda: said, "it is told")
+    wait_until(lambda: said, "it is told")
     assert (
         "edited meanwhile" in str(said[0])
         and not obj.validation.acceptance_waits
@@ -410,7 +408,7 @@ def test_a_wish_can_be_taken_back(cupboard: OpenObject, app_state: AppState) -> 
     stop = obj.watch(lambda: None, lambda *note: notes.append(note))
     assert not withdraw(obj) and not notes
     held = app_state.workers.prediction.submit(time.sleep, 600.0, priority=99)
-    wait(lambda: held.state == "running", "judging is held up")
+    wait_until(lambda: held.state == "running", "judging is held up")
     obj.do(cmd.SetJoint(replace(DOOR, upper=0.94)), "tester")
     accept(obj, "seen in person", "ann", NOW)
     assert app_state.is_accepting(obj.record.id) and app_state.store.pending_acceptances()
@@ -422,7 +420,7 @@ def test_a_wish_can_be_taken_back(cupboard: OpenObject, app_state: AppState) -> 
     assert not app_state.is_accepting(obj.record.id) and not app_state.store.pending_acceptances()
     held.cancel()
     assert judged(obj).severity == Severity.OK
-    wait(lambda: not obj.jobs, "nothing goes on")
+    wait_until(lambda: not obj.jobs, "nothing goes on")
     assert obj.document.review.state != "accepted" and not obj.hold_reason and not obj.interrupted
     stop()
 
@@ -433,9 +431,9 @@ def test_what_could_not_be_judged_is_not_accepted_unseen(
     obj = cupboard
     judged(obj)
     held = app_state.workers.prediction.submit(time.sleep, 600.0, priority=99)
-    wait(lambda: held.state == "running", "judging is held up")
+    wait_until(lambda: held.state == "running", "judging is held up")
     obj.do(cmd.SetJoint(replace(DOOR, upper=0.95)), "tester")
-    wait(lambda: "check" in obj.jobs, "the gate is asked")
+    wait_until(lambda: "check" in obj.jobs, "the gate is asked")
     accept(obj, "", "ann", NOW)
     obj.validation.failed("its process ended")
     assert "checks failed: its process ended" in obj.hold_reason
@@ -455,9 +453,9 @@ def test_what_a_server_was_accepting_when_it_ended_is_told_at_the_next_start(
     obj.do(cmd.SetJoint(replace(DOOR, upper=1.05)), "tester")
     judged(obj)
     held = before.workers.saving.submit(time.sleep, 600.0, priority=9)
-    wait(lambda: held.state == "running", "saving is held up")
+    wait_until(lambda: held.state == "running", "saving is held up")
     accept(obj, "hinge seen in person", "tester", NOW, "it gives way")
-    wait(lambda: "save" in obj.busy, "it is being saved")
+    wait_until(lambda: "save" in obj.busy, "it is being saved")
     before.close()
     source = [Path(obj.record.path)]
 
@@ -475,7 +473,7 @@ def test_what_a_server_was_accepting_when_it_ended_is_told_at_the_next_start(
         )
         assert any(n[0] == "Not accepted yet" and "Press Y to accept" in n[1] for n in notes)
         accept(again, "", "tester", NOW)
-        wait(lambda: again.document.review.state == "accepted" and not again.jobs, "accepted")
+        wait_until(lambda: again.document.review.state == "accepted" and not again.jobs, "accepted")
         assert not again.interrupted and not state.store.pending_acceptances()
         assert not state.was_interrupted(*state.queue.records())
         folder = Path(again.document.saved.folder)

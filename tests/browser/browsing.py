@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import shutil
 import time
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+
+from tests.builders import wait_until
 
 CHROMIUM_FLAGS = (
     "--headless=new",
@@ -22,7 +23,6 @@ CHROMIUM_FLAGS = (
 )
 COARSE = "/?fixedDpr=0.2"
 """viser draws a fifth of the pixels each way, places stay what they are: there is no GPU here."""
-TIMEOUT = 100.0
 
 _PROJECT = """(p) => {
   const m = window.__viserMutable, cam = m.camera, box = m.canvas.getBoundingClientRect();
@@ -39,17 +39,6 @@ def find_chromium() -> str | None:
     """Where a Chromium is, or None."""
     names = ("chromium", "chromium-browser", "google-chrome")
     return next((path for path in map(shutil.which, names) if path), None)
-
-
-def wait_until(condition: Callable[[], Any], what: str, seconds: float = TIMEOUT) -> Any:
-    """Poll until ``condition()`` is true; returns its value."""
-    end = time.monotonic() + seconds
-    while time.monotonic() < end:
-        value = condition()
-        if value:
-            return value
-        time.sleep(0.05)
-    raise AssertionError(f"waited {seconds:.0f} s in vain for: {what}")
 
 
 class Tab:
@@ -131,9 +120,9 @@ class Tab:
         wait_until(lambda: len(self.document.prompts) == before + 1, "the click is a prompt")
         self.settled()
 
-    def settled(self, seconds: float = TIMEOUT) -> None:
+    def settled(self) -> None:
         """Wait until the labels belong to the prompts."""
-        wait_until(lambda: self.document.segmentation_current, "labels follow the prompts", seconds)
+        wait_until(lambda: self.document.segmentation_current, "labels follow the prompts")
         wait_until(
             lambda: not self.document.prompts or self.object.labels is not None, "labels shown"
         )

@@ -289,9 +289,9 @@ def test_one_click_a_joint_mends_a_predicted_demo(start: Any, open_tab: Any) -> 
         obj.do(cmd.AddPart(part, name), "tester")
     for click in file.prompts.clicks:
         obj.do(cmd.AddClick(click), "tester")
-    tab.settled(300)
+    tab.settled()
     tab.button("Predict joints (P)").first.click()
-    tree = wait_until(lambda: obj.document.tree, "joints", 300)
+    tree = wait_until(lambda: obj.document.tree, "joints")
     # The lever about a line that lies askew in it, so that it runs into the seat either way.
     askew = replace(
         tree.joint_of["link_12"], axis=(0.0, 0.871, -0.491), origin=(0.165, -0.017, 0.417),
@@ -299,7 +299,7 @@ def test_one_click_a_joint_mends_a_predicted_demo(start: Any, open_tab: Any) -> 
     )  # fmt: skip
     obj.do(cmd.SetJoint(askew), "tester")
     tab.step("Review")
-    report = wait_until(lambda: obj.validation.report, "a verdict", 300)
+    report = wait_until(lambda: obj.validation.report, "a verdict")
     assert report.severity == Severity.ERROR
     pressed = 0
     while report.severity == Severity.ERROR and pressed < 4:
@@ -307,14 +307,14 @@ def test_one_click_a_joint_mends_a_predicted_demo(start: Any, open_tab: Any) -> 
         before = report
         tab.button(FIXES[worst.fixes[0].kind]).first.click()
         wait_until(lambda: obj.validation.report is not before, "the edit")  # noqa: B023
-        report = wait_until(lambda: obj.validation.report, "a new verdict", 300)
+        report = wait_until(lambda: obj.validation.report, "a new verdict")
         pressed += 1
     assert report.severity == Severity.OK
     tab.page.get_by_text(re.compile("Checks: ✓ 14 OK")).first.wait_for()
     # No reason is asked for any more.
     assert tab.page.get_by_role("button", name=re.compile("Accept anyway")).count() == 0
     tab.button("Accept with edits (Y)").click()
-    saved = wait_until(lambda: obj.document.saved, "saved", 300)
+    saved = wait_until(lambda: obj.document.saved, "saved")
     validation_list = json.loads((Path(saved.folder) / "provenance.json").read_text())["gate"]
     assert (validation_list["verdict"], validation_list["override"]) == ("fine", "")
 

@@ -40,7 +40,6 @@ EYES = ((6.6, 1.9, 2.4), (5.2, 3.1, 2.6))
 
 BETWEEN_PANELS = ((0.22, 0.05), (0.68, 0.95))
 """Of the picture, what no panel covers."""
-SLOW = 400.0
 """Seconds that collision shapes of a scan may take where the machine is busy."""
 MOVING = ("PhysicsRevoluteJoint", "PhysicsPrismaticJoint")
 
@@ -110,7 +109,7 @@ class RoomTab(SceneTab):
         self.press("Extract an object")
         wait_until(lambda: self.selection.picking and self.app.drawing.drawn, "the room is open")
         self.wait_node("/scan")
-        wait_until(lambda: "encode" not in self.object.busy, "it can be clicked on", SLOW)
+        wait_until(lambda: "encode" not in self.object.busy, "it can be clicked on")
         for note in self.page.locator(".mantine-Notification-closeButton").all():
             note.click()  # it may lie over what is clicked
         self.look(eye, at)
@@ -174,13 +173,13 @@ class RoomTab(SceneTab):
             "it is open",
         )
         self.wait_node("/scan")
-        wait_until(lambda: "encode" not in self.object.busy, "it can be clicked on", SLOW)
+        wait_until(lambda: "encode" not in self.object.busy, "it can be clicked on")
         return self.scene.edit.inside
 
     def swing_open(self, degrees: int) -> None:
         """Predict the door's joint, limit it, accept it, and go back to the room."""
         self.key("p")
-        tree = wait_until(lambda: self.document.tree, "a kinematic tree", SLOW)
+        tree = wait_until(lambda: self.document.tree, "a kinematic tree")
         (joint,) = tree.joints
         assert joint.type == "revolute" and abs(joint.axis[2]) > 0.9  # an upright hinge
         assert joint.lower == 0.0  # as it was scanned it is closed
@@ -191,9 +190,7 @@ class RoomTab(SceneTab):
         obj = self.object
         self.step("Review")
         for _ in range(3):
-            report = wait_until(
-                lambda: not obj.busy and obj.validation.report, "the gate's answer", SLOW
-            )
+            report = wait_until(lambda: not obj.busy and obj.validation.report, "the gate's answer")
             if report.severity != Severity.ERROR:
                 break
             # A scan's door may graze its body: a person takes the range that is free.
@@ -209,7 +206,7 @@ class RoomTab(SceneTab):
             self.wait_seen()
             accept.click()
         self.clicks += 4
-        wait_until(lambda: obj.document.review.state == "accepted", "accepted", SLOW)
+        wait_until(lambda: obj.document.review.state == "accepted", "accepted")
         wait_until(lambda: self.scene.edit.inside is None or self.object is not obj, "it goes on")
         if self.scene.edit.inside is not None:
             self.press("Back to the scene (Backspace)")
@@ -252,7 +249,7 @@ def test_two_objects_come_out_of_a_real_room(
     assert tab.status(first) == tab.status(second) == "accepted"
     tab.press("Save scene")
     assert tab.clicks <= 36
-    saved = wait_until(lambda: tab.scene_workspace.document.saved, "the room is saved", SLOW)
+    saved = wait_until(lambda: tab.scene_workspace.document.saved, "the room is saved")
     out = Path(saved.folder)
 
     said = {o["id"]: o for o in json.loads((out / "scene.json").read_text())["objects"]}

@@ -15,7 +15,6 @@ import json
 import os
 import sqlite3
 import tarfile
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
@@ -54,6 +53,7 @@ from sessions.provenance import provenance
 from sessions.serialise import state_from_json, state_to_json
 from sessions.state import Context, SessionState, acceptance_problems, replay
 from sessions.store import Store
+from tests.builders import wait_until
 
 HERE = Path(__file__).parent / "v0.1.0"
 ORIGINAL_ROOT = "/srv/"
@@ -396,13 +396,6 @@ def start_app(root: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[
         app.store.close()
 
 
-def wait(condition: Callable[[], Any], what: str) -> None:
-    end = time.monotonic() + 60.0
-    while not condition():
-        assert time.monotonic() < end, f"waited in vain until {what}"
-        time.sleep(0.01)
-
-
 def test_the_queue_shows_the_same_states(start_app, root: Path, expected: Json) -> None:
     queue = expected["queue"]
     app = start_app([root / name for name in queue["paths"]])
@@ -422,10 +415,10 @@ def test_objects_open_with_their_parts_and_without_new_commands(
     app = start_app([root / name for name in expected["queue"]["paths"]])
     for number, then in expected["opened"].items():
         obj = app.object(int(number))
-        wait(lambda obj=obj: obj.asset or obj.problem, "it is open")
+        wait_until(lambda obj=obj: obj.asset or obj.problem, "it is open")
         assert obj.problem is None
         if obj.document.segmentation is not None and obj.document.prompts:
-            wait(lambda obj=obj: obj.labels is not None, "its labels are there")
+            wait_until(lambda obj=obj: obj.labels is not None, "its labels are there")
         assert_includes(opened_summary(obj), then, f"object {number}")
         assert obj.state.seq == expected["records"][number]["seq"]
     assert display_tasks.open_asset in InlineWorker.submitted
@@ -439,13 +432,15 @@ def test_a_scene_finds_its_working_copies_and_decisions(
     app = start_app([], scene=path, predictor="geometric")
     numbers = {r.id for r in app.store.objects()}
     scene = app.open_scene(path, ())
-    wait(
+    wait_until(
         lambda: scene.problem or InlineWorker.submitted & MUST_NOT_RUN
         or (scene.scene and not scene.busy),
         "the scene is read",
     )  # fmt: skip
     assert scene.problem is None and not InlineWorker.submitted & MUST_NOT_RUN
-    wait(lambda: all(w.drawn for w in scene.wanted() if w.document.tree), "its parts are drawn")
+    wait_until(
+        lambda: all(w.drawn for w in scene.wanted() if w.document.tree), "its parts are drawn"
+    )
     assert {i.obj.id: scene.status(i) for i in scene.items.values()} == then["statuses"]
     copies = {i: scene.work(i) for i in scene.items}
     assert {i: copy and copy.id for i, copy in copies.items()} == then["works"]
