@@ -18,6 +18,7 @@ from model.core.articulated_object import ArticulatedObject
 from model.core.joint import Joint
 from model.core.progress import Progress, no_progress
 from model.io.urdf.writer import link_origins
+from model.io.write.glb import GlbTree
 from model.io.write.meshes import mesh_to_glb
 from model.physics.part_mesh import part_mesh
 from model.physics.simulation_values import Physics
@@ -58,18 +59,18 @@ class GlbExporter:
         return (path,)
 
 
-class _Scene:
+class _Scene(GlbTree):
     """Joins the parts' own GLB files under the nodes of their links."""
 
     def __init__(self, obj: ArticulatedObject) -> None:
+        super().__init__()
         self.obj = obj
         self.origins = link_origins(obj.tree)
-        self.binary = bytearray()
         self.pictures: dict[bytes, int] = {}
-        self.lists: dict[str, list[Any]] = {"nodes": [], "animations": []}
         self.node: dict[str, int] = {}
-        up = {"name": obj.name, "rotation": [-_HALF, 0.0, 0.0, _HALF], "children": []}
-        self.lists["nodes"].append(up)
+        self.append(
+            "nodes", {"name": obj.name, "rotation": [-_HALF, 0.0, 0.0, _HALF], "children": []}
+        )
         for link in obj.tree.order:
             joint = obj.tree.joint_of.get(link)
             above = 0 if joint is None else self.node[joint.parent]
@@ -78,10 +79,9 @@ class _Scene:
             self.node[link] = self._node(above, {"name": link, "translation": offset.tolist()})
 
     def _node(self, above: int, node: dict[str, Any]) -> int:
-        nodes = self.lists["nodes"]
-        nodes.append(node)
-        nodes[above].setdefault("children", []).append(len(nodes) - 1)
-        return len(nodes) - 1
+        number = self.append("nodes", node)
+        self.tree["nodes"][above].setdefault("children", []).append(number)
+        return number
 
     def add(self, link: str, glb: bytes, name: str | None = None) -> None:
         """Take over the one mesh of ``glb`` with all that belongs to it.
@@ -90,7 +90,7 @@ class _Scene:
         the file know it; the nodes that move are called after their links.
         """
         tree, binary = _chunks(glb)
-        base = {key: len(self.lists.setdefault(key, [])) for key in ("accessors", "meshes")}
+        base = {key: len(self.tree.setdefault(key, [])) for key in ("accessors", "meshes")}
         pictures = {image["bufferView"] for image in tree.get("images", [])}
         views = [
             self._view(binary, view, shared=i in pictures)
@@ -121,7 +121,7 @@ class _Scene:
                 for attribute in primitive["attributes"]:
                     primitive["attributes"][attribute] += base["accessors"]
         for key in base:
-            self.lists[key] += tree.get(key, [])
+            self.tree[key] += tree.get(key, [])
         back = (-self.origins[link]).tolist()
         node = {"name": called, "mesh": base["meshes"], "translation": back}
         self._node(self.node[link], node)
@@ -129,7 +129,7 @@ class _Scene:
     def _shared(self, key: str, entry: dict[str, Any] | str) -> int:
         """An entry's number in a list; one that is there already is used again, as viewers keep
         a picture and a shader for each."""
-        entries = self.lists.setdefault(key, [])
+        entries = self.tree.setdefault(key, [])
         if entry not in entries:
             entries.append(entry)
         return entries.index(entry)
@@ -141,11 +141,11 @@ class _Scene:
         known = self.pictures.get(data) if shared else None
         if known is not None:
             return known
-        views = self.lists.setdefault("bufferViews", [])
-        views.append({**view, "byteOffset": self._reserve(data)})
+        target = {"target": view["target"]} if "target" in view else {}
+        number = self.view(data, **target)
         if shared:
-            self.pictures[data] = len(views) - 1
-        return len(views) - 1
+            self.pictures[data] = number
+        return number
 
     def animate(self) -> None:
         """An animation of all joints, and one of each."""
@@ -165,7 +165,7 @@ class _Scene:
             tree.joint_values(dict(zip(named, row, strict=True)))
             for row in np.stack(tracks, axis=1).tolist()
         ]
-        at = self._accessor(times[:, None], "SCALAR", bounds=True)
+        at = self._keys(times[:, None], "SCALAR", bounds=True)
         samplers: list[dict[str, Any]] = []
         channels: list[dict[str, Any]] = []
         for joint in tree.joints:
@@ -179,52 +179,16 @@ class _Scene:
             else:
                 keys = offset + q[:, None] * axis
             kind, path = ("VEC4", "rotation") if joint.rotates else ("VEC3", "translation")
-            sampler = {"input": at, "output": self._accessor(keys, kind), "interpolation": "LINEAR"}
+            sampler = {"input": at, "output": self._keys(keys, kind), "interpolation": "LINEAR"}
             target = {"node": self.node[joint.child], "path": path}
             channels.append({"sampler": len(samplers), "target": target})
             samplers.append(sampler)
-        self.lists["animations"].append({"name": name, "samplers": samplers, "channels": channels})
+        self.append("animations", {"name": name, "samplers": samplers, "channels": channels})
 
-    def _accessor(self, values: FloatArray, kind: str, bounds: bool = False) -> int:
+    def _keys(self, values: FloatArray, kind: str, bounds: bool = False) -> int:
         data = np.ascontiguousarray(values, "<f4")
-        start = self._reserve(data.tobytes())
-        views = self.lists.setdefault("bufferViews", [])
-        views.append({"buffer": 0, "byteOffset": start, "byteLength": data.nbytes})
-        entry: dict[str, Any] = {
-            "bufferView": len(views) - 1,
-            "componentType": 5126,
-            "count": len(data),
-            "type": kind,
-        }
-        if bounds:
-            entry |= {"min": data.min(0).tolist(), "max": data.max(0).tolist()}
-        accessors = self.lists.setdefault("accessors", [])
-        accessors.append(entry)
-        return len(accessors) - 1
-
-    def _reserve(self, data: bytes) -> int:
-        self.binary.extend(b"\0" * (-len(self.binary) % 4))
-        start = len(self.binary)
-        self.binary.extend(data)
-        return start
-
-    def finish(self) -> bytes:
-        """The file's bytes."""
-        self.binary.extend(b"\0" * (-len(self.binary) % 4))
-        tree: dict[str, Any] = {
-            "asset": {"version": "2.0", "generator": "ArtiWorld"},
-            "scene": 0,
-            "scenes": [{"nodes": [0]}],
-            **{key: entries for key, entries in self.lists.items() if entries},
-        }
-        if self.binary:
-            tree["buffers"] = [{"byteLength": len(self.binary)}]
-        text = json.dumps(tree, separators=(",", ":")).encode()
-        text += b" " * (-len(text) % 4)
-        size = 12 + 8 + len(text) + 8 + len(self.binary)
-        head = b"glTF" + struct.pack("<II", 2, size)
-        head += struct.pack("<I", len(text)) + b"JSON" + text
-        return head + struct.pack("<I", len(self.binary)) + b"BIN\0" + bytes(self.binary)
+        more = {"min": data.min(0).tolist(), "max": data.max(0).tolist()} if bounds else {}
+        return self.accessor(data, kind, 5126, self.view(data.tobytes()), **more)
 
 
 def _texture_slots(material: dict[str, Any]) -> list[dict[str, Any]]:

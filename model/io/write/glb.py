@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import struct
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -74,40 +75,62 @@ def _looks(materials: Sequence[Material]) -> Array:
     return np.array([first.setdefault(key, i) for i, key in enumerate(keys)])
 
 
-class _Builder:
+class GlbTree:
+    """A glTF tree and its binary buffer while they are written.
+
+    Attributes:
+        binary: the buffer. tree: the JSON document.
+    """
+
     def __init__(self) -> None:
         self.binary = bytearray()
         self.tree: dict[str, Any] = {
             "asset": {"version": "2.0", "generator": "ArtiWorld"},
             "scene": 0,
             "scenes": [{"nodes": [0]}],
-            "nodes": [{"mesh": 0}],
-            "meshes": [],
-            "accessors": [],
-            "bufferViews": [],
-            "materials": [],
         }
+
+    def append(self, key: str, entry: Any) -> int:
+        """Append to the list ``key`` of the tree; returns the entry's number."""
+        entries = self.tree.setdefault(key, [])
+        entries.append(entry)
+        return len(entries) - 1
+
+    def view(self, data: bytes, **more: Any) -> int:
+        """Append ``data`` to the buffer as a view of its own; ``more`` are its properties."""
+        self.binary.extend(b"\0" * (-len(self.binary) % 4))
+        place = {"buffer": 0, "byteOffset": len(self.binary), "byteLength": len(data)}
+        self.binary.extend(data)
+        return self.append("bufferViews", place | more)
+
+    def accessor(self, values: Array, kind: str, component: int, view: int, **more: Any) -> int:
+        """Append an accessor of the rows of ``values`` in ``view``."""
+        entry = {"bufferView": view, "componentType": component, "count": len(values), "type": kind}
+        return self.append("accessors", entry | more)
+
+    def finish(self) -> bytes:
+        """The bytes of the GLB file."""
+        self.binary.extend(b"\0" * (-len(self.binary) % 4))
+        if self.binary:
+            self.tree["buffers"] = [{"byteLength": len(self.binary)}]
+        text = json.dumps(self.tree, separators=(",", ":")).encode()
+        text += b" " * (-len(text) % 4)
+        chunks = struct.pack("<I", len(text)) + b"JSON" + text
+        chunks += struct.pack("<I", len(self.binary)) + b"BIN\0" + bytes(self.binary)
+        return b"glTF" + struct.pack("<II", 2, 12 + len(chunks)) + chunks
+
+
+class _Builder(GlbTree):
+    def __init__(self) -> None:
+        super().__init__()
+        self.tree |= {"nodes": [{"mesh": 0}]}
+        self.tree |= {k: [] for k in ("meshes", "accessors", "bufferViews", "materials")}
         self._images: dict[int | ImageFile, int] = {}
 
-    def view(self, data: bytes, target: int | None = None) -> int:
-        self.binary.extend(b"\0" * (-len(self.binary) % 4))
-        entry = {"buffer": 0, "byteOffset": len(self.binary), "byteLength": len(data)}
-        if target is not None:
-            entry["target"] = target
-        self.binary.extend(data)
-        self.tree["bufferViews"].append(entry)
-        return len(self.tree["bufferViews"]) - 1
-
-    def accessor(self, values: Array, kind: str, component: int, **more: Any) -> int:
+    def rows(self, values: Array, kind: str, component: int, **more: Any) -> int:
         target = 34963 if kind == "SCALAR" else 34962
-        entry = {
-            "bufferView": self.view(np.ascontiguousarray(values).tobytes(), target),
-            "componentType": component,
-            "count": len(values),
-            "type": kind,
-        }
-        self.tree["accessors"].append(entry | more)
-        return len(self.tree["accessors"]) - 1
+        view = self.view(np.ascontiguousarray(values).tobytes(), target=target)
+        return self.accessor(values, kind, component, view, **more)
 
     def material(self, material: Material, colored: bool, max_texture: int | None) -> None:
         color = np.array(material.base_color, np.float64) / 255.0
@@ -152,10 +175,9 @@ class _Builder:
         key = image if isinstance(image, ImageFile) else id(image)
         if key not in self._images:
             data, suffix = _sent(image, max_texture)
-            images = self.tree.setdefault("images", [])
-            images.append({"bufferView": self.view(data), "mimeType": _MIME[suffix]})
-            self.tree.setdefault("textures", []).append({"source": len(images) - 1})
-            self._images[key] = len(images) - 1
+            picture = {"bufferView": self.view(data), "mimeType": _MIME[suffix]}
+            source = self.append("images", picture)
+            self._images[key] = self.append("textures", {"source": source})
         return self._images[key]
 
     def geometry(self, mesh: Mesh, look: Array, y_up: bool, smooth: bool) -> None:
@@ -173,7 +195,7 @@ class _Builder:
             attributes = self._attributes(mesh, vertex, normal, y_up, int(i))
             index = index.reshape(-1)
             small = len(vertex) < 65535
-            at = self.accessor(
+            at = self.rows(
                 index.astype("<u2" if small else "<u4"), "SCALAR", 5123 if small else 5125
             )
             primitives.append(
@@ -186,33 +208,22 @@ class _Builder:
     ) -> dict[str, int]:
         points = _turned(mesh.vertices[vertex], y_up).astype("<f4")
         out = {
-            "POSITION": self.accessor(
+            "POSITION": self.rows(
                 points, "VEC3", 5126, min=points.min(0).tolist(), max=points.max(0).tolist()
             )
         }
         if normal is not None:
-            out["NORMAL"] = self.accessor(_turned(normal, y_up).astype("<f4"), "VEC3", 5126)
+            out["NORMAL"] = self.rows(_turned(normal, y_up).astype("<f4"), "VEC3", 5126)
         if mesh.uv is not None and mesh.materials[material].pictured:
             uv = mesh.uv[vertex]
             st = np.column_stack([uv[:, 0], 1.0 - uv[:, 1]]).astype("<f4")
-            out["TEXCOORD_0"] = self.accessor(st, "VEC2", 5126)
+            out["TEXCOORD_0"] = self.rows(st, "VEC2", 5126)
         if mesh.vertex_colors is not None:
             rgba = mesh.vertex_colors[vertex] / 255.0
             rgba[:, :3] = to_linear(rgba[:, :3])
             short = np.rint(rgba * 65535).astype("<u2")
-            out["COLOR_0"] = self.accessor(short, "VEC4", 5123, normalized=True)
+            out["COLOR_0"] = self.rows(short, "VEC4", 5123, normalized=True)
         return out
-
-    def finish(self) -> bytes:
-        self.binary.extend(b"\0" * (-len(self.binary) % 4))
-        self.tree["buffers"] = [{"byteLength": len(self.binary)}]
-        text = json.dumps(self.tree, separators=(",", ":")).encode()
-        text += b" " * (-len(text) % 4)
-        size = 12 + 8 + len(text) + 8 + len(self.binary)
-        head = b"glTF" + (2).to_bytes(4, "little") + size.to_bytes(4, "little")
-        chunks = len(text).to_bytes(4, "little") + b"JSON" + text
-        chunks += len(self.binary).to_bytes(4, "little") + b"BIN\0" + bytes(self.binary)
-        return head + chunks
 
 
 def _turned(vectors: Array, y_up: bool) -> Array:
