@@ -23,6 +23,8 @@ CHROMIUM_FLAGS = (
 )
 COARSE = "/?fixedDpr=0.2"
 """viser draws a fifth of the pixels each way, places stay what they are: there is no GPU here."""
+PAGE_TIMEOUT = 300_000
+"""Milliseconds that the page may take for anything; it draws in software on busy cores."""
 
 _PROJECT = """(p) => {
   const m = window.__viserMutable, cam = m.camera, box = m.canvas.getBoundingClientRect();
@@ -68,17 +70,15 @@ class Tab:
     def ready(self) -> Tab:
         """Wait for the object's picture and for clicks to be heard."""
         page = self.page
-        page.wait_for_selector("canvas", state="attached", timeout=150_000)
-        page.wait_for_function(
-            "() => window.__viserSceneTree && window.__viserMutable", timeout=150_000
-        )
+        page.wait_for_selector("canvas", state="attached")
+        page.wait_for_function("() => window.__viserSceneTree && window.__viserMutable")
         wait_until(lambda: self.server.apps, "the server sees the tab")
         wait_until(
             lambda: self.object is not None and self.object.asset is not None,
             "the object is open",
         )
         self.wait_node("/scan")
-        page.wait_for_function("() => window.__viserPointer.hasSceneClickFilter()", timeout=150_000)
+        page.wait_for_function("() => window.__viserPointer.hasSceneClickFilter()")
         page.wait_for_timeout(400)
         return self
 
@@ -86,7 +86,6 @@ class Tab:
         self.page.wait_for_function(
             "(n) => { const s = window.__viserSceneTree?.getState?.(); return !!s && !!s[n]; }",
             arg=name,
-            timeout=150_000,
         )
 
     def camera_at_rest(self) -> Any:
@@ -131,6 +130,10 @@ class Tab:
         """Press a key with the canvas in focus."""
         self.page.keyboard.press(name)
 
+    def wait_for_keyboard(self) -> None:
+        """Wait until no field takes the keys: a list or a number gives them back."""
+        self.page.wait_for_function("() => !document.activeElement?.matches('input, textarea')")
+
     def wait_seen(self) -> None:
         """Wait until what is shown was there for long enough to be decided on."""
         wait_until(lambda: self.app.guard.long_enough(time.monotonic()), "it was seen")
@@ -159,15 +162,15 @@ class Tab:
         from playwright.sync_api import TimeoutError as NotInTime
 
         wanted = self.page.get_by_role("option", name=option, exact=True)
-        for tries_left in (2, 1, 0):
+        for tries_left in reversed(range(6)):
             self.field(label).click()
             try:
-                wanted.click(timeout=5000)
+                wanted.click(timeout=10_000)
                 break
             except NotInTime:  # a folder that still unfolds moves the box from under its list
                 if not tries_left:
                     raise
-        self.page.wait_for_timeout(150)  # the box gives the keyboard back
+        self.wait_for_keyboard()
 
     def button(self, text: str) -> Any:
         return self.page.get_by_role("button", name=text, exact=True)
@@ -195,11 +198,11 @@ class SceneTab(Tab):
 
     def ready(self) -> SceneTab:
         page = self.page
-        page.wait_for_selector("canvas", state="attached", timeout=150_000)
+        page.wait_for_selector("canvas", state="attached")
         wait_until(lambda: self.server.apps, "the server sees the tab")
         wait_until(lambda: self.scene_workspace.scene is not None, "the scene is read")
         self.wait_node("/world/ground")
-        page.wait_for_function("() => window.__viserPointer.hasSceneClickFilter()", timeout=150_000)
+        page.wait_for_function("() => window.__viserPointer.hasSceneClickFilter()")
         page.wait_for_timeout(400)
         return self
 

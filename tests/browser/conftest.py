@@ -6,9 +6,25 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
-from tests.browser.browsing import CHROMIUM_FLAGS, COARSE, Tab, find_chromium
+from tests.app.shared_workers import shared_workers
+from tests.browser.browsing import CHROMIUM_FLAGS, COARSE, PAGE_TIMEOUT, Tab, find_chromium
+from tests.browser.objects import write_cabinet
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _shared_workers() -> Iterator[None]:
+    with shared_workers():
+        yield
+
+
+@pytest.fixture(scope="session")
+def cabinet(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, np.ndarray]]:
+    """A cabinet's file and a visible point of each part, see :func:`write_cabinet`."""
+    path = tmp_path_factory.mktemp("cabinet") / "cabinet.ply"
+    return path, write_cabinet(path)
 
 
 @pytest.fixture(scope="session")
@@ -25,21 +41,22 @@ def browser() -> Iterator[Any]:
 
 
 @pytest.fixture
-def start(tmp_path: Path) -> Iterator[Callable[..., Any]]:
-    """Start servers in this process: ``start(paths, **ServeConfig fields)``."""
+def start(tmp_path: Path, cabinet: tuple[Path, Any]) -> Iterator[Callable[..., Any]]:
+    """Start servers in this process: ``start(paths, **ServeConfig fields)``.
+
+    Those of the cabinet share a workspace, where it is encoded once, but no database.
+    """
     from app.cli.serve import start_server
     from app.server.config import ServeConfig
 
     running: list[Any] = []
 
     def begin(*paths: Path, **settings: Any) -> Any:
-        config = ServeConfig(
-            paths=tuple(paths),
-            workspace=settings.pop("workspace", tmp_path / "workspace"),
-            port=0,
-            user=settings.pop("user", "tester"),
-            **settings,
-        )
+        own: dict[str, Any] = {"workspace": tmp_path / "workspace", "port": 0, "user": "tester"}
+        if paths[:1] == cabinet[:1]:
+            own["workspace"] = cabinet[0].with_name("workspace")
+            own["database"] = f"sqlite:///{tmp_path / 'artiworld.db'}"
+        config = ServeConfig(paths=tuple(paths), **{**own, **settings})
         running.append(start_server(config))
         return running[-1]
 
@@ -57,6 +74,7 @@ def open_tab(browser: Any) -> Iterator[Callable[..., Tab]]:
         server: Any, width: int = 1280, height: int = 800, kind: type[Tab] = Tab, **context: Any
     ) -> Tab:
         contexts.append(browser.new_context(viewport={"width": width, "height": height}, **context))
+        contexts[-1].set_default_timeout(PAGE_TIMEOUT)
         page = contexts[-1].new_page()
         page.goto(f"{server.url}{COARSE}")
         return kind(page, server).ready()

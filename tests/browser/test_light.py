@@ -10,7 +10,7 @@ import trimesh
 
 from tests.browser.browsing import COARSE, Tab, wait_until
 
-pytestmark = [pytest.mark.browser, pytest.mark.flaky(reruns=2, reruns_delay=2)]
+pytestmark = pytest.mark.browser
 
 SURROUNDINGS = "() => window.__viserMutable.scene.environment !== null"
 LAMPS = "() => '/light/sky' in window.__viserSceneTree.getState()"

@@ -11,8 +11,7 @@ import pytest
 from model.validation.report import Severity
 from tests.browser.browsing import Tab, wait_until
 
-# A loaded machine without a GPU may draw a picture too late; twice more is fair.
-pytestmark = [pytest.mark.browser, pytest.mark.flaky(reruns=2, reruns_delay=2)]
+pytestmark = pytest.mark.browser
 
 
 def frontmost(tab: Tab, height: float, across: float) -> np.ndarray:

@@ -26,7 +26,6 @@ from tests.browser.browsing import Tab, wait_until
 pytestmark = [
     pytest.mark.browser,
     pytest.mark.timeout(900),
-    pytest.mark.flaky(reruns=2, reruns_delay=2),
 ]
 
 W = 0.02

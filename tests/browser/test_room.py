@@ -22,10 +22,8 @@ from model.validation.report import Severity
 from tests.browser.browsing import SceneTab, wait_until
 from tests.model.scenes.saved import points_in_place
 
-# A loaded machine without a GPU may draw a picture too late; twice more is fair.
 pytestmark = [
     pytest.mark.browser,
-    pytest.mark.flaky(reruns=2, reruns_delay=2),
     pytest.mark.timeout(900),
 ]
 

@@ -16,8 +16,7 @@ from sessions import commands as cmd
 from tests.browser.browsing import SceneTab, wait_until
 from tests.model.scenes.scenes_made import make_assets, own, write_scene
 
-# A loaded machine without a GPU may draw a picture too late; twice more is fair.
-pytestmark = [pytest.mark.browser, pytest.mark.flaky(reruns=2, reruns_delay=2)]
+pytestmark = pytest.mark.browser
 
 
 def entry(id: str, asset: str, x: float, **more: Any) -> dict[str, Any]:

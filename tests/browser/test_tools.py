@@ -11,18 +11,11 @@ from PIL import Image
 
 from app.server.tasks import asset_of
 from tests.browser.browsing import Tab, wait_until
-from tests.browser.objects import write_cabinet, write_cloud, write_flush
+from tests.browser.objects import write_cloud, write_flush
 
 OVEN = Path(__file__).parents[2] / "static_assets" / "examples" / "oven_scan.ply"
 
-# A loaded machine without a GPU may draw a picture too late; twice more is fair.
-pytestmark = [pytest.mark.browser, pytest.mark.flaky(reruns=2, reruns_delay=2)]
-
-
-@pytest.fixture
-def cabinet(tmp_path: Path) -> tuple[Path, dict[str, np.ndarray]]:
-    path = tmp_path / "cabinet.ply"
-    return path, write_cabinet(path)
+pytestmark = pytest.mark.browser
 
 
 def drag(tab: Tab, points: list[tuple[float, float]]) -> None:

@@ -10,7 +10,7 @@ import trimesh
 
 from tests.browser.browsing import Tab, wait_until
 
-pytestmark = [pytest.mark.browser, pytest.mark.flaky(reruns=2, reruns_delay=2)]
+pytestmark = pytest.mark.browser
 
 URDF = """<robot name="r"><link name="body"><visual><geometry>
 <mesh filename="body.ply"/></geometry></visual></link>

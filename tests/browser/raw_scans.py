@@ -1,0 +1,46 @@
+"""Scans as they come from a phone: the bundled ones at any rotation and scale, on a table."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from model.core.asset import Asset
+from model.core.point_cloud import PointCloud
+from model.core.resources import static_assets
+from model.io.open_asset import open_asset
+from model.io.write.meshes import write_cloud
+
+
+def raw_scan(
+    out: Path, name: str = "oven_scan", seed: int = 0, scale: float | None = None
+) -> npt.NDArray[np.float64]:
+    """Write a bundled scan on a table, with strays, to a PLY file.
+
+    Returns:
+        (4, 4) source_from_object.
+    """
+    rng = np.random.default_rng(seed)
+    asset: Asset = open_asset(static_assets() / "examples" / f"{name}.ply")
+    cloud = asset.cloud
+    assert cloud is not None and cloud.colors is not None
+    low, high = asset.bounds
+    size = float(np.linalg.norm(high - low))
+    count = len(cloud) // 3
+    middle, half = (low + high)[:2] / 2, 0.8 * size
+    table = np.column_stack([rng.uniform(middle - half, middle + half, (count, 2)),
+                             rng.normal(low[2], 0.001 * size, count)])  # fmt: skip
+    strays = rng.uniform(low - 0.3 * size, high + 0.3 * size, (len(cloud) // 250, 3))
+    points = np.concatenate([cloud.points, table, strays])
+    wood = np.clip(rng.normal((150, 112, 78), 6, (count, 3)), 0, 255)
+    colors = np.concatenate([cloud.colors, wood, rng.integers(40, 220, (len(strays), 3))])
+    frame = np.eye(4)
+    factor = rng.uniform(0.3, 3.0) if scale is None else scale
+    frame[:3, :3] = factor * Rotation.random(random_state=seed).as_matrix()
+    frame[:3, 3] = rng.normal(0, 1, 3)
+    moved = points @ frame[:3, :3].T + frame[:3, 3]
+    write_cloud(PointCloud(moved.astype(np.float32), None, colors.astype(np.uint8)), out)
+    return frame
