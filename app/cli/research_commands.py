@@ -157,10 +157,11 @@ class TrainCommand(Command):
 class BenchCommand(Command):
     """Measure speed and accuracy."""
 
-    what: Literal["ui", "scene", "segment", "scans", "predict", "networks"] = argument(
+    what: Literal["ui", "scene", "segment", "scans", "predict", "weights", "networks"] = argument(
         "the screen of one object, of a scene; the segmenter; reconstructed scans from file to "
-        "joints; the predictor; the paper-size networks with random weights", None,
-    )  # fmt: skip
+        "joints; the predictor; what its weights read; the paper-size networks with random weights",
+        None,
+    )
     data: Path | None = option("segment, scans: folder of real data, by default procedural", "DIR")
     sets: tuple[str, ...] | None = option(
         "segment: data sets, e.g. partnet-mesh, or urdf-scan for your own URDFs", "NAME", nargs="+"
@@ -174,7 +175,7 @@ class BenchCommand(Command):
     faces: int = option("ui: size of the mesh; 0 leaves it out", "N", 1_000_000, parse=count)
     clicks: int = option("ui: clicks on each object", "N", 40, parse=count)
     objects: int = option("scene: number of objects", "N", 200, parse=count)
-    limit: int | None = option("segment, scans: objects of each set; 0 for all", "LIMIT")
+    limit: int | None = option("segment, scans, weights: objects of each set; 0 for all", "LIMIT")
     offset: int | None = option("segment: object at which the subset begins", "N")
     parts: int | None = option("segment: most parts of an object", "N", parse=count)
     first: Literal["deepest", "random"] | None = option("segment: place of the first click")

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
+from model.core.progress import Progress, no_progress
 from model.prediction.arti4urdf.network import ArtiModel, Prompt, whole_cloud
 from model.prediction.arti4urdf.structure import POINTS
 from model.training.arti4urdf.batches import (
@@ -19,7 +20,7 @@ from model.training.arti4urdf.batches import (
     teacher_forced,
     without_judgements,
 )
-from model.training.arti4urdf.samples import Sample
+from model.training.arti4urdf.samples import Sample, draw_truth, make_sample, training_families
 
 Change = Callable[[Sequence[Prompt], np.random.Generator], list[Prompt]]
 
@@ -38,6 +39,16 @@ class Probe:
     slots: float
     trees: float
     surprise: float
+
+
+def unseen_samples(count: int, progress: Progress = no_progress) -> list[Sample]:
+    """Objects without names, by a seed that no training used."""
+    families, found = training_families(), []
+    for k in range(count):
+        progress(k / count, f"object {k + 1} of {count}")
+        truth, _ = draw_truth(families[k % len(families)], 77_001, k)
+        found.append(make_sample(truth, named=False, seed=k))
+    return [s for s in found if s is not None]
 
 
 def probe(model: ArtiModel, samples: Sequence[Sample], change: Change | None = None) -> Probe:
