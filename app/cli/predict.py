@@ -19,7 +19,7 @@ from model.core.tree import KinematicTree
 from model.io.assets.asset_folder import write_asset
 from model.io.open_asset import read_part_files
 from model.physics.collision.store import default_store
-from model.physics.simulation_values import physics_of, plain_physics
+from model.physics.simulation_values import Physics, physics_of, plain_physics
 from model.prediction.registry import DEFAULT, load_predictor
 
 FORMAT = 1
@@ -77,18 +77,13 @@ def predict(
         why = "; ".join(answer.problems) or "no reason was given"
         raise NothingPredicted(f"{predictor} found no kinematic tree for {folder}: {why}")
     obj = _articulated(segmented, answer.tree)
-    if collision or all(p.link in obj.shapes for p in obj.parts):
-        span = scaled_progress(progress, 0.7, 0.8)
-        physics = physics_of(obj, store=default_store(), progress=span)
-    else:
-        physics = plain_physics(obj)
+    physics = _physics(obj, collision, scaled_progress(progress, 0.7, 0.8))
     report["kilograms"] = round(sum(i.mass for i in physics.inertials.values()), 4)
     report["collision_shapes"] = sum(map(len, physics.collision.values()))
     report["collision_from_source"] = list(physics.declared_shapes)
     progress(0.8, f"writing {out}")
-    provenance = {
-        "source": str(folder), "predictor": report["backend"], "seed": seed, "versions": versions(),
-    }  # fmt: skip
+    provenance = {"source": str(folder), "predictor": report["backend"], "seed": seed}
+    provenance["versions"] = versions()
     (out / PREDICTION_JSON).unlink(missing_ok=True)  # of a run that found nothing
     write_asset(
         obj, out.absolute(), provenance=provenance, physics=physics,
@@ -97,6 +92,12 @@ def predict(
     write_json(out / PREDICTION_JSON, report)
     progress(1.0, "done")
     return report
+
+
+def _physics(obj: ArticulatedObject, collision: bool, progress: Progress) -> Physics:
+    if collision or all(p.link in obj.shapes for p in obj.parts):
+        return physics_of(obj, store=default_store(), progress=progress)
+    return plain_physics(obj)
 
 
 def _articulated(segmented: SegmentedObject, tree: KinematicTree) -> ArticulatedObject:

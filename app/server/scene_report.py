@@ -1,17 +1,15 @@
 """A report on an open scene: a picture, and the state of each object with its reason.
 
-The page loads nothing from elsewhere and runs no scripts. Every name is escaped.
+The page loads nothing from elsewhere and runs no scripts.
 """
 
 from __future__ import annotations
 
-import base64
 import json
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -21,13 +19,14 @@ from app.server.part_tasks import PartSource, articulated_object
 from app.server.scene_shapes import Shape
 from app.server.scene_tasks import SceneItem
 from model.core.articulated_object import ArticulatedObject, Part
-from model.core.errors import ArtiworldError, InputFileError
+from model.core.errors import ArtiworldError
 from model.core.joint import Joint
 from model.core.mesh import Mesh
 from model.core.point_cloud import PointCloud
 from model.core.progress import Progress, no_progress
 from model.core.tree import KinematicTree
 from model.evaluation import render
+from model.evaluation.html_page import write_page
 from model.io.urdf.meshes import merged
 from model.scenes.results import SCENE_JSON
 from model.scenes.scene import SceneProblem
@@ -42,16 +41,7 @@ STATES: dict[str, tuple[str, tuple[int, int, int]]] = {
     "missing": ("missing", (90, 96, 104)),
 }
 """State → label and colour, in the order of the page."""
-STYLE = """
-body{font:15px/1.45 system-ui,sans-serif;margin:2rem auto;max-width:74rem;padding:0 1rem;
-color:#1d2329;background:#fff}
-h1,h2{line-height:1.2}table{border-collapse:collapse;width:100%;font-size:13.5px}
-th,td{padding:.4rem .6rem;border-bottom:1px solid #dde1e6;text-align:left;vertical-align:top}
-img{max-width:100%;border:1px solid #e3e6ea;border-radius:4px}td img{width:150px}
-.dot{display:inline-block;width:.8em;height:.8em;border-radius:3px;margin-right:.4em}
-.counts{display:flex;flex-wrap:wrap;gap:.4rem 1.6rem;margin:1rem 0;padding:0;list-style:none}
-.line{white-space:nowrap}.note{color:#556}.warn{color:#a4510a}
-"""
+TEMPLATE = Path(__file__).with_name("scene_report.html")
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,51 +104,15 @@ def write_report(
         if row.work is not None and row.source is not None and row.work not in drawn:
             progress(0.1 + 0.85 * k / len(rows), row.item.obj.id)
             drawn[row.work] = _thumbnail(row)
-    counts = Counter(r.status for r in rows)
-    legend = "".join(
-        f"<li>{_dot(s)}{escape(STATES[s][0])}: <b>{counts[s]}</b></li>" for s in order if counts[s]
-    )
-    remarks = "".join(f"<li class=warn>{escape(p.object)}: {escape(p.text)}</li>" for p in problems)
     entries = _saved_entries(saved)
-    body = "".join(
-        _line(r, drawn.get(r.work) if r.work is not None else None, entries.get(r.item.obj.id, {}))
-        for r in rows
-    )
-    page = (
-        f"<!doctype html><html lang=en><meta charset=utf-8><title>{escape(name)}</title>"
-        f"<style>{STYLE}</style><h1>{escape(name)}</h1><p class=note>{len(rows)} objects. "
-        f"{_sim_id(rows)}</p><ul class=counts>{legend}</ul>{_img(picture, 'the scene')}"
-        f"{f'<h2>About the file</h2><ul>{remarks}</ul>' if remarks else ''}"
-        "<h2>Objects</h2><table><tr><th>object<th>state<th>why<th>joints<th>picture</tr>"
-        f"{body}</table></html>"
-    )
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(page, encoding="utf-8")
-    except OSError as error:
-        raise InputFileError(path, f"can't be written: {error.strerror or error}") from None
-    return path
-
-
-def _sim_id(rows: Sequence[ReportRow]) -> str:
-    """Return Sim-Id (ArtiWorld, metrics) of the objects whose asset is known to move."""
-    known = [r for r in rows if r.item.truth]
-    if not known:
-        return ""
-    found = sum(r.item.decision.articulable for r in known)
-    return f"Sim-Id {found}/{len(known)} articulable objects found."
-
-
-def _dot(status: str) -> str:
-    return f"<span class=dot style='background:rgb{STATES[status][1]}'></span>"
-
-
-def _img(data: bytes | None, alt: str) -> str:
-    if data is None:
-        return ""
-    return (
-        f"<img alt='{escape(alt)}' src='data:image/png;base64,{base64.b64encode(data).decode()}'>"
-    )
+    known = [r for r in rows if r.item.truth]  # their asset is known to move
+    return write_page(
+        path, TEMPLATE, name=name, rows=rows, states=STATES, counts=Counter(r.status for r in rows),
+        picture=picture, problems=problems, drawn=drawn, known=len(known),
+        found=sum(r.item.decision.articulable for r in known),
+        notes=lambda row: _notes(row, entries.get(row.item.obj.id, {})),
+        joints=lambda row: _joints(row, entries.get(row.item.obj.id, {})),
+    )  # fmt: skip
 
 
 def _saved_entries(folder: Path | None) -> dict[str, dict[str, Any]]:
@@ -172,53 +126,37 @@ def _saved_entries(folder: Path | None) -> dict[str, dict[str, Any]]:
         return {}
 
 
-def _line(row: ReportRow, picture: bytes | None, saved: Mapping[str, Any]) -> str:
-    obj, decision = row.item.obj, row.item.decision
-    state = f"{_dot(row.status)}{escape(STATES[row.status][0])}"
-    if row.by and row.status in ("accepted", "rejected"):
-        why = f": {escape(row.reason)}" if row.reason else ""
-        when = row.at[:16].replace("T", " ")
-        state += f"<br><span class=note>{escape(row.by)}, {escape(when)}{why}</span>"
-    reason = escape(decision.reason)
-    if row.decided is not None:
-        reason += f"<br>Decided by a person: {'articulable' if row.decided else 'static'}."
+def _notes(row: ReportRow, saved: Mapping[str, Any]) -> list[str]:
     notes = list(row.notes)
     if saved.get("held"):
         notes.append(f"Its base is fixed in the saved scene: it {saved['held']}")
     for name in dict.fromkeys(p["through"] for p in saved.get("passes", ())):
         notes.append(f"Starts inside {name}, and passes through it in the saved scene")
-    reason += "".join(f"<br><span class=warn>{escape(n)}</span>" for n in notes)
+    return notes
+
+
+def _joints(row: ReportRow, saved: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Return a line for each moving joint, and a note where the saved scene shortens its range."""
+    if row.tree is None:
+        return []
     shorter = {c["joint"]: c for c in saved.get("shortened", ())}
-    joints = "" if row.tree is None else "<br>".join(
-        _joint(j, row.names.get(j.child, j.name), row.confidences.get(j.child),
-               shorter.get(j.name))
-        for j in row.tree.joints if j.moves
-    )  # fmt: skip
-    about = (
-        ""
-        if obj.description == obj.id
-        else f"<br><span class=note>{escape(obj.description)}</span>"
-    )
-    return (
-        f"<tr><td><b>{escape(obj.id)}</b>{about}<td>{state}<td>{reason}<td>{joints}"
-        f"<td>{_img(picture, obj.id)}</tr>"
-    )
+    return [_joint(row, joint, shorter.get(joint.name)) for joint in row.tree.joints if joint.moves]
 
 
-def _joint(
-    joint: Joint, name: str, confidence: float | None, shorter: Mapping[str, Any] | None
-) -> str:
-    """Return a joint with its range; ``shorter`` is the range in the saved scene."""
+def _joint(row: ReportRow, joint: Joint, shorter: Mapping[str, Any] | None) -> tuple[str, str]:
     limits = (joint.lower or 0.0, joint.upper or 0.0) if joint.limited else None
-    note = ""
-    certainty = "" if confidence is None else f", confidence {100 * confidence:.0f} %"
+    confidence, note = row.confidences.get(joint.child), ""
     if shorter is not None and _same(limits, shorter["was"]):
         hits = ", ".join(dict.fromkeys(shorter["hits"].values()))
         was = "" if limits is None else f", was{_span(joint, limits)}"
         limits = shorter["limits"]
-        note = f"<br><span class=note>{escape(f'in the saved scene limited by {hits}{was}')}</span>"
-    span = "" if limits is None else _span(joint, limits)
-    return f"<span class=line>{escape(name)}: {joint.type}{span}{certainty}</span>{note}"
+        note = f"in the saved scene limited by {hits}{was}"
+    name, span = (
+        row.names.get(joint.child, joint.name),
+        "" if limits is None else _span(joint, limits),
+    )
+    certainty = "" if confidence is None else f", confidence {100 * confidence:.0f} %"
+    return f"{name}: {joint.type}{span}{certainty}", note
 
 
 def _span(joint: Joint, limits: Sequence[float]) -> str:

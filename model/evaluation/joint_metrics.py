@@ -24,7 +24,7 @@ as a hit. Choices that the paper leaves open are made here, once:
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -190,17 +190,14 @@ def score_object(
     for part in sorted(parts):
         true_chain = chain(truth.tree, part, parts)[1]
         found = () if part not in below else path(predicted, part, parts)[1]  # type: ignore[arg-type]
-        rest = [j for j in found if j.moves]
         absent = "unparseable" if any(j.name in faulty for j in found) else "missing"
         scorer = _PartScorer(
             part, below.get(part) == above[part], diagonal, _diagonal(truth, {part}), limits
         )
-        for joint in true_chain:
-            best = _best(rest, true_chain, joint)
+        for joint, best in _paired(true_chain, [j for j in found if j.moves]):
             if best is None:
                 joints.append(scorer.missing(joint, absent))
                 continue
-            rest.remove(best)
             used.add(best.name)
             own = (confidence or {}).get(part)
             joints.append(scorer.score(joint, best, best.name in swapped, own))
@@ -226,11 +223,18 @@ def _diagonal(truth: ArticulatedObject, links: Collection[str]) -> float:
     return float(np.linalg.norm(bounds[:, 1].max(0) - bounds[:, 0].min(0))) or 1.0
 
 
-def _best(rest: Sequence[Joint], true_chain: Sequence[Joint], joint: Joint) -> Joint | None:
-    """The predicted joint for ``joint``: of its type, else of a type that no later one has."""
-    later = {j.type for j in true_chain[true_chain.index(joint) + 1 :]}
-    same = next((j for j in rest if j.type == joint.type), None)
-    return same or next((j for j in rest if j.type not in later), None)
+def _paired(
+    true_chain: Sequence[Joint], found: Sequence[Joint]
+) -> Iterator[tuple[Joint, Joint | None]]:
+    """True joints with the predicted one of their type, else of a type that no later one has."""
+    rest = list(found)
+    for k, joint in enumerate(true_chain):
+        later = {j.type for j in true_chain[k + 1 :]}
+        same = next((j for j in rest if j.type == joint.type), None)
+        best = same or next((j for j in rest if j.type not in later), None)
+        if best is not None:
+            rest.remove(best)
+        yield joint, best
 
 
 @dataclass(frozen=True)

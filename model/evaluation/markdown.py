@@ -11,8 +11,8 @@ from model.evaluation.report import (
     COLUMNS,
     Report,
     faults,
+    figure_row,
     paper_rows,
-    show,
     summary_cells,
 )
 from model.evaluation.summary import METRICS
@@ -84,17 +84,7 @@ def _run(report: Report) -> list[str]:
     ]
     lines += table(
         ("figure", "value", "95 % interval", "unit", "definition", "source"),
-        [
-            (
-                m.label,
-                show(m, s[m.key]),
-                "–" if show(m, s[m.key]) == "–" else _interval(report, i),
-                m.unit,
-                m.definition,
-                m.source,
-            )
-            for i, m in enumerate(METRICS)
-        ],
+        [figure_row(report, m) for m in METRICS],
     )
     lines += _calibration(report)
     lines += ["", "### By category", ""]
@@ -138,12 +128,6 @@ def _seconds(report: Report) -> str:
         f"{mean:.2f} s an object, at most {max(report.seconds, default=0):.2f} s; the run took "
         f"{report.wall_seconds:.0f} s."
     )
-
-
-def _interval(report: Report, index: int) -> str:
-    metric = METRICS[index]
-    low, high = report.intervals[metric.key]
-    return f"{show(metric, low)} … {show(metric, high)}"
 
 
 def _calibration(report: Report) -> list[str]:

@@ -159,6 +159,14 @@ def read_report(path: Path) -> Report:
         raise InputFileError(path, f"is no report of an evaluation ({error!r})") from None
 
 
+def figure_row(report: Report, m: Metric) -> tuple[str, ...]:
+    """Label, value, 95 % interval, unit, definition and source of a figure."""
+    value = show(m, report.summary[m.key])
+    low, high = report.intervals[m.key]
+    span = "–" if value == "–" else f"{show(m, low)} … {show(m, high)}"
+    return m.label, value, span, m.unit, m.definition, m.source
+
+
 def paper_rows() -> list[tuple[str, ...]]:
     """The paper's rows for reference, all cells as text."""
     rows = []
