@@ -15,7 +15,7 @@ from model.core.asset import Asset
 from model.core.lru_cache import LruCache
 from model.core.progress import Progress, no_progress, scaled_progress
 from model.geometry import prepare
-from model.geometry.cleaning import OUTLIER, SUPPORT, Kinds
+from model.geometry.cleaning import OBJECT, OUTLIER, SUPPORT, Kinds
 from model.geometry.crop import ROOM_METRES, crop, outliers
 from model.geometry.crop import floor_and_walls as room_surfaces
 from model.geometry.levelling import Levelling
@@ -26,6 +26,8 @@ from model.geometry.strokes import Stroke
 Array = npt.NDArray[np.float64]
 Vector = tuple[float, float, float]
 
+_ROOM_SHARE = 0.5
+"""Of the floor, that the walls' outline covers at least."""
 _proposals: LruCache[tuple[Path, Vector | None], PrepareProposal] = LruCache(4)
 
 
@@ -79,12 +81,24 @@ def _found(folder: Path, up: Vector | None, progress: Progress) -> PreparePropos
     def find() -> PrepareProposal:
         asset = asset_of(folder)
         found = prepare.propose(asset, PrepareSettings(up=up), progress)
-        size = np.ptp(prepare.moved(asset, found.object_from_source).bounds, axis=0)
-        if size[:2].min() <= ROOM_METRES:
+        progress(0.9, "looking for walls")
+        if not _is_room(asset.element_centers, found):
             return found
         return replace(found, kinds=_room_kinds(asset, found.object_from_source))
 
     return _proposals.get((folder, up), find)
+
+
+def _is_room(points: Array, found: PrepareProposal) -> bool:
+    """Whether what stands on the floor is as wide as a room, and as the floor."""
+    flat = (points @ found.object_from_source[:3, :3].T)[:, :2]
+    stands = found.kinds == OBJECT
+    if not stands.any():
+        return False
+    whole, object_ = (
+        np.ptp(np.percentile(p, [1, 99], axis=0), axis=0) for p in (flat, flat[stands])
+    )
+    return bool(object_.min() > ROOM_METRES and object_.prod() > _ROOM_SHARE * whole.prod())
 
 
 def _room_kinds(asset: Asset, frame: Array) -> Kinds:

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from app.server import prepare_tasks
 from app.server.display_tasks import OpenedAsset
-from app.server.jobs import CLICKS, EDITS
+from app.server.jobs import CLICKS
 from app.server.object_context import ObjectContext
 from app.server.prepare_tasks import Marks, ScanProposal, Vector
 from app.server.room_tasks import Removal
@@ -47,6 +47,7 @@ class Preparing:
         self.proposal: ScanProposal | None = None
         self._obj = obj
         self._asset: OpenedAsset | None = None
+        self._ups: list[Vector] = []
 
     @property
     def current(self) -> ScanProposal | None:
@@ -79,16 +80,37 @@ class Preparing:
             up = UPRIGHT
         obj.jobs.cancel("prepare")
         self._asset, self.proposal = asset, None
-        job = obj.services.workers.prediction.submit(
+        job = obj.services.workers.geometry.submit(
             prepare_tasks.propose, asset.folder, asset.element, up,
-            on_progress=obj.jobs.progress("prepare"), priority=4, preempted_by=EDITS,
+            on_progress=obj.jobs.progress("prepare"), priority=4, preempted_by=CLICKS,
         )  # fmt: skip
 
         def keep(proposal: ScanProposal) -> None:
             if self._asset is asset:
                 self.proposal = proposal
+                if up is None:
+                    level = proposal.levelling
+                    self._ups = [level.up, *level.alternatives]
 
         obj.start("prepare", job, keep)
+
+    def propose_for_step(self) -> None:
+        """Make the proposal that the prepare step shows."""
+        found = self.current
+        if found is None:
+            self.propose()
+        elif found.up is None and found.levelling.tilt > TILT and not (self.tilt or self.oblique):
+            # It may well be upright: what stands around is found as it lies.
+            self.propose(UPRIGHT, anew=True)
+
+    def next_up(self, step: int) -> None:
+        """Propose the next likely up direction, or with -1 the one before."""
+        found = self.current
+        if found is None or len(self._ups) < 2:
+            return
+        now = found.up or found.levelling.up
+        near = int(np.argmax(np.array(self._ups) @ now))
+        self.propose(self._ups[(near + step) % len(self._ups)], anew=True)
 
     # --- what is noticed
 
@@ -133,60 +155,64 @@ class Preparing:
 
     # --- decisions
 
-    def turn(self, matrix: Array, what: str, who: str, *, unit_scale: float | None = None) -> None:
+    def turn(self, matrix: Array, what: str, who: str) -> None:
         """Move the object by a (4, 4) rotation, uniform scale and shift in its present frame."""
-        doc = self._obj.document
-        left = doc.left_out
-        leave_out = (
-            LeaveOut(None) if left is None else LeaveOut(left.elements, left.count, left.what)
-        )
-        unit = doc.unit_scale if unit_scale is None else unit_scale
-        self._obj.do(cmd.Prepare(unit, doc.frame.then(matrix), leave_out, what), who)
+        self._obj.do(self._command(matrix, None, what), who)
 
     def set_unit(self, metres: float, what: str, who: str) -> None:
         """Read the file with another unit."""
-        doc = self._obj.document
-        ratio = metres / doc.unit_scale
-        frame = ObjectFrame(
-            tuple(ratio * v for v in doc.frame.position),
-            doc.frame.wxyz,
-            doc.frame.scale,  # type: ignore[arg-type]
-        )
-        left = doc.left_out
-        leave_out = (
-            LeaveOut(None) if left is None else LeaveOut(left.elements, left.count, left.what)
-        )
-        self._obj.do(cmd.Prepare(metres, frame, leave_out, what), who)
+        self._obj.do(self._command(np.eye(4), None, what, metres), who)
 
     def apply(
-        self, matrix: Array, marks: Marks, what: str, who: str, done: Callable[[], None]
-    ) -> None:
-        """Move the object by (4, 4) and leave out what is marked, as one step; then ``done``."""
+        self, matrix: Array, marks: Marks, what: str, who: str, done: Callable[[], None],
+        *, metres: float | None = None,
+    ) -> None:  # fmt: skip
+        """Move the object, leave out what is marked and set the unit as one step; then ``done``.
+
+        Args:
+            matrix: (4, 4) rotation, uniform scale and shift in the object's present frame.
+            metres: per unit of the file, or None.
+        """
         obj, found = self._obj, self.current
-        asset, doc = obj.need_asset(), obj.document
+        asset = obj.need_asset()
         if found is None or marks == Marks():
-            self.turn(matrix, what, who)
+            obj.do(self._command(matrix, None, what, metres), who)
             done()
             return
 
         def keep(removal: Removal) -> None:
             leave_out = LeaveOut(removal.elements, removal.count, what)
-            frame = doc.frame.then(matrix)
-            obj.do(cmd.Prepare(doc.unit_scale, frame, leave_out, what), who)
+            obj.do(self._command(matrix, leave_out, what, metres), who)
             done()
 
-        # The worker that found the kinds has them still.
         self._job(
-            keep, obj.services.workers.prediction, prepare_tasks.marked_elements, asset.folder,
+            keep, obj.services.workers.geometry, prepare_tasks.marked_elements, asset.folder,
             obj.services.workspace, found.up, marks, self._left_out,
         )  # fmt: skip
 
+    def _command(
+        self, matrix: Array, leave_out: LeaveOut | None, what: str, metres: float | None = None
+    ) -> cmd.Prepare:
+        doc = self._obj.document
+        left, metres = doc.left_out, metres or doc.unit_scale
+        if leave_out is None and left is not None:
+            leave_out = LeaveOut(left.elements, left.count, left.what)
+        ratio = metres / doc.unit_scale
+        x, y, z = (ratio * v for v in doc.frame.position)
+        moved = matrix.copy()
+        moved[:3, 3] *= ratio
+        frame = ObjectFrame((x, y, z), doc.frame.wxyz, doc.frame.scale).then(moved)
+        return cmd.Prepare(metres, frame, leave_out or LeaveOut(None), what)
+
     def remove(self, chosen: str, what: str, who: str) -> None:
         """Leave out stored elements of the present asset."""
-        obj = self._obj
+        obj, folder = self._obj, self._obj.need_asset().folder
+
+        def keep(removal: Removal) -> None:
+            obj.do(cmd.LeaveOut(removal.elements, removal.count, what), who)
+
         self._job(
-            lambda r: obj.do(cmd.LeaveOut(r.elements, r.count, what), who),
-            obj.services.workers.geometry, prepare_tasks.chosen_elements, obj.need_asset().folder,
+            keep, obj.services.workers.geometry, prepare_tasks.chosen_elements, folder,
             obj.services.workspace, chosen, self._left_out,
         )  # fmt: skip
 

@@ -25,9 +25,10 @@ from app.viewer.picture.motion import Motion
 from app.viewer.picture.object_picture import ObjectPicture
 from app.viewer.steps.annotate import AnnotateStep
 from app.viewer.steps.joints import JointsStep
+from app.viewer.steps.prepare import PrepareStep
 from app.viewer.steps.review import ReviewActions, ReviewStep
 from app.viewer.steps.scene import SceneHost, SceneStep
-from app.viewer.tab import STEPS, Panel, Step, Tab
+from app.viewer.tab import AT_REST, STEPS, Panel, Step, Tab
 from app.viewer.words import common as words
 
 PANELS: tuple[tuple[Step, Callable[[Tab], Panel]], ...] = (("Review", History),)
@@ -42,7 +43,7 @@ class ClientApp:
         picture, motion, drawing: the open object in 3D.
         queries: to the workers about places in the picture.
         pointing: what clicks and drags mean.
-        annotate, joints, review: the steps of the work.
+        prepare, annotate, joints, review: the steps of the work.
         scene: the scene, or None where single objects are open.
         queue: their queue, or None.
         guard: lets decisions through about what was seen.
@@ -73,7 +74,7 @@ class ClientApp:
         self.commands = Commands(tab, self._navigation)
         self._sheet = KeySheet(tab)
         self._build()
-        steps = (self.annotate, self.joints, self.review)
+        steps = (self.prepare, self.annotate, self.joints, self.review)
         self.commands.connect(steps, self.scene)
         view = (self.pointing, self.motion, self.picture, self._sheet)
         add_keys(tab, bindings(tab, self.commands, steps, self.scene, view), self.guard.decide)
@@ -121,9 +122,13 @@ class ClientApp:
         )
         self._header = ObjectHeader(tab, header, self._name_of)
         self._folders = {s: gui.add_folder(None, visible=s == "Annotate") for s in STEPS}
+        with self._folders["Prepare"]:
+            self.prepare = PrepareStep(
+                tab, self.pointing, self.picture, lambda: self.annotate.likely_category
+            )
         with self._folders["Annotate"]:
             self.annotate = AnnotateStep(
-                tab, self.pointing, app_state.queue.records, self._navigation.open
+                tab, self.pointing, app_state.queue.records, self._navigation.open, self.prepare
             )
         with self._folders["Joints"]:
             self.joints = JointsStep(
@@ -165,6 +170,7 @@ class ClientApp:
             dismiss=self._dismiss,
             withdraw=self.review.withdraw,
             click_scene=self._click_scene,
+            places_chosen=self.prepare.places_chosen,
         )
 
     def _show_session(self, session: int | None, review: bool) -> None:
@@ -251,14 +257,16 @@ class ClientApp:
         broken = obj is not None and obj.problem is not None
         for step, folder in self._folders.items():
             # An unreadable file has nothing to click on.
-            put(folder, "visible", step == selection.step and not (broken and step == "Annotate"))
+            put(folder, "visible", step == selection.step and not (broken and step in AT_REST))
         if obj is None:
             self.drawing.clear()
             self.pointing.set_page_state()
             return
-        self._header.draw(obj)
+        self.prepare.follow(obj)
+        self._header.draw(obj, self.prepare.noticed(obj))
         self._follow_prediction(obj)
         self.drawing.draw(obj, touch=self.annotate.tools.touch)
+        self.prepare.draw(obj)
         self.annotate.draw(obj)
         self.pointing.set_page_state()
         self.joints.draw(obj)
@@ -274,12 +282,13 @@ class ClientApp:
         before, self._prediction = self._prediction, (obj.record.id, prediction)
         if prediction is None or before is None or before[0] != obj.record.id:
             return
-        if prediction is not before[1] and self.tab.selection.step == "Annotate":
+        if prediction is not before[1] and self.tab.selection.step in AT_REST:
             self.tab.selection.set_step("Joints")
 
     def _asset_shown(self, stays: bool) -> None:
         if self.scene is not None:
             self.scene.edit.look_as_before()
+        self.prepare.asset_shown()
         self.pointing.begin(same=stays)
 
     def _tapped(self, event: Any) -> None:

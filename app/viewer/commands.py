@@ -13,9 +13,10 @@ from app.viewer.panels.predict_buttons import predict
 from app.viewer.panels.quick_names import NUMBERED
 from app.viewer.panels.rejecting import Rejecting
 from app.viewer.picture.motion import Motion
-from app.viewer.picture.object_picture import ObjectPicture
+from app.viewer.picture.object_picture import ObjectPicture, View
 from app.viewer.steps.annotate import AnnotateStep
 from app.viewer.steps.joints import JointsStep
+from app.viewer.steps.prepare import PrepareStep
 from app.viewer.steps.review import ReviewStep
 from app.viewer.steps.scene import SceneStep
 from app.viewer.tab import STEPS, Tab
@@ -25,7 +26,9 @@ from app.viewer.words.annotate import TOOL_ROWS
 from sessions import commands as cmd
 from sessions.review import RejectReason
 
-_CANCELLED = ("predict", "save", "segment", "room", "tool")
+_CANCELLED = ("predict", "save", "segment", "room", "tool", "prepare")
+_VIEW_KEYS: Final[dict[int, View]] = {1: "front", 3: "side", 7: "top"}
+"""As in Blender."""
 
 TOOL_KEYS: Final[dict[str, str]] = {
     "merge": "M", "connected": "O", "grow": "U", "shrink": "J", "same shape": "Z",
@@ -47,16 +50,40 @@ class Commands:
         self.rejecting = Rejecting(tab, self._subject, self._reject_because)
 
     def connect(
-        self, steps: tuple[AnnotateStep, JointsStep, ReviewStep], scene: SceneStep | None
+        self,
+        steps: tuple[PrepareStep, AnnotateStep, JointsStep, ReviewStep],
+        scene: SceneStep | None,
     ) -> None:
         """Set what the commands are for; widgets that give them are made before."""
-        self._annotate, self._joints, self._review = steps
+        self.prepare, self._annotate, self._joints, self._review = steps
         self._scene = scene
 
     @property
     def _overview(self) -> SceneStep | None:
         """The scene while none of its objects is worked on, else None."""
         return self._scene if self._tab.selection.object is None else None
+
+    def by_step(
+        self, preparing: Callable[[], None], otherwise: Callable[[], None]
+    ) -> Callable[[], None]:
+        """An action for the prepare step, and another one for all others."""
+
+        def act() -> None:
+            selection = self._tab.selection
+            here = selection.step == "Prepare" and selection.object is not None
+            (preparing if here else otherwise)()
+
+        return act
+
+    def enter(self) -> None:
+        """Prepare what needs it, or edit the selected object of the scene."""
+        selection = self._tab.selection
+        if self._scene is not None:
+            self._scene.edit.enter()
+            return
+        obj = selection.object
+        if obj is not None and selection.step == "Annotate" and self.prepare.noticed(obj):
+            selection.set_step("Prepare")
 
     # --- decisions
 
@@ -131,6 +158,9 @@ class Commands:
         """A number key: the reason that is asked for, else the part for the next clicks."""
         if self.rejecting.asking:
             self.rejecting.answer(number)
+        elif self._tab.selection.step == "Prepare":
+            if number in _VIEW_KEYS:
+                self.prepare.look(_VIEW_KEYS[number])
         else:
             self._tab.selection.choose_part(number)
 
@@ -147,7 +177,9 @@ class Commands:
     def next_choice(self) -> None:
         """Show the next mask, joint or finding (Tab)."""
         step = self._tab.selection.step
-        if step == "Annotate":
+        if step == "Prepare":
+            self.prepare.next_up(1)
+        elif step == "Annotate":
             self._annotate.next_mask(1)
         elif step == "Review":
             self._review.validation_list.show_next()
@@ -156,7 +188,10 @@ class Commands:
 
     def choice_before(self) -> None:
         """Show the previous mask (Shift+Tab)."""
-        if self._tab.selection.step == "Annotate":
+        step = self._tab.selection.step
+        if step == "Prepare":
+            self.prepare.next_up(-1)
+        elif step == "Annotate":
             self._annotate.next_mask(-1)
 
     def step(self, by: int) -> None:
@@ -170,12 +205,13 @@ class Commands:
 def bindings(
     tab: Tab,
     commands: Commands,
-    steps: tuple[AnnotateStep, JointsStep, ReviewStep],
+    steps: tuple[PrepareStep, AnnotateStep, JointsStep, ReviewStep],
     scene: SceneStep | None,
     view: tuple[Pointing, Motion, ObjectPicture, KeySheet],
 ) -> Iterator[Binding]:
     """The commands of the palette (Ctrl+K) with their keys, in the palette's order."""
-    annotate, joints, _ = steps
+    prepare, annotate, joints, _ = steps
+    by_step = commands.by_step
     pointing, motion, picture, sheet = view
     for part in range(10):
         yield Binding(words.select_part(part), str(part), _with(commands.number, part))
@@ -184,23 +220,26 @@ def bindings(
     yield Binding(words.PREDICT, "P", _with(predict, tab))
     yield Binding(words.PLAY, "space", _playing(tab, scene, motion, False))
     yield Binding(words.PLAY_SCENE, "space", _playing(tab, scene, motion, True), "shift")
-    yield Binding(words.RESET_POSE, "R", motion.reset)
+    yield Binding(words.RESET_POSE, "R", by_step(prepare.rotate, motion.reset))
     yield Binding(words.NEXT_CHOICE, "tab", commands.next_choice)
     yield Binding(words.PREVIOUS_MASK, "tab", commands.choice_before, "shift")
     yield Binding(words.NEXT_TYPE, "T", joints.editor.next_type)
-    yield Binding(words.FLIP_AXIS, "F", joints.editor.flip)
-    yield Binding(words.HANDLES, "G", motion.toggle_handles)
+    yield Binding(words.FLIP_AXIS, "F", by_step(prepare.flip, joints.editor.flip))
+    yield Binding(words.HANDLES, "G", by_step(prepare.toggle_handle, motion.toggle_handles))
     yield Binding(words.HIDE, "H", annotate.parts.toggle_hidden)
     # Shift and a digit are handled in the page: the sign depends on the keyboard.
     for number, name in enumerate(NUMBERED, 1):
         yield Binding(words.name_part(name), None, _with(commands.name_by_key, number))
     yield Binding(words.TAKE_CATEGORY, None, _with(commands.name_by_key, 0))
-    yield Binding(words.DELETE, "delete", annotate.parts.delete)
+    yield Binding(words.DELETE, "delete", by_step(prepare.remove_marked, annotate.parts.delete))
     for row in TOOL_ROWS:
         for label, tool in row.tools.items():
             if tool not in _WITHOUT_COMMAND:
                 key = TOOL_KEYS.get(tool)
-                yield Binding(words.tool(label), key, _with(annotate.tools.use, label))
+                use = _with(annotate.tools.use, label)
+                if tool == "merge":
+                    use = by_step(prepare.measure, use)
+                yield Binding(words.tool(label), key, use)
     yield Binding(words.CUT, "K", pointing.next_cut)
     yield Binding(words.PREVIEW, "V", annotate.tools.toggle_preview)
     yield Binding(words.EXCLUDE_ROOM, None, annotate.source.leave_out)
@@ -211,10 +250,11 @@ def bindings(
     yield Binding(words.NEXT, "N", _with(commands.step, 1))
     yield Binding(words.PREVIOUS, "B", _with(commands.step, -1))
     yield Binding(words.FRAME, "C", _framing(tab, scene, picture))
+    enter = words.PREPARE if scene is None else words.EDIT_IN_SCENE
+    yield Binding(enter, "enter", by_step(prepare.apply, commands.enter))
     if scene is not None:
-        yield Binding(words.EDIT_IN_SCENE, "enter", scene.edit.enter)
         yield Binding(words.BACK, "backspace", scene.edit.leave)
-    for step in STEPS:
+    for step in STEPS if scene is None else STEPS[1:]:
         yield Binding(words.step(step), None, _with(tab.selection.set_step, step))
 
 

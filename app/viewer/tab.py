@@ -21,8 +21,10 @@ from model.core.joint import Joint
 from model.segmentation.prompts import MAX_PARTS
 from sessions import commands as cmd
 
-Step = Literal["Annotate", "Joints", "Review"]
-STEPS: tuple[Step, ...] = ("Annotate", "Joints", "Review")
+Step = Literal["Prepare", "Annotate", "Joints", "Review"]
+STEPS: tuple[Step, ...] = ("Prepare", "Annotate", "Joints", "Review")
+AT_REST: tuple[Step, ...] = ("Prepare", "Annotate")
+"""Steps in which no joint moves."""
 
 
 class Panel(Protocol):

@@ -15,6 +15,47 @@ LARGEST, SMALLEST = 30.0, 0.005
 _GUESSED = ("metres", "centimetres", "millimetres")
 
 
+USUAL_HEIGHTS: dict[str, tuple[float, float]] = {
+    "bottle": (0.15, 0.35), "bucket": (0.2, 0.4), "cart": (0.8, 1.1), "chair": (0.75, 1.2),
+    "coffeemachine": (0.25, 0.45), "dishwasher": (0.8, 0.9), "display": (0.35, 0.6),
+    "door": (1.9, 2.4), "foldingchair": (0.75, 1.0), "globe": (0.25, 0.5),
+    "kettle": (0.18, 0.3), "kitchenpot": (0.1, 0.3), "microwave": (0.25, 0.45),
+    "oven": (0.55, 1.0), "printer": (0.15, 0.5), "refrigerator": (1.5, 1.9), "safe": (0.2, 0.8),
+    "storagefurniture": (0.4, 2.2), "suitcase": (0.5, 0.8), "table": (0.4, 1.1),
+    "toaster": (0.17, 0.25), "toilet": (0.7, 0.9), "trashcan": (0.3, 1.1),
+    "washingmachine": (0.8, 0.9),
+}  # fmt: skip
+"""Category → metres of usual outer heights, from retailers' tables."""
+_UNUSUAL = 1.4
+"""Factor beyond the usual range that is asked about: small refrigerators exist."""
+
+
+@dataclass(frozen=True)
+class UnusualHeight:
+    """A height that is unusual for a category.
+
+    Attributes:
+        low, high: the usual range, metres.
+        proposed: its middle.
+    """
+
+    low: float
+    high: float
+
+    @property
+    def proposed(self) -> float:
+        """Metres to scale to."""
+        return math.sqrt(self.low * self.high)
+
+
+def unusual_height(category: str | None, height: float) -> UnusualHeight | None:
+    """Check a height in metres against those of a category; None where it is usual or unknown."""
+    usual = USUAL_HEIGHTS.get((category or "").replace(" ", "").lower())
+    if usual is None or usual[0] / _UNUSUAL <= height <= usual[1] * _UNUSUAL:
+        return None
+    return UnusualHeight(*usual)
+
+
 @dataclass(frozen=True)
 class OddSize:
     """An implausible size.

@@ -21,6 +21,8 @@ SAMPLES: dict[str, tuple[Any, ...]] = {
     "bool": (False, True),
     "int": (0, 1, 2),
     "float": (0.0, 0.5),
+    "tuple[int, ...]": ((), (1, 3)),
+    "dict[int, int]": ({}, {1: 5}),
     "list[str]": ([], ["one", "two"]),
     "tuple[float, float, float]": ((0.1, -0.2, 3.0),),
     "Severity": tuple(Severity),
@@ -30,6 +32,7 @@ NAMED_SAMPLES = {
     ("common", "job"): {"name": ("predict",)},
     ("scene", "job"): {"name": ("read",)},
     ("scene", "state"): {"state": ("on_hold",)},
+    ("prepare", "kind"): {"kind": (1, 2, 3)},
     ("joints", "tree_line"): {"confidence": ("", "87 %", "edited")},
 }
 OUR_OWN = re.compile(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 import viser
@@ -22,17 +22,20 @@ from app.viewer.input.queries import Point, PointerQueries
 from app.viewer.input.tools import Tools
 from app.viewer.picture.motion import Motion
 from app.viewer.picture.object_picture import ObjectPicture
-from app.viewer.tab import Step, Tab
+from app.viewer.tab import AT_REST, Step, Tab
 from app.viewer.words import annotate as words
+from app.viewer.words import prepare as prepare_words
 from app.viewer.words.common import NO_JOINTS
 from model.geometry.picking import Camera
 from model.geometry.strokes import Stroke
 from model.segmentation.prompts import Click
 from sessions import commands as cmd
 
-Armed = Literal["", "cut", "rectangle", "merge"]
+Armed = Literal["", "cut", "rectangle", "merge", "floor", "edge", "length"]
 Tool = Literal["click", "lasso", "brush"]
 _CUTS = {"cut": words.CUT, "rectangle": words.CUT_RECTANGLE}
+_PLACES: Final = {"floor": 3, "edge": 2, "length": 2}
+"""What the prepare step asks for → its number of places."""
 _IN_VAIN = 2
 """Clicks that brought hardly anything, after which other tools are pointed to."""
 _FACE_APART = 0.02
@@ -64,6 +67,7 @@ class PointerActions:
         answer: gets the digit that was pressed together with Shift.
         dismiss: closes what Escape closes; whether anything was open.
         withdraw: takes back an acceptance that waits.
+        places_chosen: gets what was asked for in the prepare step, and its places.
         click_scene: gets a ray's origin and direction while the whole scene is shown; else False.
     """
 
@@ -72,14 +76,15 @@ class PointerActions:
     dismiss: Callable[[], bool]
     withdraw: Callable[[], None]
     click_scene: Callable[[Point, Point], bool]
+    places_chosen: Callable[[str, tuple[Point, ...]], None]
 
 
 class Pointing:
     """What a click or a drag in the picture means now.
 
     Attributes:
-        armed: "cut" waits for places along a cut, "rectangle" for two corners, "merge" for a part;
-            "" for nothing.
+        armed: "cut" waits for places along a cut, "rectangle" for two corners, "merge" for a part,
+            "floor", "edge" and "length" for places of those; "" for nothing.
         tool: what a drag draws.
         hover: the preview of a click.
         tools: that change the selected part.
@@ -107,7 +112,7 @@ class Pointing:
         return self._selection.step == "Annotate" and not self.armed and self.tool == "click"
 
     def _step_begins(self, step: Step) -> None:
-        if step != "Annotate":
+        if step != self._selection.step:
             self.disarm()
 
     def listen(self, actions: PointerActions) -> None:
@@ -161,12 +166,12 @@ class Pointing:
     def set_page_state(self) -> None:
         """Send the page's script the tool and the hint below the picture."""
         selection = self._selection
-        drawing = selection.step == "Annotate" and selection.object is not None
+        drawing = selection.step in AT_REST and selection.object is not None
         hint = self._hint() if drawing else ""
         state = {
             "tool": self.tool,
             "drawing": drawing,
-            "hover": drawing and self.hover.on,
+            "hover": drawing and self.hover.on and selection.step == "Annotate",
             "frame": self._frame if drawing and self.armed == "rectangle" else None,
             "anchor": drawing and self.armed in _CUTS and bool(self._places),
             "hint": hint,
@@ -177,6 +182,10 @@ class Pointing:
             set_page_state(self._tab.client, **news)
 
     def _hint(self) -> str:
+        if self._selection.step == "Prepare":
+            return prepare_words.HINTS.get(self.armed) or prepare_words.HINT_STROKES.get(
+                self.tool, ""
+            )
         if self.armed == "merge":
             return words.HINT_MERGE
         if self.armed == "cut":
@@ -211,8 +220,9 @@ class Pointing:
 
     def arm(self, what: Armed) -> None:
         """Let the next clicks be places of a cut, or a part to merge."""
-        if self._selection.step != "Annotate":
-            self._selection.set_step("Annotate")
+        step: Step = "Prepare" if what in _PLACES else "Annotate"
+        if self._selection.step != step:
+            self._selection.set_step(step)
         self.armed = "" if what == self.armed else what
         self.tool, self._places, self._shifted = "click", [], False
         self._show_places()
@@ -220,8 +230,11 @@ class Pointing:
         self._tab.invalidate()
 
     def next_cut(self) -> None:
-        """A cut along a line, then a rectangle, then none."""
-        self.arm("rectangle" if self.armed in _CUTS else "cut")
+        """A cut along a line, then a rectangle, then none; of a scan floor and upright edge."""
+        if self._selection.step == "Prepare":
+            self.arm("edge" if self.armed in ("floor", "edge") else "floor")
+        else:
+            self.arm("rectangle" if self.armed in _CUTS else "cut")
 
     def disarm(self) -> None:
         """Back to plain clicks."""
@@ -264,7 +277,7 @@ class Pointing:
         obj = selection.need_object()
         if obj.asset is None:
             return
-        if selection.step != "Annotate" and any(self._motion.q.values()):
+        if selection.step not in AT_REST and any(self._motion.q.values()):
             # What the workers pick from is at rest, which what is seen isn't.
             self._choose_joint_of(self._picture.parts.pick(origin, direction, selection.hidden))
             return
@@ -272,13 +285,15 @@ class Pointing:
         if hit is None:
             self._tab.say(words.NOTHING_THERE)
             return
-        if selection.step != "Annotate":
+        if selection.step not in AT_REST:
             self._choose_joint_at(hit.element)
             return
         self.hover.forget()
         position = tuple(float(v) for v in hit.position)
         element = int(hit.element)
-        if self.armed in _CUTS:
+        if selection.step == "Prepare":
+            self._place_chosen(position, element)  # type: ignore[arg-type]
+        elif self.armed in _CUTS:
             self._cut_at(position, element, direction, positive)  # type: ignore[arg-type]
         elif self.armed == "merge":
             self._merge_at(element)
@@ -287,6 +302,17 @@ class Pointing:
             if obj.asset.element_kind == "face":
                 self._tell_of_shared_face(click, _FACE_APART * obj.asset.diagonal)
             self._tab.do(cmd.AddClick(click))
+
+    def _place_chosen(self, position: Point, element: int) -> None:
+        """Take a place that the prepare step asked for."""
+        if self.armed not in _PLACES or self._actions is None:
+            return
+        self._places.append((position, element))
+        self._show_places()
+        if len(self._places) == _PLACES[self.armed]:
+            asked, places = self.armed, tuple(p for p, _ in self._places)
+            self.disarm()
+            self._actions.places_chosen(asked, places)
 
     def _choose_joint_at(self, element: int) -> None:
         """Choose the joint whose part holds an element of the source."""
@@ -371,7 +397,10 @@ class Pointing:
         """Add everything visible in a rectangle to the selected part, or remove it."""
         selection = self._selection
         obj = selection.need_object()
-        if obj.asset is None or selection.step != "Annotate":
+        if obj.asset is None or selection.step not in AT_REST:
+            return
+        if selection.step == "Prepare" and not positive:
+            obj.preparing.restore(camera, (low, high), self._tab.user)
             return
         ref, count = self._queries.box(
             obj.asset, camera, low, high, one_piece=positive and selection.picking
@@ -385,9 +414,12 @@ class Pointing:
     def _stroke_drawn(self, message: ArtiworldStrokeMessage, camera: Camera) -> None:
         """Add everything visible in a lasso or under a brush to the selected part, or remove it."""
         obj = self._selection.need_object()
-        if obj.asset is None or self._selection.step != "Annotate":
+        if obj.asset is None or self._selection.step not in AT_REST:
             return
         stroke = Stroke(message.tool, message.path, message.radius)  # type: ignore[arg-type]
+        if self._selection.step == "Prepare" and not message.positive:
+            obj.preparing.restore(camera, stroke, self._tab.user)
+            return
         ref, count = self._queries.stroke(obj.asset, camera, stroke)
         self._add_region(ref, count, message.positive, stroke.kind)
 
@@ -396,4 +428,8 @@ class Pointing:
             self._tab.notify(*words.nothing_under(tool), "gray")
             return
         self.hover.forget()
+        if self._selection.step == "Prepare":
+            preparing = self._selection.need_object().preparing
+            preparing.remove(ref, prepare_words.by_hand(tool), self._tab.user)
+            return
         self._tab.do(cmd.AddRegion(self._selection.part, ref, positive, count, tool))

@@ -10,9 +10,10 @@ import viser
 from app.server.display_names import display_text, joint_title
 from app.server.open_object import OpenObject
 from app.viewer.panels.widgets import put
-from app.viewer.tab import STEPS, Step, Tab
+from app.viewer.tab import AT_REST, STEPS, Step, Tab
 from app.viewer.text import plain
 from app.viewer.words import common as words
+from app.viewer.words.prepare import NOTICED
 
 
 @dataclass(frozen=True)
@@ -70,19 +71,23 @@ class ObjectHeader:
         )
 
     def _step_clicked(self, label: str) -> None:
-        step: Step = label.removeprefix(words.CHOSEN)  # type: ignore[assignment]
+        step: Step = label.removeprefix(words.CHOSEN).removesuffix(NOTICED)  # type: ignore[assignment]
         self._tab.act(lambda: self._tab.selection.set_step(step))
 
-    def draw(self, obj: OpenObject) -> None:
-        """Bring the header up to date."""
+    def draw(self, obj: OpenObject, noticed: bool) -> None:
+        """Bring the header up to date; ``noticed`` where the object needs preparing."""
         selection, doc = self._tab.selection, obj.document
         broken = obj.problem is not None
         put(self._steps, "visible", not (broken and doc.tree is None) and not selection.picking)
-        labels = tuple(words.CHOSEN * (s == selection.step) + s for s in STEPS)
+        steps = STEPS[1:] if self._tab.in_scene else STEPS
+        dots = {"Prepare": NOTICED * noticed}
+        labels = tuple(words.CHOSEN * (s == selection.step) + s + dots.get(s, "") for s in steps)
         put(self._steps, "options", labels)
-        put(self._play, "visible", doc.tree is not None and selection.step != "Annotate")
+        put(self._play, "visible", doc.tree is not None and selection.step not in AT_REST)
         jobs = dict(obj.busy)  # they end while this is drawn
         stoppable = {"predict", "save", "room"} & set(jobs)
+        if selection.step == "Prepare":
+            stoppable |= {"prepare"} & set(jobs)
         if jobs.get("tool", (0.0, ""))[0]:  # only long tools report progress
             stoppable.add("tool")
         done = max((jobs[w][0] for w in stoppable), default=0.0)

@@ -1,4 +1,4 @@
-"""Orientation, unit and excluded geometry of the source."""
+"""Extracting objects from a scan, and what of it is excluded."""
 
 from __future__ import annotations
 
@@ -11,17 +11,15 @@ from app.viewer.panels.widgets import put
 from app.viewer.tab import Tab
 from app.viewer.text import plain
 from app.viewer.words import annotate as words
-from app.viewer.words.common import warning
 from model.core.errors import CommandError
-from model.geometry.units import UNITS
 from sessions import commands as cmd
 
 
 class SourcePanel:
-    """Two folders below the annotation tools, closed until somebody needs them."""
+    """A folder below the annotation tools, closed until somebody needs it."""
 
     def __init__(self, tab: Tab, open_object: Callable[[int], None]) -> None:
-        """Make the folders; ``open_object`` gets the id of what was cut out."""
+        """Make the folder; ``open_object`` gets the id of what was cut out."""
         self._tab, self._open = tab, open_object
         self._drawn: Any = None
         gui = tab.client.gui
@@ -39,15 +37,9 @@ class SourcePanel:
                 hint=words.EXTRACT_HINT,
                 visible=not tab.in_scene,
             )
-        with gui.add_folder(words.FRAME_FOLDER, expand_by_default=False):
-            self._source = gui.add_markdown("")
-            self._up = gui.add_dropdown(words.UP_AXIS, ("z", "y", "x", "-z", "-y", "-x"))
-            self._unit = gui.add_dropdown(words.UNIT, tuple(UNITS))
-            self._frame = gui.add_button(words.APPLY, color="gray")
         self._leave_out.on_click(lambda e: tab.act(lambda: self.leave_out(e.target.value)))
         self._back.on_click(lambda _: tab.act(self.restore))
         self._cut_out.on_click(lambda _: tab.act(self.cut_out))
-        self._frame.on_click(lambda _: tab.act(self._reload))
 
     def leave_out(self, what: str = words.EXCLUDE_ACTIONS[0]) -> None:
         """Exclude floor and walls, or the selected part."""
@@ -75,38 +67,15 @@ class SourcePanel:
 
         cut_out(tab.selection.need_object(), part, tab.user, open_it)
 
-    def _reload(self) -> None:
-        obj = self._tab.selection.need_object()
-        self._tab.do(cmd.SetFrame(self._up.value, UNITS[self._unit.value]))
-        obj.ensure_open()
-
     def draw(self, obj: OpenObject) -> None:
-        """Bring the folders up to date."""
-        doc, asset = obj.document, obj.asset
-        now = (
-            obj.record.id,
-            id(asset),
-            doc.left_out,
-            doc.crops,
-            doc.placement,
-            self._tab.selection.part,
-        )
+        """Bring the folder up to date."""
+        doc = obj.document
+        now = (obj.record.id, doc.left_out, doc.crops, doc.placement)
         if now == self._drawn:
             return
-        before, self._drawn = self._drawn, now
+        self._drawn = now
         put(self._room_note, "content", _room_note(obj, self._tab.in_scene))
         put(self._back, "visible", doc.left_out is not None)
-        if before is not None and before[:2] == now[:2]:
-            return
-        lines = [plain(str(obj.record.path), 200)]
-        if asset is not None:
-            lines += [warning(plain(w, 300)) for w in asset.warnings]
-            self._up.value = asset.up_axis
-        for word, scale in UNITS.items():
-            if abs(scale - doc.unit_scale) < 1e-9:
-                self._unit.value = word
-        lines.append(words.RELOAD_NOTE)
-        self._source.content = "\n\n".join(lines)
 
 
 def _room_note(obj: OpenObject, in_scene: bool) -> str:

@@ -13,7 +13,7 @@ from app.viewer.picture import palette
 from app.viewer.picture.joint_marks import AxisMark, axis_length
 from app.viewer.picture.motion import Motion
 from app.viewer.picture.object_picture import ObjectPicture
-from app.viewer.tab import Tab
+from app.viewer.tab import AT_REST, Tab
 from model.core.joint import Joint
 from model.segmentation.prompts import Click
 from sessions.document import Document
@@ -84,7 +84,7 @@ class ObjectDrawing:
     def _draw(self, obj: OpenObject, doc: Document, touch: bool) -> None:
         selection, picture = self._tab.selection, self._picture
         assert obj.asset is not None
-        moving = selection.step != "Annotate" and doc.tree is not None
+        moving = selection.step not in AT_REST and doc.tree is not None
         payloads = obj.part_payloads() if moving else None
         selection.hidden &= {p.id for p in doc.parts}  # a new part of the same number is seen
         picture.show_labels(obj.labels, selection.hidden)

@@ -17,6 +17,7 @@ from app.viewer.picture import palette
 
 OPACITY = 0.5
 CLOUD_OPACITY = 0.55
+MARK_OPACITY = 0.85
 
 Labels = npt.NDArray[np.int16]
 
@@ -39,6 +40,8 @@ class LabelOverlay:
         self._meshes: dict[int, Any] = {}
         self._mesh_vertices: dict[int, npt.NDArray[np.int32]] = {}
         self._hidden: frozenset[int] = frozenset()
+        self._marked: npt.NDArray[np.bool_] | None = None
+        self._mark: Any = None
         self._left_out: npt.NDArray[np.bool_] | None = None
         self._visible = True
         self._offset: npt.NDArray[np.float32] | None = None
@@ -57,6 +60,30 @@ class LabelOverlay:
                 self._color_cloud(labels)
             self._leave_out(labels, hidden)
         self.labels = labels  # last: they are drawn by now
+
+    def mark(self, marked: npt.NDArray[np.bool_] | None) -> None:
+        """Show (D,) elements in grey; None or none of them marks nothing."""
+        marked = marked if marked is not None and marked.any() else None
+        before, self._marked = self._marked, marked
+        if marked is before or (
+            marked is not None and before is not None and np.array_equal(marked, before)
+        ):
+            return
+        asset = self._asset
+        if asset.display_points is not None:
+            self._color_cloud(self.labels)
+            return
+        if self._mark is not None:
+            self._mark.remove()
+            self._mark = None
+        if marked is not None:
+            assert asset.display_faces is not None and self._offset is not None
+            used, faces = np.unique(asset.display_faces[marked], return_inverse=True)
+            self._mark = self._client.scene.add_mesh_simple(
+                "/marked", self._offset[used], faces.reshape(-1, 3).astype(np.uint32),
+                color=palette.MARKED, opacity=MARK_OPACITY, side="double", cast_shadow=False,
+                receive_shadow=False,
+            )  # fmt: skip
 
     def set_visible(self, visible: bool) -> None:
         """Show or hide the overlay of a mesh."""
@@ -87,7 +114,11 @@ class LabelOverlay:
 
     def _color_cloud(self, labels: Labels | None) -> None:
         assert self._asset.display_colors is not None
-        self._scan.colors = overlay_colors(self._asset.display_colors, labels)
+        colors = overlay_colors(self._asset.display_colors, labels)
+        if self._marked is not None:
+            own = (1 - MARK_OPACITY) * colors[self._marked]
+            colors[self._marked] = own + MARK_OPACITY * np.array(palette.MARKED)
+        self._scan.colors = colors
 
     def _leave_out(self, labels: Labels | None, hidden: frozenset[int]) -> None:
         """Let the page draw the scan without the hidden parts."""

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from app.viewer.picture.animation import Animation
 from app.viewer.picture.axis_handles import AxisHandles
 from app.viewer.picture.object_picture import ObjectPicture
-from app.viewer.tab import Step, Tab
+from app.viewer.tab import AT_REST, Step, Tab
 from app.viewer.words import common as words
 from app.viewer.words.joints import SELECT_JOINT
 from model.core.joint import Joint
@@ -49,7 +49,7 @@ class Motion:
         self.q, self.handles.on = {}, False
 
     def _step_begins(self, step: Step) -> None:
-        if step == "Annotate":
+        if step in AT_REST:
             self.stop()
             self.q = {}
         if step != "Review":
@@ -89,7 +89,7 @@ class Motion:
         if tree is None:
             self._tab.notify(words.NO_JOINTS, words.PREDICT_FIRST, "gray")
             return
-        if selection.step == "Annotate":
+        if selection.step in AT_REST:
             selection.set_step("Joints")
         chosen = [j for j in tree.joints if j.moves and j.mimic is None]
         self._animation.toggle([j for j in chosen if name in (None, j.name)], self.q)

@@ -7,13 +7,14 @@ from forward kinematics on the server, not from nesting.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Final, Literal
 
 import numpy as np
 import numpy.typing as npt
 import viser
+from viser import transforms as vtf
 
-from app.server.display_tasks import OpenedAsset, PartPayload
+from app.server.display_tasks import OpenedAsset, PartPayload, front_direction
 from app.viewer.picture import palette
 from app.viewer.picture.joint_marks import JointMarks
 from app.viewer.picture.label_overlay import LabelOverlay
@@ -32,6 +33,11 @@ from model.geometry.display import spacing
 from model.segmentation.prompts import Click
 
 PROMPT_RADIUS = 0.0075
+View = Literal["front", "side", "top"]
+_VIEWS: Final[dict[View, tuple[float, float]]] = {
+    "front": (0.0, 0.0), "side": (1e3, 0.0), "top": (0.0, 1e2),
+}  # fmt: skip
+"""How far aside and above the front."""
 
 
 class ObjectPicture:
@@ -42,6 +48,8 @@ class ObjectPicture:
         marks: of its joints.
         overlays: short-lived marks over it.
         touch: the box for fingers, or None.
+        scan: the drawn object, or None.
+        overlay: its labels and marks, or None.
     """
 
     def __init__(self, client: viser.ClientHandle, in_scene: bool = False) -> None:
@@ -53,8 +61,9 @@ class ObjectPicture:
     def _forget(self) -> None:
         """Nothing is drawn."""
         self._asset: OpenedAsset | None = None
-        self._scan: Any = None
-        self._overlay: LabelOverlay | None = None
+        self.scan: Any = None
+        self.overlay: LabelOverlay | None = None
+        self._frame = np.eye(4)
         self._prompts: dict[int, tuple[Click, Any]] = {}
         self._moving = False
         self.parts = MovingParts(self._client)
@@ -80,11 +89,11 @@ class ObjectPicture:
         if not self._in_scene:  # which has a floor of its own
             self._show_ground(asset)
         if asset.glb is not None:
-            self._scan = scene.add_glb("/scan", asset.glb, cast_shadow=False)
+            self.scan = scene.add_glb("/scan", asset.glb, cast_shadow=False)
         else:
             assert asset.display_points is not None and asset.display_colors is not None
             size = spacing(asset.display_points)
-            self._scan = scene.add_point_cloud(
+            self.scan = scene.add_point_cloud(
                 "/scan",
                 asset.display_points,
                 asset.display_colors,
@@ -92,23 +101,51 @@ class ObjectPicture:
                 point_shape="circle",
                 precision="float32",
             )
-        self._overlay = LabelOverlay(self._client, asset, self._scan)
+        self.overlay = LabelOverlay(self._client, asset, self.scan)
         self.parts = MovingParts(self._client, size)
         self.marks = JointMarks(self._client, asset.diagonal)
         self.overlays = Overlays(self._client, asset.diagonal)
         if not keep_view:
             self.frame_camera()
 
+    @property
+    def shown_upright(self) -> npt.NDArray[np.float64]:
+        """(4, 4) from the asset's frame to the one that is shown upright."""
+        return self._frame
+
+    def preview(self, object_from_asset: npt.NDArray[np.float64] | None) -> None:
+        """Show the object as if it were in another frame, (4, 4); None is its own.
+
+        The camera turns, not the object: what is picked stays where the asset has it.
+        """
+        frame = np.eye(4) if object_from_asset is None else object_from_asset
+        if self._asset is None or np.allclose(frame, self._frame, atol=1e-9):
+            return
+        self._frame = frame
+        if not self._in_scene:
+            self._show_ground(self._asset)
+        self.frame_camera()
+
+    def _framed(self, asset: OpenedAsset) -> npt.NDArray[np.float64]:
+        """(2, 3) bounds in the frame that is shown."""
+        if np.array_equal(self._frame, np.eye(4)):
+            return asset.bounds
+        points = asset.display_centers @ self._frame[:3, :3].T + self._frame[:3, 3]
+        return np.percentile(points, [1, 99], axis=0)
+
     def _show_ground(self, asset: OpenedAsset) -> None:
         diagonal = asset.diagonal
-        low, high = asset.bounds
+        low, high = self._framed(asset)
+        asset_from_shown = np.linalg.inv(self._frame)
+        middle = np.array([*((low + high) / 2)[:2], float(low[2]) - 1e-3 * diagonal, 1.0])
         span = float(max(high[0] - low[0], high[1] - low[1], 0.2 * diagonal))
         cell = 10.0 ** np.floor(np.log10(span)) / 2
         self._scene.add_grid(
             "/ground",
             width=4 * span,
             height=4 * span,
-            position=(*((low + high) / 2)[:2], float(low[2]) - 1e-3 * diagonal),
+            position=(asset_from_shown @ middle)[:3],
+            wxyz=vtf.SO3.from_matrix(asset_from_shown[:3, :3]).wxyz,
             cell_size=float(cell),
             section_size=float(2 * cell),
             cell_color=(205, 210, 216),
@@ -117,36 +154,46 @@ class ObjectPicture:
             fade_distance=8 * span,
         )
 
-    def frame_camera(self) -> None:
-        """Aim from the front, the side and above, with the whole object in the picture."""
+    def frame_camera(self, view: View | None = None) -> None:
+        """Aim at the whole object: by default from the front, the side and above."""
         if self._asset is None:
             return
         asset, camera = self._asset, self._client.camera
-        low, high = asset.bounds
-        center = (low + high) / 2
+        bounds = self._framed(asset)
+        front = asset.front
+        if bounds is not asset.bounds:
+            front = front_direction(asset.display_centers @ self._frame[:3, :3].T)
         # Into a room one looks from above: its walls are in the way.
-        above = 1.2 if may_be_a_room(asset.bounds) else 0.45
-        direction = view_direction(asset.front, above=above)
-        distance = 1.08 * fitting_distance(camera, asset.diagonal)
-        aim(self._client, center + distance * direction, center, least_near=1e-4)
+        above = 1.2 if may_be_a_room(bounds) else 0.45
+        direction = view_direction(front, above=above)
+        if view is not None:
+            direction = view_direction(front, *_VIEWS[view])
+        asset_from_shown = np.linalg.inv(self._frame)
+        center = (asset_from_shown @ [*bounds.mean(0), 1.0])[:3]
+        distance = 1.08 * fitting_distance(camera, float(np.linalg.norm(np.ptp(bounds, axis=0))))
+        turn = asset_from_shown[:3, :3]
+        aim(
+            self._client, center + distance * (turn @ direction), center, least_near=1e-4,
+            up=tuple(turn[:, 2].tolist()),
+        )  # fmt: skip
 
     # --- labels and parts
 
     def show_labels(self, labels: npt.NDArray[np.int16] | None, hidden: frozenset[int]) -> None:
         """Color the parts. Sends only those that changed."""
-        if self._overlay is not None:
-            self._overlay.show(labels, hidden)
+        if self.overlay is not None:
+            self.overlay.show(labels, hidden)
 
     @property
     def labels(self) -> npt.NDArray[np.int16] | None:
         """The labels that were drawn last."""
-        return None if self._overlay is None else self._overlay.labels
+        return None if self.overlay is None else self.overlay.labels
 
     def show_parts(
         self, payloads: list[PartPayload] | None, moving: bool, hidden: frozenset[int]
     ) -> None:
         """Draw the parts one by one where they are ``moving``, else the scan as a whole."""
-        if self._overlay is None:
+        if self.overlay is None:
             return
         if moving and payloads is not None and self.parts.draw(payloads):
             self._moving = False
@@ -154,8 +201,8 @@ class ObjectPicture:
         with self._client.atomic():
             if moving != self._moving:
                 self._moving = moving
-                self._scan.visible = not moving
-                self._overlay.set_visible(not moving)
+                self.scan.visible = not moving
+                self.overlay.set_visible(not moving)
             self.parts.set_visible(moving, hidden)
 
     # --- prompts

@@ -21,6 +21,8 @@ GHOST: Final[Rgb] = (150, 150, 160)
 CONTACT: Final[Rgb] = (220, 20, 40)
 DIRECTIONS: Final[tuple[Rgb, Rgb, Rgb]] = ((204, 51, 51), (60, 150, 60), (51, 90, 204))
 """Of X, Y and Z, as everywhere in 3D."""
+MARKED: Final[Rgb] = (176, 182, 190)
+"""Of what is marked for removal, and of what was removed."""
 NEGATIVE: Final[Rgb] = (25, 25, 30)
 
 PART_NAMES: Final[tuple[str, ...]] = (

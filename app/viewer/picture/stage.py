@@ -57,13 +57,14 @@ def aim(
     *,
     least_near: float,
     least_far: float = 0.0,
+    up: tuple[float, float, float] = (0.0, 0.0, 1.0),
 ) -> None:
     """Put the camera somewhere, upright; its clipping planes, in metres, go with the distance."""
     camera = client.camera
     distance = float(np.linalg.norm(position - look_at))
     with client.atomic():
         camera.fov = FIELD_OF_VIEW
-        camera.up_direction = (0.0, 0.0, 1.0)
+        camera.up_direction = up
         camera.position = position
         camera.look_at = look_at  # after the position, which carries the old one along
         camera.near = max(distance * 1e-3, least_near)

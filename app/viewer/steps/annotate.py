@@ -17,12 +17,13 @@ from app.viewer.panels.prompt_list import PromptList
 from app.viewer.panels.quick_names import NUMBERED
 from app.viewer.panels.source_panel import SourcePanel
 from app.viewer.panels.tool_buttons import ToolButtons
-from app.viewer.panels.unit_hint import UnitHint
 from app.viewer.panels.widgets import put
 from app.viewer.picture import palette
 from app.viewer.picture.stage import may_be_a_room
+from app.viewer.steps.prepare import PrepareStep
 from app.viewer.tab import Tab
 from app.viewer.words import annotate as words
+from app.viewer.words.prepare import PREPARE
 from model.segmentation.prompts import BASE, Click
 from sessions import commands as cmd
 from sessions.document import Document
@@ -35,6 +36,7 @@ class AnnotateStep:
     Args:
         records: the queue.
         open_object: gets the id of an object that was cut out.
+        prepare: the step before.
 
     Attributes:
         parts: the list of parts.
@@ -48,12 +50,13 @@ class AnnotateStep:
         pointing: Pointing,
         records: Callable[[], Sequence[ObjectRecord]],
         open_object: Callable[[int], None],
+        prepare: PrepareStep,
     ) -> None:
-        self._tab, self._pointing = tab, pointing
+        self._tab, self._pointing, self._prepare = tab, pointing, prepare
         self._drawn: Any = None
         gui = tab.client.gui
         self._hint = gui.add_markdown("")
-        self._unit = UnitHint(tab)
+        self._to_prepare = gui.add_button(PREPARE, color="blue", visible=False)
         self._room = gui.add_button("", icon=viser.Icon.SCISSORS, color="gray", visible=False)
         # Above the parts, so that it keeps its place.
         self._predict = PredictButtons(tab)
@@ -70,12 +73,18 @@ class AnnotateStep:
         self._prompts = PromptList(tab)
         self.source = SourcePanel(tab, open_object)
         self._room.on_click(lambda _: tab.act(self._room_clicked))
+        self._to_prepare.on_click(lambda _: tab.act(lambda: tab.selection.set_step("Prepare")))
 
     def _room_clicked(self) -> None:
         if self._room.label == words.EXCLUDE_ROOM:
             self.source.leave_out()
         else:
             self.source.cut_out()
+
+    @property
+    def likely_category(self) -> str | None:
+        """The object's category, or the one that is suggested first."""
+        return self._tab.selection.need_object().document.category or self._guess.first
 
     def next_mask(self, step: int) -> None:
         """Take another mask for the last click: the next one, or with -1 the one before."""
@@ -116,6 +125,7 @@ class AnnotateStep:
             id(obj.asset),
             selection.picking,
             doc.segmentation is None,
+            id(obj.preparing.current),
         )
         if now != self._drawn:
             self._drawn = now
@@ -135,15 +145,16 @@ class AnnotateStep:
         wide = obj.asset is not None and may_be_a_room(obj.asset.bounds)
         room = wide and not self._tab.in_scene and doc.placement is None
         whole = room and doc.left_out is None and not doc.prompts
-        odd = self._unit.draw(obj)
+        noticed = self._prepare.question(obj)
+        put(self._to_prepare, "visible", noticed is not None)
         mine = [p for p in doc.prompts if p.part == selection.part]
         put(self._room, "label", words.EXCLUDE_ROOM if whole else words.EXTRACT)
         put(self._room, "color", "blue" if whole or doc.segmentation is not None else "gray")
-        put(self._room, "visible", room and odd is None)
+        put(self._room, "visible", room and noticed is None)
         if selection.picking:
             text = words.extracting(selection.part)
-        elif odd is not None:
-            text = words.question(odd)
+        elif noticed is not None:
+            text = noticed
         elif doc.review.state == "accepted":
             text = words.IS_ACCEPTED
         elif whole:

@@ -33,7 +33,6 @@ extracting = Message(
     "**Part {part}** will be extracted. To separate neighbors with one common front, "
     "press **K** and click above and below the border."
 )
-question = Message("**{text}**")
 # --- category and parts
 
 CATEGORY: Final = ("Category", "Other category")
@@ -236,12 +235,6 @@ EXTRACT_HELP: Final = (
     "For a scan of several objects: exclude floor and walls, select one object with clicks or a "
     "box, and extract it."
 )
-FRAME_FOLDER: Final = "Orientation and units"
-UP_AXIS: Final = "Up axis"
-UNIT: Final = "File's unit"
-APPLY: Final = "Apply and reload"
-RELOAD_NOTE: Final = "Reloading discards parts and joints; undo restores them."
-set_unit = Message("Use {unit}")
 
 
 def extracted_from(scene: str, position: tuple[float, float, float]) -> str:

@@ -60,6 +60,7 @@ JOBS: Final[dict[str, str]] = {
     "save": "Saving",
     "predict": "Predicting joints",
     "room": "Processing the scan",
+    "prepare": "Finding floor and orientation",
     "segment": "Segmenting",
     "encode": "Preparing",
     "tool": "Running the tool",

@@ -35,6 +35,13 @@ SHEET: Final[tuple[tuple[str, str], ...]] = (
     ("X, then 1 … 6", "reject, with a reason"),
     ("N, B", "next, previous object"),
     ("Enter, Backspace", "scene: edit the object, go back"),
+    ("Enter", "prepare a scan; apply what is shown"),
+    ("In Prepare: Tab", "other up direction"),
+    ("1, 3, 7", "front, side, top view"),
+    ("R, F, G", "rotate 90°, flip, rotation handle"),
+    ("K; K, K; M", "level by floor, by edge; measure"),
+    ("L, I, Alt + drag", "remove (Shift restores)"),
+    ("Delete", "remove what is grey"),
     ("Ctrl+Z, Ctrl+Shift+Z", "undo, redo"),
     ("Ctrl+K", "command palette"),
     ("Drag, right drag, wheel", "orbit, pan, zoom"),
@@ -56,6 +63,7 @@ EXCLUDE_ROOM, EXTRACT = "Exclude floor and walls", "Extract this part as an obje
 ACCEPT, REJECT = "Accept", "Reject"
 NEXT, PREVIOUS = "Next object", "Previous object"
 FRAME: Final = "Frame object"
+PREPARE: Final = "Prepare, or apply what is proposed"
 EDIT_IN_SCENE, BACK = "Edit the selected object", "Back to the scene"
 
 

@@ -1,0 +1,138 @@
+"""A scan of any rotation and scale, on a table, is levelled and cleaned in the browser."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.browser.browsing import Tab, wait_until
+from tests.browser.raw_scans import raw_scan
+
+pytestmark = [pytest.mark.browser, pytest.mark.flaky(reruns=2, reruns_delay=2)]
+
+
+def up_error(tab: Tab, source_from_object: np.ndarray) -> float:
+    """Degrees between the object's +z and the true one."""
+    up = source_from_object[:3, 2] / np.linalg.norm(source_from_object[:3, 2])
+    turn = tab.document.frame.object_from_read[:3, :3]
+    z = (turn @ up)[2] / np.cbrt(np.linalg.det(turn))
+    return float(np.degrees(np.arccos(np.clip(z, -1, 1))))
+
+
+def read(tab: Tab) -> None:
+    wait_until(lambda: tab.object.asset is not None and not tab.object.busy, "it is read")
+
+
+def proposed(tab: Tab) -> Any:
+    return wait_until(lambda: tab.object.preparing.current, "a proposal")
+
+
+def shown(tab: Tab, point: np.ndarray) -> tuple[float, float, float]:
+    """The displayed point nearest to one of the source."""
+    points = tab.object.asset.display_points
+    x, y, z = points[np.linalg.norm(points - point, axis=1).argmin()].tolist()
+    return x, y, z
+
+
+def test_one_key_levels_and_cleans_a_raw_scan(start: Any, open_tab: Any, tmp_path: Path) -> None:
+    frame = raw_scan(tmp_path / "oven.ply", seed=3)
+    tab = open_tab(start(tmp_path / "oven.ply"))
+    wait_until(lambda: tab.selection.step == "Prepare", "a tilted scan is noticed")
+    tab.page.get_by_text("Tilted by 89°").first.wait_for()
+    tab.key("Enter")
+    wait_until(lambda: tab.selection.step == "Annotate", "annotating")
+    read(tab)
+    assert up_error(tab, frame) < 0.5
+    true = 220_440
+    assert abs(tab.object.asset.element_count - true) < 0.02 * true
+    low, high = tab.object.asset.bounds
+    np.testing.assert_allclose((low + high)[:2] / 2, 0, atol=0.05 * (high - low).max())
+    assert tab.document.label == "level by 89°; remove support, outliers"
+    # The size is asked for where the category's is known.
+    tab.step("Prepare")
+    tab.page.keyboard.press("Control+z")
+    wait_until(lambda: tab.document.left_out is None, "undone")
+    tab.page.keyboard.press("Control+Shift+z")
+    wait_until(lambda: tab.document.left_out is not None, "done again")
+    read(tab)
+    assert up_error(tab, frame) < 0.5
+
+
+def test_an_upright_clean_object_is_not_asked_about(start: Any, open_tab: Any) -> None:
+    from model.core.resources import static_assets
+
+    tab = open_tab(start(static_assets() / "examples" / "oven_scan.ply"))
+    proposed(tab)
+    tab.page.wait_for_timeout(500)
+    assert tab.selection.step == "Annotate"
+    assert not tab.app.prepare.noticed(tab.object)
+    assert not tab.button("Prepare (Enter)").count()
+
+
+def test_up_by_floor_and_size_by_length(start: Any, open_tab: Any, tmp_path: Path) -> None:
+    frame = raw_scan(tmp_path / "oven.ply", seed=5, scale=2.0)
+    tab = open_tab(start(tmp_path / "oven.ply"))
+    wait_until(lambda: tab.selection.step == "Prepare", "a tilted scan is noticed")
+    proposed(tab)
+    tab.key("7")
+    tab.camera_at_rest()
+    tab.page.wait_for_timeout(800)
+
+    def corner(x: float, y: float, z: float = -0.064) -> tuple[float, float, float]:
+        return shown(tab, frame[:3, :3] @ [x, y, z] + frame[:3, 3])
+
+    tab.key("k")
+    wait_until(lambda: tab.app.pointing.armed == "floor", "the floor is asked for")
+    for place in ((-0.6, -0.6), (0.6, -0.6), (0.0, 0.7)):
+        tab.click3d(corner(*place))
+        tab.page.wait_for_timeout(300)
+    wait_until(lambda: tab.object.preparing.current.up is not None, "levelled by the floor")
+    tab.key("m")
+    wait_until(lambda: tab.app.pointing.armed == "length", "a length is asked for")
+    for place in ((-0.6, -0.6), (0.6, -0.6)):
+        tab.click3d(corner(*place))
+        tab.page.wait_for_timeout(300)
+    tab.page.get_by_text("Length [m]").first.wait_for()
+    tab.field("Length [m]").fill("1.2")
+    tab.page.wait_for_timeout(300)
+    tab.button("Set").click()
+    wait_until(lambda: tab.document.frame.scale != 1.0, "scaled")
+    assert tab.document.frame.scale == pytest.approx(0.5, rel=0.05)
+    read(tab)
+    tab.key("r")
+    wait_until(lambda: tab.document.label.startswith("rotate 90°"), "rotated")
+
+
+def test_strokes_remove_and_restore(start: Any, open_tab: Any, tmp_path: Path) -> None:
+    raw_scan(tmp_path / "oven.ply", seed=3)
+    tab = open_tab(start(tmp_path / "oven.ply"))
+    wait_until(lambda: tab.selection.step == "Prepare", "a tilted scan is noticed")
+    tab.key("Delete")
+    wait_until(lambda: tab.document.left_out is not None, "table and strays are removed")
+    read(tab)
+    before = tab.document.left_out.count
+    box = tab.page.locator("canvas").first.bounding_box()
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+
+    def drag() -> None:
+        tab.page.keyboard.down("Alt")
+        tab.page.mouse.move(x - 60, y - 60)
+        tab.page.mouse.down()
+        tab.page.mouse.move(x + 60, y + 60, steps=4)
+        tab.page.mouse.up()
+        tab.page.keyboard.up("Alt")
+
+    drag()
+    wait_until(lambda: tab.document.left_out.count > before, "the box removes")
+    read(tab)
+    less = tab.document.left_out.count
+    tab.page.keyboard.down("Shift")
+    drag()
+    tab.page.keyboard.up("Shift")
+    wait_until(lambda: tab.document.left_out.count < less, "with Shift it restores")
+    read(tab)
+    tab.button("Restore").click()
+    wait_until(lambda: tab.document.left_out is None, "all is back")
