@@ -146,7 +146,7 @@ class Prediction:
 
     @classmethod
     def of_file(cls, name: str, tree: KinematicTree) -> Prediction:
-        """The joints that a file tells: nobody guessed them, so that none has a confidence."""
+        """The joints that a file declares; declared joints have no confidence."""
         notes = {j.child: f"From {name}." for j in tree.joints}
         return cls(tree, backend=f"file {name}", notes=notes, file=name)
 

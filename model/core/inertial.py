@@ -1,4 +1,4 @@
-"""Mass properties of links: what they are, moved and put together."""
+"""Mass properties of links: moving and combining them."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def together(inertials: Sequence[Inertial]) -> Inertial:
 
 
 def inertial_problems(inertials: Mapping[str, Inertial]) -> list[str]:
-    """Links whose mass properties no body can have; empty where all is well."""
+    """Links with mass properties that no rigid body can have."""
     out: list[str] = []
     for link, inertial in inertials.items():
         if not (np.isfinite(inertial.center).all() and np.isfinite(inertial.tensor).all()):

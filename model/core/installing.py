@@ -1,4 +1,4 @@
-"""How what is missing gets installed where this runs; the shell's pip may be another one."""
+"""The command that installs a missing package here; the shell's pip may be another one."""
 
 from __future__ import annotations
 

@@ -59,7 +59,7 @@ def category_key(category: str | None) -> str:
 
 
 def category_remark(category: str | None) -> str | None:
-    """What to tell who misspelt a category; None where it is known, or like none that is."""
+    """Suggestion for a misspelt category; None if it is known, or similar to none."""
     plain = re.sub(r"[^a-z]", "", (category or "").lower())
     near = "" if plain in _CATEGORIES else _nearest(plain, _ALIKE)
     if not near:
@@ -75,7 +75,7 @@ def _nearest(word: str, cutoff: float) -> str:
 
 
 def mechanism_of(name: str | None, category: str | None) -> tuple[Mechanism | None, str]:
-    """What a part's name says about how it moves, and the word that said it.
+    """The mechanism that a part's name implies, and the word that implies it.
 
     Returns:
         (None, "") where the name says nothing.
@@ -87,7 +87,7 @@ def mechanism_of(name: str | None, category: str | None) -> tuple[Mechanism | No
     special = CATEGORY_WORDS.get(key, {})
     mechanism: Mechanism | None = None
     said = ""
-    # English puts the thing last: in "drawer handle" it is the handle.
+    # The last word is the noun: a "drawer handle" is a handle.
     for word in reversed(found):
         if (hit := known_word(word, tuple(special))) is not None:
             mechanism, said = special[hit], hit

@@ -18,7 +18,7 @@ class Progress(Protocol):
 
 
 def no_progress(fraction: float, message: str) -> None:
-    """A :class:`Progress` that nobody watches."""
+    """A :class:`Progress` that reports nothing."""
 
 
 def scaled_progress(progress: Progress, start: float, end: float) -> Progress:

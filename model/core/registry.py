@@ -99,15 +99,15 @@ class Registry(Generic[T]):
     def _plugged(self, point: EntryPoint, *arguments: Any, **options: Any) -> T:
         try:
             made = point.load()(*arguments, **options)
-        except ArtiworldError:  # it names itself what it lacks
+        except ArtiworldError:  # its message names what is missing
             raise
-        except Exception as error:  # somebody else's package may fail in any way
+        except Exception as error:  # a plug-in may raise anything
             plain = isinstance(error, ImportError | AttributeError)
             why = str(error) if plain else f"{type(error).__name__}: {error}"
             raise ConfigurationError(
                 f"{self.kind} {point.name!r} can't be loaded: {why}; fix or remove its package"
             ) from error
-        # A class has all its methods, but they can't be called on it.
+        # A class passes the protocol check, but its methods need an instance.
         if isinstance(made, self.protocol) and not isinstance(made, type):
             return made
         kind = type(made).__name__

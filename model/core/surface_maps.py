@@ -1,4 +1,4 @@
-"""What a surface has beside its colour: relief, light of its own, shade in its corners."""
+"""Maps of a surface besides its colour: normals, emission, occlusion."""
 
 from __future__ import annotations
 

@@ -71,7 +71,7 @@ def _readable(what: str) -> Iterator[None]:
 
 
 def left_out(what: Iterable[str]) -> str:
-    """The remark on what materials of a file have and nobody keeps."""
+    """The remark on material properties that aren't kept."""
     return f"left out of its materials: {', '.join(sorted(set(what)))}"
 
 
@@ -85,7 +85,7 @@ def open_texture(path: Path) -> Image.Image:
 
 
 def texture_bytes(path: Path) -> bytes:
-    """What is in the file ``path``.
+    """The content of the file ``path``.
 
     Raises:
         TextureError: where it can't be read.

@@ -18,6 +18,6 @@ def with_threads(environment: Mapping[str, str], threads: int) -> dict[str, str]
 
 
 def chosen_by_person(environment: Mapping[str, str]) -> bool:
-    """Whether the person said how many threads torch shall have."""
+    """Whether the number of torch's threads was set by the user."""
     ours = environment.get(BY_DEFAULT, "").split(",")
     return any(n in environment and n not in ours for n in ("OMP_NUM_THREADS", "MKL_NUM_THREADS"))

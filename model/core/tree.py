@@ -36,7 +36,7 @@ class KinematicTree:
 
     @cached_property
     def root(self) -> str:
-        """The link that is nobody's child."""
+        """The root link."""
         children = {j.child for j in self.joints}
         return next(link for link in self.links if link not in children)
 

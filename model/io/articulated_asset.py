@@ -1,4 +1,4 @@
-"""Articulated objects that somebody else made, as an asset to look at: parts, names and joints.
+"""Articulated objects from other sources as an asset: parts, names and joints.
 
 What a URDF or MJCF fixes together is one part, as for a data set. Unlike there, the order of the
 elements is the file's, and an empty root keeps its joints: whoever checks a file wants to see them
@@ -97,7 +97,7 @@ def open_model(
         obj, names_of = _loaded(model, files, progress)
         obj = replace(model.declared, collision={}).of(obj)  # those go by part, not by link
         notes = (*model.notes, *model.declared.notes, *remarks_of(obj.parts))
-    plain = {*model.rescaled, *model.renamed}  # they change nothing that is seen
+    plain = {*model.rescaled, *model.renamed}  # no effect on geometry or joints
     notes = tuple(n for n in dict.fromkeys(notes) if n not in plain)
     meshes = [v.file for v in model.visuals if v.file is not None]
     collision = model.declared.collision
@@ -106,7 +106,7 @@ def open_model(
         if v.file is not None and v.file.is_file()
     ]  # fmt: skip
     listed = declared_links(path.parent, "collision") if path.name == URDF else None
-    if listed is not None:  # of an asset of ours: the others were made from what is seen
+    if listed is not None:  # a saved asset computes the others from its geometry
         collision = {
             link: c if link in listed else replace(c, repeated=True)
             for link, c in collision.items()
@@ -125,7 +125,7 @@ def _check_size(path: Path, most: int) -> None:
 def _loaded(
     model: UrdfModel, files: MaterialFiles, progress: Progress
 ) -> tuple[ArticulatedObject, dict[str, str]]:
-    """The object link by link, and what its parts are called by what lies beside the URDF."""
+    """The object by link, and the part names given by files beside the URDF."""
     path = model.path
     parts = []
     for i, (link, visuals) in enumerate(model.by_link.items()):
@@ -140,7 +140,7 @@ def _loaded(
         category, names = said.get("category"), said.get("names")
         names_of = {k: str(v) for k, v in names.items()} if isinstance(names, dict) else {}
         exported, ours = declared_category(path.parent)
-        if ours:  # in an export of ours a visual is called as its part
+        if ours:  # exports of ArtiWorld name a visual after its part
             category = category or exported
             names_of = {p.link: p.name for p in parts if p.name} | names_of
         names_of = dict(model.part_names) | names_of
@@ -170,7 +170,7 @@ def _opened(
         cloud = PointCloud(points.astype(np.float32), normals, whole.colors)
     tree = _without_bare_ends(obj.tree, {p.link for p in obj.parts}, said)
     moves = any(j.moves for j in tree.joints)
-    # Where nothing moves, links are all that tells parts; to be predicted, they stay apart.
+    # Without moving joints the links are the only parts; they stay apart for the predictor.
     apart = () if moves else [j.name for j in tree.joints]
     groups = rigid_groups(tree, apart)
     head = {link: top for top, links in groups.items() for link in links}
@@ -183,7 +183,7 @@ def _opened(
     own = {p.link for p in obj.parts}
     for top, part in number.items():
         names[part] = _name([n for n in groups[top] if n in names_of or n in own], names_of)
-    # Frames that carry nothing have a weight, and may have shapes, all the same.
+    # Links without geometry still have mass, and may have collision shapes.
     declared_groups = rigid_groups(obj.tree, apart)
     shapes = _shaped(declared_groups, collision, number, matrix, said)
     return Opened(
@@ -216,7 +216,7 @@ def _geometry(path: Path, parts: Sequence[Part]) -> tuple[list[Mesh], list[Point
 
 
 def _without_bare_ends(tree: KinematicTree, holding: set[str], notes: list[str]) -> KinematicTree:
-    """Without the moving links at the ends that carry nothing: tool frames, sensors."""
+    """Drop moving leaf links without geometry: tool frames, sensors."""
     needed = set(holding) | {tree.root}
     leaders = {j.mimic.joint for j in tree.joints if j.mimic is not None}
     needed |= {j.child for j in tree.joints if j.name in leaders}
@@ -236,7 +236,7 @@ def _without_bare_ends(tree: KinematicTree, holding: set[str], notes: list[str])
 
 
 def _numbers(tops: Sequence[str], root: str) -> dict[str, int]:
-    """Topmost link of each part → its number; 0 is what the others hang on.
+    """Topmost link of each part → its number; 0 is the base.
 
     Objects that the app wrote keep the numbers that they have there.
     """
@@ -249,7 +249,7 @@ def _numbers(tops: Sequence[str], root: str) -> dict[str, int]:
 
 
 def _name(links: Sequence[str], names_of: Mapping[str, str]) -> str:
-    """What a part is called: as is told, else as its first link, unless that is a number."""
+    """Name of a part: the declared one, else its first link's, unless that is a number."""
     chosen = next((n for n in links if n in names_of), None)
     if chosen is not None:
         return names_of[chosen]
@@ -280,7 +280,7 @@ def _weighed(
     number: Mapping[str, int],
     matrix: npt.NDArray[np.float64],
 ) -> dict[str, Inertial]:
-    """Link of each part, or helper → what its links weigh together."""
+    """Link of each part, or helper → the combined inertial of its links."""
     names_of, seen = obj.inertials, {p.link for p in obj.parts}
     out: dict[str, Inertial] = {}
     for top, links in groups.items():

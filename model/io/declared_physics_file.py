@@ -22,7 +22,7 @@ def save_declared(
     inertials: Mapping[str, Inertial],
     shapes: Mapping[str, tuple[Shape, ...]],
 ) -> None:
-    """Write ``told.npz`` where there is anything to tell.
+    """Write ``told.npz`` if anything is declared.
 
     Args:
         inertials, shapes: by link, in the frame of the folder's meshes; ``link_2`` is the third

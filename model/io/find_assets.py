@@ -1,4 +1,4 @@
-"""Which files and folders can be opened, and what people call them."""
+"""Files and folders that can be opened, and their display names."""
 
 from __future__ import annotations
 
@@ -130,13 +130,13 @@ def _search(folder: Path, seen: set[Path]) -> list[Path]:
         ):
             out.append(entry)
     urdf = _urdf_of_package(folder)
-    if urdf is not None:  # the package is called after the object, its folder urdf/ isn't
+    if urdf is not None:  # the ROS package has the object's name, its folder urdf/ has not
         return [folder, *(p for p in out if p not in (urdf, urdf.parent))]
     return out
 
 
 def _is_scene(folder: Path) -> bool:
-    """Whether ``scene convert`` wrote it: its MJCF is of all its objects together."""
+    """Whether ``scene convert`` wrote it: its MJCF describes all objects together."""
     return (folder / "scene.json").is_file() and (folder / "assets").is_dir()
 
 
@@ -144,7 +144,7 @@ def _without_pieces(found: list[Path]) -> list[Path]:
     """Without the meshes, the folders of part meshes, and the MJCFs that a URDF or MJCF among
     ``found`` names."""
     models = [model_of(p) if p.is_dir() else p for p in found]
-    outside = (  # what a model has in its own folder isn't found beside that folder
+    outside = (  # files in a model's own folder aren't separate assets
         m for m, p in zip(models, found, strict=True)
         if m is not None and is_model(m) and (m == p or package_root(m) != m.parent)
     )  # fmt: skip

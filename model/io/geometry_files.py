@@ -66,7 +66,7 @@ _WORLD_FROM_SOURCE: dict[str, list[list[int]]] = {
 
 
 def default_up_axis(path: Path, *, part_of_folder: bool = False) -> UpAxis:
-    """The up axis that a file is taken to have where nobody says: see the module's text."""
+    """The default up axis of a file, see the module's docstring."""
     suffix = path.suffix.lower()
     if suffix in _Y_UP or (suffix == ".obj" and not part_of_folder):
         return "y"

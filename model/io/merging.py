@@ -149,7 +149,7 @@ def _moving_tree(
 
 
 def _unmimicked(joints: Sequence[Joint]) -> list[Joint]:
-    """Without mimics whose leader was dropped."""
+    """Drop mimics whose leader was dropped."""
     names = {j.name for j in joints}
     return [
         j if j.mimic is None or j.mimic.joint in names else replace(j, mimic=None) for j in joints

@@ -1,4 +1,4 @@
-"""Files that tell an object's parts and joints: URDF and MJCF, read into the same."""
+"""Files that declare parts and joints: URDF and MJCF, read into the same model."""
 
 from __future__ import annotations
 
@@ -36,5 +36,5 @@ def read_model(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> UrdfModel:
 
 
 def files_named_by(path: Path) -> list[Path]:
-    """Where the files that it is made of may lie, absolute; nothing is read but its own text."""
+    """Absolute paths that the model's files may have; only its own text is read."""
     return named_meshes(path) if is_urdf(path) else named_files(path)

@@ -1,4 +1,4 @@
-"""Folders of part meshes: which files are the parts, and what they are called."""
+"""Folders of part meshes: the parts' files and names."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _MAX_REMARKS, _LONGEST_REMARK = 100, 300
 
 @dataclass(frozen=True)
 class PartEntry:
-    """One part: its file, the name of its link, and what it is (or None)."""
+    """One part: its file, link and name (or None)."""
 
     path: Path
     link: str

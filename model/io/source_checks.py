@@ -1,4 +1,4 @@
-"""What every reader's result goes through: NaN, units, up axis, and whether there is an object."""
+"""Checks on every reader's result: NaN, units, up axis, and whether there is an object."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def far_shift(loaded: Loaded) -> tuple[float, float, float]:
 
 
 def shifted(loaded: Loaded, shift: tuple[float, float, float]) -> Loaded:
-    """Moved by minus ``shift``, with a warning that says so."""
+    """Move by minus ``shift``, with a warning."""
     if shift == (0.0, 0.0, 0.0):
         return loaded
     warning = "lies far from its origin: moved by ({:g}, {:g}, {:g}) m".format(*(-s for s in shift))

@@ -23,7 +23,7 @@ MAX_DEPTH = 200
 
 @dataclass(frozen=True)
 class TreeNode:
-    """A part and what hangs on it.
+    """A part and its children.
 
     Attributes:
         part: link name.
@@ -83,7 +83,7 @@ def tree_from_json(data: str | Mapping[str, Any]) -> TreeNode:
 
 
 def tree_json_problems(data: str | Mapping[str, Any], tree: KinematicTree) -> list[str]:
-    """Every way in which the JSON and ``tree`` say different things; empty where they agree."""
+    """Differences between the JSON and ``tree``."""
     try:
         root = tree_from_json(data)
     except KinematicsError as error:

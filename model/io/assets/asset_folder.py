@@ -74,7 +74,7 @@ __all__ = [
 
 @dataclass(frozen=True)
 class AssetFiles:
-    """What was written; all paths lie in ``folder``.
+    """The written files; all paths lie in ``folder``.
 
     Attributes:
         meshes: link → the mesh that the URDF refers to.

@@ -1,4 +1,4 @@
-"""Reading a saved asset back; ``asset_folder`` writes it and tells the format."""
+"""Read saved assets; ``asset_folder`` writes them and documents the format."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ _OLD = ".old"
 
 
 def old_name(fresh: Path) -> Path:
-    """Where an asset waits while ``fresh``, the folder written beside it, takes its place."""
+    """The backup of an asset while ``fresh``, the folder written beside it, replaces it."""
     return fresh.with_name(fresh.name + _OLD)
 
 
 def recover(folder: Path) -> None:
-    """Put an asset back whose replacement was killed between its two renames."""
+    """Restore an asset whose replacement was interrupted between its two renames."""
     if folder.exists() or not folder.parent.is_dir() or not folder.name:
         return
     start = f".{folder.name}."
@@ -49,7 +49,7 @@ def recover(folder: Path) -> None:
         if waiting:
             max(waiting, key=lambda p: p.stat().st_mtime).rename(folder)
     except OSError:
-        return  # whoever reads the folder next says what is wrong with it
+        return  # the next reader of the folder reports the problem
 
 
 def load_object(asset: str | Path, progress: Progress = no_progress) -> ArticulatedObject:
@@ -101,7 +101,7 @@ def load_object(asset: str | Path, progress: Progress = no_progress) -> Articula
 
 
 def _read(path: Path, progress: Progress) -> tuple[ArticulatedObject, DeclaredPhysics]:
-    """The object of a URDF or MJCF, and what the file tells beside."""
+    """The object of a URDF or MJCF, and the physics that the file declares."""
     model = read_model(path)
     declared = model.declared
     for note in (*model.notes, *declared.notes):

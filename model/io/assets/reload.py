@@ -33,7 +33,7 @@ Poses = dict[str, npt.NDArray[np.float64]]
 def reload_check(
     folder: str | Path, *, configurations: int = 5, seed: int = 0, mujoco: bool = True
 ) -> list[str]:
-    """Everything that is wrong with a saved asset; empty where all is well.
+    """Problems of a saved asset; empty if there are none.
 
     Reads it back, compares the tree with ``tree.json`` and the areas with what was recorded, and
     compares link poses at random joint values with yourdfpy's and, where it is installed,
@@ -114,7 +114,7 @@ def _compare(reader: str, expected: Poses, seen: Poses, out: list[str]) -> None:
 def yourdfpy_problems(
     path: Path, obj: ArticulatedObject, settings: list[dict[str, float]]
 ) -> list[str]:
-    """What is wrong when yourdfpy loads a URDF of ``obj`` with its meshes and moves its joints."""
+    """Problems when yourdfpy loads a URDF of ``obj`` with its meshes and moves its joints."""
     import yourdfpy
 
     def inside(fname: str) -> str:
@@ -144,7 +144,7 @@ def yourdfpy_problems(
 def mujoco_problems(
     path: Path, obj: ArticulatedObject, settings: list[dict[str, float]]
 ) -> list[str]:
-    """What is wrong when MuJoCo loads a URDF or MJCF of ``obj`` and moves its joints."""
+    """Problems when MuJoCo loads a URDF or MJCF of ``obj`` and moves its joints."""
     mujoco: Any = import_module("mujoco")
     out: list[str] = []
     with _mujoco_quiet():

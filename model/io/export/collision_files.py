@@ -46,7 +46,7 @@ def write_collision(
 
 
 def obj_text(hull: Hull | Solid) -> str:
-    """A hull or mesh as OBJ, nothing but corners and faces."""
+    """A hull or mesh as OBJ with vertices and faces only."""
     lines = ["# ArtiWorld collision hull, metres, +z up"]
     lines += ["v {:.9g} {:.9g} {:.9g}".format(*row) for row in (hull.vertices + 0.0).tolist()]
     lines += ["f {} {} {}".format(*row) for row in (hull.faces + 1).tolist()]

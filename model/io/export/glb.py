@@ -111,7 +111,7 @@ class _Scene(GlbTree):
             self._shared("extensionsUsed", extension)
         materials = [self._shared("materials", m) for m in tree.get("materials", [])]
         called = name or ("base" if link == self.obj.tree.root else link)
-        if called in self.node:  # nodes of links are told by their names
+        if called in self.node:  # link nodes are identified by their names
             called = f"{link} mesh"
         for mesh in tree["meshes"]:
             mesh["name"] = called
@@ -192,7 +192,7 @@ class _Scene(GlbTree):
 
 
 def _texture_slots(material: dict[str, Any]) -> list[dict[str, Any]]:
-    """What refers to textures in a material."""
+    """The texture references of a material."""
     found = [material["pbrMetallicRoughness"].get("baseColorTexture")]
     found += [material.get(f"{kind}Texture") for kind in ("normal", "occlusion", "emissive")]
     return [slot for slot in found if slot is not None]

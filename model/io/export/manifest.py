@@ -1,4 +1,4 @@
-"""``artiworld.json`` beside what was exported: where it comes from, and what was left out."""
+"""``artiworld.json`` beside an export: its source, and what was left out."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def write_scene_about(
 
 
 def about_asset(asset: Path) -> dict[str, Any]:
-    """What an asset's ``provenance.json`` says that is for others; None or {} where it doesn't.
+    """The public entries of an asset's ``provenance.json``; None or {} without any.
 
     Raises:
         InputFileError: where it is damaged.

@@ -190,7 +190,7 @@ class _Writer:
     def _material(self, piece: Mesh, name: str) -> str:
         look = piece.materials[0]
         color = np.asarray(look.base_color) / 255.0
-        if piece.vertex_colors is not None:  # MuJoCo has none; their mean is nearest
+        if piece.vertex_colors is not None:  # MuJoCo has no vertex colours; their mean is nearest
             color = piece.vertex_colors.mean(axis=0) / 255.0
         made = ET.SubElement(self.assets, "material", name=name, specular="0.2", shininess="0.2")
         texture = None
@@ -225,7 +225,7 @@ class _Writer:
         return name
 
     def _names(self) -> None:
-        """What parts are called; bodies are called as their links."""
+        """Names of the parts; bodies have the names of their links."""
         named = [(xml_name(p.link), p.name) for p in self.obj.parts if p.name]
         if named:
             custom = ET.SubElement(self.root, "custom")

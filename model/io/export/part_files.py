@@ -88,7 +88,7 @@ def write_parts(
 
 
 def losses_of(obj: ArticulatedObject) -> tuple[str, ...]:
-    """What other programs won't read of the files of :func:`write_parts`, in words."""
+    """Features of the files of :func:`write_parts` that other programs don't read, in words."""
     shaded = any(m.maps.occlusion is not None for p in obj.parts for m in part_mesh(p).materials)
     if not shaded:
         return ()

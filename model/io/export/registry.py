@@ -31,7 +31,7 @@ EXPORTERS = Registry[Exporter](
 
 
 def losses_of(name: str, obj: ArticulatedObject) -> tuple[str, ...]:
-    """What readers of a built-in format won't show, in words; empty where nothing is known."""
+    """Features that readers of a built-in format don't show, in words."""
     losses: list[str] = []
     if name in ("urdf", "ros", "sdf"):
         losses += part_files.losses_of(obj)

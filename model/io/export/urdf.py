@@ -35,7 +35,7 @@ class UrdfExporter:
 
 
 def losses_of(obj: ArticulatedObject) -> tuple[str, ...]:
-    """What a reader of the URDF won't show, in words; empty where nothing is lost."""
+    """Features that a URDF reader doesn't show, in words; empty if nothing is lost."""
     flat = [p.link for p in obj.parts if is_flat(part_mesh(p))]
     if not flat:
         return ()

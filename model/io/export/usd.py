@@ -41,7 +41,7 @@ NAME_KEY = "artiworld:name"
 """Custom data of links and joints: their own names, which USD's identifiers may not hold."""
 
 FloatArray = npt.NDArray[np.float64]
-_ROUGHNESS = 0.6  # of materials that don't say
+_ROUGHNESS = 0.6  # default of materials without a value
 
 
 class UsdExporter:
@@ -236,7 +236,7 @@ class _Writer:
         return made
 
     def _maps(self, path: str, surface: Any, maps: SurfaceMaps) -> None:
-        """What a map holds is times its scale plus its bias, after it was made linear."""
+        """Texture values are multiplied by the scale and shifted by the bias, in linear space."""
         types = self.Sdf.ValueTypeNames
         if maps.normal is not None:
             picture, bump = self._picture(maps.normal), maps.normal_scale
@@ -277,7 +277,7 @@ class _Writer:
             made.Set(self.Gf.Vec4f(*values))
 
     def _primvar(self, path: str, name: str, kind: str, type: Any) -> Any:
-        """What reads a value that the mesh has at each vertex."""
+        """A primvar reader."""
         reader = self.UsdShade.Shader.Define(self.stage, f"{path}/{name}")
         reader.CreateIdAttr(f"UsdPrimvarReader_{kind}")
         reader.CreateInput("varname", self.Sdf.ValueTypeNames.String).Set(name)

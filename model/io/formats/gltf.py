@@ -151,7 +151,7 @@ class Gltf:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What was left out of the meshes that were read so far."""
+        """Warnings about features of the meshes that were left out."""
         warnings = list(dict.fromkeys(self._materials.warnings))
         if self._passed_over:
             warnings.append(f"{self._passed_over} pieces of lines are left out")
@@ -197,7 +197,7 @@ class Gltf:
         return [i for i in reversed(range(len(nodes))) if i not in children]
 
     def meshes_of(self, node: Json, world: Array) -> tuple[list[Loaded], list[Array]]:
-        """A node's primitives, and where each copy of them stands.
+        """A node's primitives, and the pose of each copy.
 
         The joints place the vertices of a skin, whatever the node's own transform is.
 
@@ -208,7 +208,7 @@ class Gltf:
         return own, [np.eye(4)] if "skin" in node else self._instances(node, world)
 
     def _check_tree(self, nodes: list[Json]) -> None:
-        """Refuse nodes with two parents: what they carry would be repeated without end."""
+        """Refuse nodes with two parents: their content could be repeated exponentially."""
         seen: set[int] = set()
         for node in nodes:
             for child in node.get("children") or ():

@@ -24,7 +24,7 @@ MAX_VALUES = 60_000_000
 
 
 class GltfBuffers:
-    """What the accessors of one file hold; a buffer is read when it is asked for.
+    """The accessors of one file; a buffer is read on first use.
 
     Args:
         tree: its JSON.

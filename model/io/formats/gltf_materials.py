@@ -25,7 +25,7 @@ Layout = tuple[int, tuple[float, ...]]
 
 
 class GltfMaterials:
-    """The materials of one file, each read when it is asked for first.
+    """The materials of one file, each read on first use.
 
     Attributes:
         warnings: textures that couldn't be used.
@@ -43,7 +43,7 @@ class GltfMaterials:
         self._layouts: dict[int | None, Layout] = {}
 
     def material(self, index: int | None) -> Material:
-        """A material; None is what a primitive without any has."""
+        """A material; None stands for a primitive without one."""
         if index not in self._materials:
             made = Material("material") if index is None else self._made(index)
             self._materials[index] = made
@@ -82,7 +82,7 @@ class GltfMaterials:
         if layout is not None:
             self._layouts[index] = layout
         emission = _emission(entry)
-        # Nothing of a map that was left out: its factor alone would make the whole surface glow.
+        # Skip the factor of a dropped map: alone it would make the whole surface glow.
         if "emissive" not in found and slots["emissive"] is not None:
             emission = (0.0, 0.0, 0.0)
         if not any(emission):
@@ -177,12 +177,12 @@ def _is_number(value: Any) -> TypeGuard[float]:
 
 
 def _share(value: Any) -> float:
-    """A factor of 0..1; what isn't there or is no number is 1, as the standard has it."""
+    """A factor of 0..1; 1, the standard's default, if absent or invalid."""
     return min(max(float(value), 0.0), 1.0) if _is_number(value) else 1.0
 
 
 def _emission(entry: Json) -> tuple[float, float, float]:
-    """Linear RGB; black where it isn't told or makes no sense."""
+    """Linear RGB; black if absent or invalid."""
     factor = entry.get("emissiveFactor")
     if not (isinstance(factor, list) and len(factor) == 3 and all(map(_is_number, factor))):
         return (0.0, 0.0, 0.0)

@@ -1,4 +1,4 @@
-"""What a format's reader returns, and how several of them become one."""
+"""The result of a format's reader, and how several are joined."""
 
 from __future__ import annotations
 
@@ -132,7 +132,7 @@ def _base_colors(piece: Loaded) -> Array:
 
 
 def with_plain_colors(loaded: Loaded) -> Loaded:
-    """Vertex colours of a mixture (some pieces coloured, some with materials) stay honest.
+    """Multiply vertex colours by the base colours of their materials.
 
     :class:`~model.core.mesh.Mesh` lets vertex colours replace the base colour, so vertices
     that had none take the base colour of their material.

@@ -103,7 +103,7 @@ class MaterialFiles:
                 return path
         except (ReferenceRefused, OSError) as error:
             problem = f"{what} not used: {error}"
-        # Exporters leave the absolute path of their own machine; the file often lies beside.
+        # Exporters write absolute paths of their own machine; the file often lies beside.
         name = reference.replace("\\", "/").rsplit("/", 1)[-1].strip().strip('"')
         try:
             beside = resolve(name, folder, self.root)
@@ -174,7 +174,7 @@ class MaterialFiles:
                 normal, scale = found, _option(rows[key], "-bm", 1.0)
         emissive = self._map(rows.get("map_ke"), path, warnings)
         ke = _floats(rows.get("ke", ""), 3) or (0.0, 0.0, 0.0)
-        # As with Kd: who writes a black Ke beside its map means the map alone.
+        # As with Kd: a black Ke beside its map means the map alone.
         if emissive is not None and not any(ke):
             ke = (1.0, 1.0, 1.0)
         elif emissive is None and "map_ke" in rows:
@@ -217,7 +217,7 @@ class MaterialFiles:
 
 
 class OneMaterial(MaterialFiles):
-    """For objects whose looks are told elsewhere: reads no files, and misses none.
+    """For objects whose materials come from elsewhere: reads no files, reports none missing.
 
     Args:
         root: as for :class:`MaterialFiles`.

@@ -30,7 +30,7 @@ _COMMENT = re.compile(r"(?m)(?:^|(?<=\s))#.*$")
 
 @dataclass
 class _Lines:
-    """The lines of an OBJ by kind, with what was in force where they stand."""
+    """The lines of an OBJ by kind, with the group and material in force."""
 
     v: list[str] = field(default_factory=list)
     vt: list[str] = field(default_factory=list)

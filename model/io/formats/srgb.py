@@ -22,7 +22,7 @@ def to_srgb(linear: Array) -> npt.NDArray[np.uint8]:
 
 
 def from_linear(light: Array) -> npt.NDArray[np.float64]:
-    """Linear light, 0 or more, as sRGB; what is brighter than white comes out above 1."""
+    """Linear light, 0 or more, as sRGB; values above 1 are brighter than white."""
     return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
 
 

@@ -67,7 +67,7 @@ def _decimal_commas(text: str) -> bool:
 
 
 def _heading(text: str) -> tuple[list[str] | None, str]:
-    """Names of the columns and the rest; comments and a leading count are passed over."""
+    """Names of the columns and the remaining text; comments and a leading count are skipped."""
     head = None
     while True:
         line, newline, rest = text.partition("\n")

@@ -42,7 +42,7 @@ WORLD_FROM_UP = {
 
 
 def read_usd(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
-    """All that can be seen on a stage, metres, +z up.
+    """The visible geometry of a stage, metres, +z up.
 
     Raises:
         InputFileError: where it is no stage, too large, or has no mesh.
@@ -94,7 +94,7 @@ class UsdStage:
         self.places = self.geom.XformCache()
 
     def prims(self, below: Any = None) -> Iterator[Any]:
-        """What can be seen, instances opened; purposes for machines left out."""
+        """Visible prims, with instances opened; guides and proxies are left out."""
         every = self.usd.TraverseInstanceProxies(self.usd.PrimDefaultPredicate)
         root = self.stage.GetPseudoRoot() if below is None else below
         walk = iter(self.usd.PrimRange(root, every))
@@ -143,7 +143,7 @@ class UsdStage:
             build = {"Cylinder": creation.cylinder, "Capsule": creation.capsule,
                      "Cone": creation.cone}[kind]  # fmt: skip
             shape = build(radius=radius, height=height)
-            if kind != "Cylinder":  # theirs stand on, or begin at, the origin
+            if kind != "Cylinder":  # trimesh's stand on, or begin at, the origin
                 shape.apply_translation(-shape.bounds.mean(0))
         points = np.asarray(shape.vertices, np.float64)
         axis = "Z" if kind in ("Cube", "Sphere") else str(made.GetAxisAttr().Get())

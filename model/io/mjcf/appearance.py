@@ -1,4 +1,4 @@
-"""The looks of MuJoCo's geoms, and the triangles of those that no mesh file of ours holds."""
+"""Materials of MuJoCo's geoms, and triangles of those without a mesh file."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Looks:
         self.used: list[Path] = []
 
     def of(self, geom: int) -> Material | None:
-        """What a geom looks like; None where nothing is said of it."""
+        """The material of a geom; None if it has none."""
         model, look = self.model, int(self.model.geom_matid[geom])
         if look < 0:
             rgba = model.geom_rgba[geom]
@@ -46,7 +46,7 @@ class Looks:
     def _material(self, look: int) -> Material:
         model = self.model
         rgba = np.asarray(model.mat_rgba[look], np.float64)
-        metallic, roughness = (  # -1 is MuJoCo's for what isn't said
+        metallic, roughness = (  # -1 is MuJoCo's "unspecified"
             None if value < 0 else min(float(value), 1.0)
             for value in (model.mat_metallic[look], model.mat_roughness[look])
         )

@@ -1,4 +1,4 @@
-"""Reading MJCF through MuJoCo into what a URDF is read into; ``mjcf_source`` prepares the text.
+"""Read MJCF through MuJoCo into the same model as URDF; ``mjcf_source`` prepares the text.
 
 Bodies are links, all in the world frame (+z up, metres) at the model's reference pose.
 """
@@ -94,7 +94,7 @@ def need_mujoco() -> Any:
 
 @dataclass(frozen=True)
 class _Motion:
-    """What one joint of MuJoCo does, world frame."""
+    """The motion of one MuJoCo joint, world frame."""
 
     name: str
     type: Any
@@ -165,7 +165,7 @@ class _Reader:
             spec.compiler.boundinertia = max(spec.compiler.boundinertia, LEAST_MASS**1.5)
             model = spec.compile()
         except (ValueError, OSError) as error:
-            # Its lines are none of the file's: it was given another text.
+            # Line numbers are those of the prepared text, not of the file.
             said = re.sub(r",? line \d+", "", " ".join(str(error).split()))
             raise InputFileError(self.path, f"MuJoCo can't load it: {said}") from None
         data = mujoco.MjData(model)
@@ -173,7 +173,7 @@ class _Reader:
         return spec, model, data
 
     def _check(self) -> None:
-        """Nothing is so large, or so small, that sums of it are none."""
+        """Refuse values so large or small that sums overflow or vanish."""
         model, data = self.model, self.data
         solid = model.geom_type > _FIELD
         for what, values, owner in (
@@ -269,7 +269,7 @@ class _Reader:
         return out
 
     def _dynamics(self, j: int) -> DeclaredDynamics | None:
-        """MuJoCo's zeros are what nobody has said."""
+        """Zeros are MuJoCo's defaults and count as undeclared."""
         model, dof = self.model, int(self.model.jnt_dofadr[j])
         damping, friction = float(model.dof_damping[dof]), float(model.dof_frictionloss[dof])
         effort = None
@@ -328,7 +328,7 @@ class _Reader:
         return self.pieces[g]
 
     def _made(self, g: int) -> UrdfVisual | None:
-        """A geom in the world frame; None for what has no triangles."""
+        """A geom in the world frame; None if it has no triangles."""
         model, data = self.model, self.data
         kind = int(model.geom_type[g])
         link = self.links[model.geom_bodyid[g]]
@@ -371,7 +371,7 @@ class _Reader:
     # -- masses ----------------------------------------------------------------------------------
 
     def _inertials(self) -> dict[str, Inertial]:
-        """Of bodies of whose mass the file says something."""
+        """Inertials of bodies whose mass the file declares."""
         model, data = self.model, self.data
         for body in self.spec.bodies:
             if body.explicitinertial and body.mass < 0:

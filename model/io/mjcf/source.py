@@ -76,8 +76,7 @@ class MjcfSource:
 
 
 def is_mjcf(path: Path) -> bool:
-    """Whether ``path`` is an XML file that begins with ``<mujoco>``, and none of a system's hidden
-    ones."""
+    """Whether ``path`` is an XML file that begins with ``<mujoco>`` and isn't hidden."""
     if path.suffix.lower() not in MJCF_SUFFIXES or path.name.startswith(".") or not path.is_file():
         return False
     try:
@@ -108,7 +107,7 @@ def named_files(path: Path) -> list[Path]:
                     target = resolve(f"{folder}/{name}" if folder else name, start, own)
                 except ReferenceRefused:
                     continue
-                # As it is written, not where links lead: it is compared with what a search finds.
+                # Symbolic links aren't resolved: paths are compared with those that a search finds.
                 plain = Path(start, folder, name.replace("\\", "/"))
                 if target.is_file() and plain not in out:
                     out[plain] = None
@@ -214,7 +213,7 @@ class _Source:
     # -- what is in it ---------------------------------------------------------------------------
 
     def _check(self, top: Element) -> None:
-        """No numbers that are none, no endless nesting, no other models."""
+        """Refuse NaN, endless nesting, and other models."""
         level = [top]
         for _ in range(DEEPEST):
             level = [child for element in level for child in element]
@@ -258,8 +257,8 @@ class _Source:
         return out
 
     def _folders(self, kept: list[Element]) -> dict[str, list[str]]:
-        """Where meshes and textures are looked for; MuJoCo hears nothing of it, nor of what would
-        drop or join bodies and geoms."""
+        """Take over the folders of meshes and textures, and drop options that would drop or merge
+        bodies and geoms."""
         out = {"mesh": "", "texture": ""}
         strip = False
         for compiler in (e for e in kept if e.tag == "compiler"):
@@ -281,7 +280,7 @@ class _Source:
         if element.tag == "texture":
             self._texture(element, name, folders["texture"], source)
             return
-        if element.tag == "hfield" and name is not None:  # its size matters to nobody here
+        if element.tag == "hfield" and name is not None:  # its size isn't used
             element.attrib = {"name": element.get("name") or Path(name).stem, "nrow": "2",
                               "ncol": "2", "size": element.get("size", "1 1 1 1")}  # fmt: skip
         if element.tag != "mesh" or name is None:
@@ -302,7 +301,7 @@ class _Source:
     def _texture(
         self, element: Element, name: str | None, folders: list[str], source: MjcfSource
     ) -> None:
-        """MuJoCo gets a plain one in its place: it would read all pixels, of which nobody asks."""
+        """Replace a texture by a plain one: MuJoCo would read pixels that aren't needed."""
         if name is None and element.get("builtin", "none") != "none":
             return
         stem = Path((name or "").replace("\\", "/")).stem
@@ -334,7 +333,7 @@ class _Source:
 
 
 def _said(top: Element) -> dict[str, str]:
-    """What our own exports say parts are called."""
+    """Part names in ArtiWorld's own exports."""
     texts = ((e.get("name", ""), e.get("data", "")) for e in top.findall("custom/text"))
     return {n.removeprefix(PART_NAME): said for n, said in texts if n.startswith(PART_NAME)}
 

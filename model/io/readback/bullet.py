@@ -25,7 +25,7 @@ FloatArray = npt.NDArray[np.float64]
 def bullet_problems(
     path: Path, obj: ArticulatedObject, settings: list[dict[str, float]]
 ) -> list[str]:
-    """What is wrong when PyBullet loads the file and its joints are set."""
+    """Problems when PyBullet loads the file and its joints are set."""
     with _silent():
         return list(dict.fromkeys(_problems(path, obj, settings)))
 

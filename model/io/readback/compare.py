@@ -28,7 +28,7 @@ Reader = Callable[[Path, ArticulatedObject, list[dict[str, float]]], list[str]]
 
 @dataclass(frozen=True)
 class ReadBack:
-    """What came of reading one exported format.
+    """The result of reading one exported format.
 
     Attributes:
         format: its name.
@@ -44,7 +44,7 @@ class ReadBack:
 
     @property
     def fine(self) -> bool:
-        """Whether somebody read it and found nothing wrong."""
+        """Whether at least one reader read it and none found a problem."""
         return bool(self.readers) and not self.problems
 
 

@@ -15,7 +15,7 @@ from model.io.readback.poses import pose_problems
 def drake_problems(
     path: Path, obj: ArticulatedObject, settings: list[dict[str, float]]
 ) -> list[str]:
-    """What is wrong when Drake parses the file and its joints are set."""
+    """Problems when Drake parses the file and its joints are set."""
     plant_module: Any = import_module("pydrake.multibody.plant")
     parsing: Any = import_module("pydrake.multibody.parsing")
     plant = plant_module.MultibodyPlant(0.0)

@@ -21,7 +21,7 @@ _OBJECT_FROM_GLTF = np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 
 
 
 def glb_problems(path: Path, obj: ArticulatedObject, settings: list[dict[str, float]]) -> list[str]:
-    """What is wrong when pygltflib opens the file and its first animation is played.
+    """Problems when pygltflib opens the file and its first animation is played.
 
     A viewer has no joint values, so each of the ``settings`` stands for a moment instead: its
     number of moments, spread over the animation.

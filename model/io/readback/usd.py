@@ -19,7 +19,7 @@ FloatArray = npt.NDArray[np.float64]
 
 
 def usd_problems(path: Path, obj: ArticulatedObject, settings: list[dict[str, float]]) -> list[str]:
-    """What is wrong when usd-core opens the file and its joints are moved."""
+    """Problems when usd-core opens the file and its joints are moved."""
     Usd, UsdPhysics = import_module("pxr.Usd"), import_module("pxr.UsdPhysics")
     stage = Usd.Stage.Open(str(path))
     if not stage or not stage.GetDefaultPrim():

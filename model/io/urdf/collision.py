@@ -1,7 +1,6 @@
-"""The collision shapes that a URDF tells, loaded where they are wanted.
+"""The collision shapes that a URDF declares, loaded on demand.
 
-Nothing of them is needed to look at an object or to move it, so that a mistake in them is a remark
-and no error.
+They aren't needed to show or move an object, so a mistake in them is a remark, not an error.
 """
 
 from __future__ import annotations

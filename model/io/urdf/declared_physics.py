@@ -1,7 +1,7 @@
 """What a URDF tells of masses, collision shapes and of what resists its joints; ``urdf_reader``
 reads the rest.
 
-Nothing of it is needed to move an object, so that a mistake in it is a remark and no error.
+It isn't needed to move an object, so a mistake in it is a remark, not an error.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ def read_declared_physics(
 
 
 def _massless(link: Element, inertial: Element) -> bool:
-    """Whether it is a frame that is said to weigh nothing, which is no mistake."""
+    """Whether it is a frame of declared zero mass, which is no mistake."""
     mass = inertial.find("mass")
     bare = link.find("visual") is None and link.find("collision") is None
     try:
@@ -127,7 +127,7 @@ def _inertial(element: Element) -> Inertial:
 
 
 def _balanced(tensor: FloatArray) -> FloatArray:
-    """Without what rounding has put over the triangle inequality."""
+    """Reduce moments that rounding put over the triangle inequality."""
     values, axes = np.linalg.eigh(tensor)
     most = values[0] + values[1]
     if not most < values[2] <= most * (1 + ROUNDED):
@@ -140,7 +140,7 @@ def _dynamics(joint: Element) -> DeclaredDynamics:
     neither effort nor velocity write."""
     resists, limit = joint.find("dynamics"), joint.find("limit")
     damping = friction = None
-    if resists is not None:  # what it doesn't name is 0 in URDF
+    if resists is not None:  # URDF's default is 0
         damping = _from_zero(_one(resists, "damping", 0.0))
         friction = _from_zero(_one(resists, "friction", 0.0))
     effort = velocity = None
@@ -155,7 +155,7 @@ def _from_zero(value: float | None) -> float | None:
 
 
 def _one(element: Element, attribute: str, otherwise: float | None = None) -> float | None:
-    """A finite number, or None where it is none."""
+    """A finite number, or None."""
     text = element.get(attribute)
     if text is None:
         return otherwise

@@ -21,7 +21,7 @@ _FILENAME = re.compile(r"""filename\s*=\s*["']([^"'<>]{1,1000})["']""")
 
 
 def is_urdf(path: Path) -> bool:
-    """Whether ``path`` is a file that is called a URDF, and none of a system's hidden ones."""
+    """Whether ``path`` has the suffix of a URDF and isn't hidden."""
     name = path.name
     return path.suffix.lower() == URDF_SUFFIX and not name.startswith(".") and path.is_file()
 

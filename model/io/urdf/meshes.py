@@ -55,7 +55,7 @@ def load_part(
 def _load(
     visual: UrdfVisual, remarks: list[str], files: MaterialFiles | None
 ) -> tuple[Mesh | None, PointCloud | None]:
-    """The geometry; what was passed over on reading it is added to ``remarks``."""
+    """Load the geometry; its warnings are added to ``remarks``."""
     if visual.mesh is not None:
         return _with_material(visual.mesh, visual), None
     if visual.file is None:

@@ -147,7 +147,7 @@ class _Reader:
         self.colors: dict[str, tuple[int, int, int, int]] = {}
         self.textures: dict[str, Material] = {}
         self.commas = False
-        self.unlimited: list[str] = []  # followers whose range is their leader's
+        self.unlimited: list[str] = []  # mimic joints that take their leader's range
 
     def read(self) -> UrdfModel:
         robot = parse(self.path, ("robot",), "a URDF")
@@ -380,7 +380,7 @@ class _Reader:
     def _limits(
         self, element: Element, type_: JointType, where: str
     ) -> tuple[float | None, float | None]:
-        """Lower and upper; no upper one says that a revolute joint is continuous."""
+        """Lower and upper limit; a revolute joint without an upper one is continuous."""
         if type_ not in ("revolute", "prismatic"):
             return None, None
         limit = element.find("limit")
@@ -445,7 +445,8 @@ class _Reader:
         visuals: Sequence[UrdfVisual],
         object_from_link: Mapping[str, npt.NDArray[np.float64]],
     ) -> dict[str, DeclaredCollision]:
-        """By link; what is wrong with one of them is told there and is no problem of the file."""
+        """Collision shapes by link; a mistake in one is recorded there, not as a problem of the
+        file."""
         out: dict[str, DeclaredCollision] = {}
         seen = [v for v in visuals if robot.find("link/visual") is not None]
         for link in robot.findall("link"):

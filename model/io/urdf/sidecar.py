@@ -12,7 +12,7 @@ DESCRIPTION = "object.json"
 
 
 def description_beside(path: Path) -> dict[str, Any]:
-    """What the ``object.json`` beside a URDF says; nothing where there is none.
+    """The content of the ``object.json`` beside a URDF; empty without one.
 
     Raises:
         InputFileError: where it can't be read.
@@ -28,7 +28,7 @@ def description_beside(path: Path) -> dict[str, Any]:
 
 
 def partnet_category(folder: Path) -> str | None:
-    """What ``meta.json`` says that the object is."""
+    """The category in ``meta.json``."""
     meta = read_json_beside(folder / "meta.json")
     category = meta.get("model_cat") if isinstance(meta, dict) else None
     return category if isinstance(category, str) else None

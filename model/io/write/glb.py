@@ -69,7 +69,7 @@ def _matt(material: Material) -> Material:
 
 
 def _looks(materials: Sequence[Material]) -> Array:
-    """The first material that looks like each one: fewer primitives draw faster."""
+    """The first material that equals each one: fewer primitives draw faster."""
     first: dict[tuple[Any, ...], int] = {}
     keys = [(m.base_color, id(m.texture), m.metallic, m.roughness, m.maps) for m in materials]
     return np.array([first.setdefault(key, i) for i, key in enumerate(keys)])

@@ -221,7 +221,7 @@ def _mtl(material: Material, name: str, images: dict[str, str]) -> list[str]:
 
 
 def _write_texture(data: bytes, suffix: str, folder: Path) -> Path:
-    """The texture's file, called after its content; one that is there already is left."""
+    """The texture's file, named by its content; an existing one is kept."""
     path = folder / f"texture_{hashlib.sha256(data).hexdigest()[:12]}{suffix}"
     if not path.exists():
         _write(path, data)
