@@ -14,6 +14,8 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 # Two workers a browser is plenty: more only wait for each other.
 WORKERS ?= $(shell n=$$(nproc 2>/dev/null || echo 2); [ $$n -gt 4 ] && n=4; echo $$n)
+# A file stays on one worker, as its tests share fixtures; tests/conftest.py puts long ones first.
+PYTEST := $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder
 ARGS ?=
 TESTS ?= tests
 
@@ -31,10 +33,10 @@ install: $(VENV)/.run
 test: $(VENV)/.test
 	@.ci/need 'command -v chromium || command -v chromium-browser || command -v google-chrome' chromium \
 		|| { echo 'The browser tests will be skipped.' >&2; [ -z "$$CI" ]; }
-	$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal $(TESTS)
+	$(PYTEST) $(TESTS)
 
 test-fast: $(VENV)/.test
-	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile -q -m "not slow" $(TESTS)
+	$(PYTEST) -q -m "not slow" $(TESTS)
 
 lint: $(VENV)/.lint
 	$(BIN)/ruff check .

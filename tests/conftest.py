@@ -14,35 +14,53 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 ROOT = Path(__file__).resolve().parents[1]
 
 SLOW = (
+    "tests/browser/test_main_job.py",
+    "tests/browser/test_review_gate.py",
+    "tests/browser/test_tools.py",
+    "tests/browser/test_room.py",
     "tests/browser/",
-    "tests/legacy/",
+    "tests/app/test_scene_workspace.py",
+    "tests/app/test_validating.py",
     "tests/model/training/",
+    "tests/model/segmentation/test_default_segmenter.py",
+    "tests/model/segmentation/test_contract.py",
+    "tests/model/physics/test_simulated.py",
+    "tests/model/segmentation/test_local_refinement.py",
+    "tests/app/test_scene_command.py",
+    "tests/app/test_scene_formats.py",
+    "tests/app/test_cli.py",
+    "tests/app/test_documents.py",
+    "tests/model/physics/test_collision_shapes.py",
+    "tests/model/segmentation/test_fronts.py",
+    "tests/model/segmentation/test_rooms.py",
     "tests/model/validation/",
+    "tests/app/test_opened_urdf.py",
+    "tests/legacy/",
     "tests/app/test_backend.py",
     "tests/app/test_backend_away.py",
     "tests/app/test_bad_input.py",
     "tests/app/test_bench_command.py",
     "tests/app/test_bench_networks.py",
-    "tests/app/test_cli.py",
     "tests/app/test_doctor.py",
-    "tests/app/test_documents.py",
     "tests/app/test_evaluate_command.py",
     "tests/app/test_interrupt.py",
     "tests/app/test_jobs.py",
     "tests/app/test_open_objects.py",
-    "tests/app/test_opened_urdf.py",
     "tests/app/test_preemption.py",
     "tests/app/test_saving_tasks.py",
-    "tests/app/test_scene_command.py",
-    "tests/app/test_scene_formats.py",
-    "tests/app/test_scene_workspace.py",
     "tests/app/test_serve_command.py",
     "tests/app/test_tool_tasks.py",
-    "tests/app/test_validating.py",
+    "tests/model/data/test_partnet_mobility.py::test_real_objects",
+    "tests/model/data/test_procedural_objects.py::test_joints_move",
+    "tests/model/data/test_procedural_scans.py::test_clicks_of_demo",
+    "tests/model/data/test_procedural_scans.py::test_demo_objects_are_made",
+    "tests/model/evaluation/test_predictions.py::test_real_objects",
+    "tests/model/evaluation/test_visible_clicks.py::test_the_benchmark",
+    "tests/model/io/test_asset_folder.py::test_an_asset_with_shapes",
+    "tests/model/io/test_exporters.py::test_shapes_of_the_source",
+    "tests/model/io/test_mjcf_reader.py::test_an_export_of_ours",
     "tests/model/io/test_urdf_reader.py",
     "tests/model/kinematics/test_sweep.py",
-    "tests/model/physics/test_collision_shapes.py",
-    "tests/model/physics/test_simulated.py",
     "tests/model/prediction/arti4urdf/test_arti4urdf_predictor.py",
     "tests/model/prediction/arti4urdf/test_full_model.py",
     "tests/model/prediction/arti4urdf/test_grammar.py",
@@ -55,29 +73,44 @@ SLOW = (
     "tests/model/segmentation/test_box_scores.py",
     "tests/model/segmentation/test_boxes.py",
     "tests/model/segmentation/test_coincident_faces.py",
-    "tests/model/segmentation/test_contract.py",
-    "tests/model/segmentation/test_default_segmenter.py",
-    "tests/model/segmentation/test_fronts.py",
-    "tests/model/segmentation/test_local_refinement.py",
     "tests/model/segmentation/test_outliers.py",
     "tests/model/segmentation/test_part_masks.py",
     "tests/model/segmentation/test_proposal_sources.py",
-    "tests/model/segmentation/test_rooms.py",
     "tests/model/segmentation/test_simulated_clicks.py",
     "tests/model/segmentation/test_small_components.py",
     "tests/model/segmentation/test_superpoint_colors.py",
     "tests/model/segmentation/test_tools.py",
     "tests/model/test_bundled_refrigerator.py",
 )
-"""Tests with a browser, physics, training, other processes, or much to compute: files that take
-over four seconds by ``pytest --durations=0``. ``make test-fast`` leaves them out."""
+"""Beginnings of the names of tests with a browser, physics, training or much to compute, the
+longest first by ``pytest --durations=0``. ``make test-fast`` leaves them out."""
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Don't import slow files where they aren't wanted: that takes half a minute."""
+    if config.getoption("markexpr") == "not slow":
+        name = collection_path.relative_to(ROOT).as_posix() + "/" * collection_path.is_dir()
+        return name.startswith(SLOW) or None
+    return None
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark what :data:`SLOW` names."""
-    for item in items:
-        if item.path.relative_to(ROOT).as_posix().startswith(SLOW):
+    """Mark what :data:`SLOW` names, and run it first, so that workers end at the same time."""
+    place = {item: _place(item.nodeid) for item in items}
+    for item, at in place.items():
+        if at < len(SLOW):
             item.add_marker(pytest.mark.slow)
+    # Tests of one file stay together, as they share fixtures.
+    first: dict[str, int] = {}
+    for item, at in place.items():
+        file = item.nodeid.split("::")[0]
+        first[file] = min(at, first.get(file, at))
+    items.sort(key=lambda item: first[item.nodeid.split("::")[0]])
+
+
+def _place(name: str) -> int:
+    """The index in :data:`SLOW` of what ``name`` begins with."""
+    return next((i for i, start in enumerate(SLOW) if name.startswith(start)), len(SLOW))
 
 
 @pytest.fixture(scope="session")

@@ -44,13 +44,16 @@ class SharedWorker:
     def busy(self) -> bool:
         return any(not job.done for job in list(self._jobs))
 
+    def begin_to_close(self) -> None:
+        """Cancel the jobs of this server."""
+        self._closed = True
+        for job in list(self._jobs):
+            job.cancel()
+
     def close(self) -> None:
         """Cancel the jobs of this server and wait for their end."""
-        self._closed = True
-        jobs = [job for job in list(self._jobs) if not job.done]
-        for job in jobs:
-            job.cancel()
-        for job in jobs:
+        self.begin_to_close()
+        for job in list(self._jobs):
             with contextlib.suppress(Exception):
                 job.result(timeout=20.0)
 
