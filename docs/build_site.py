@@ -1,7 +1,8 @@
 """Build the documentation site: ``make docs``, or ``python docs/build_site.py [SITE]``.
 
 The documents at the top of the repository become pages beside those of ``docs/``, so sources are
-gathered in ``build/docs`` first. A broken link fails the build. Nothing is fetched.
+gathered in ``build/docs`` first. A broken link fails the build, as does a page that fetches a
+script, a style or a picture.
 """
 
 from __future__ import annotations
@@ -31,11 +32,20 @@ def gather() -> None:
         (SOURCES / name).write_text(text, "utf-8")
 
 
+def pages_that_fetch() -> list[Path]:
+    """Pages that need a network."""
+    fetched = re.compile(r"""<(?:script|link|img)[^>]+(?:src|href)=["']?(?:https?:)?//""")
+    return [page for page in SITE.rglob("*.html") if fetched.search(page.read_text("utf-8"))]
+
+
 def main() -> int:
     """Build the site, and copy it to the folder that was given."""
     gather()
     command = [sys.executable, "-m", "zensical", "build", "--clean", "--strict"]
     built = subprocess.run(command, cwd=ROOT, check=False).returncode
+    if built == 0 and (pages := pages_that_fetch()):
+        print("These fetch something:", *pages, sep="\n", file=sys.stderr)
+        return 1
     if built == 0 and len(sys.argv) > 1:
         shutil.copytree(SITE, sys.argv[1], dirs_exist_ok=True)
     return built

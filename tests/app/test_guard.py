@@ -299,11 +299,10 @@ def test_a_broken_route_tells_no_details(client, caplog):
 
 
 def test_a_slow_route_holds_nobody_up(client):
-    slow = threading.Thread(target=client.get, args=("/api/slow?seconds=1.5",))
+    slow = threading.Thread(target=client.get, args=("/api/slow?seconds=3",))
     slow.start()
-    start = time.monotonic()
     assert client.get("/healthz")[0] == 200
-    assert time.monotonic() - start < 1.0
+    assert slow.is_alive()
     slow.join()
 
 
@@ -448,10 +447,8 @@ def test_an_empty_upload_still_arrives(uploads):
 
 def test_a_2_gb_upload_is_refused_at_its_announcement(open_server, uploads):
     websocket, button, arrived = uploads
-    start = time.monotonic()
     announce(websocket, button, 2_000_000_000, 3815)
     note = receive_until(websocket, "NotificationShowMessage")
-    assert time.monotonic() - start < 2.0
     assert "2 GB" in note["props"]["body"] and "limit is 3 MB" in note["props"]["body"]
     for i in range(3):  # a browser goes on sending; nothing of it is kept
         part(websocket, button, i, bytes(512 * 1024))

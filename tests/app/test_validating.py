@@ -474,7 +474,8 @@ def test_what_a_server_was_accepting_when_it_ended_is_told_at_the_next_start(
         assert any(n[0] == "Not accepted yet" and "Press Y to accept" in n[1] for n in notes)
         accept(again, "", "tester", NOW)
         wait_until(lambda: again.document.review.state == "accepted" and not again.jobs, "accepted")
-        assert not again.interrupted and not state.store.pending_acceptances()
+        wait_until(lambda: not state.store.pending_acceptances(), "nothing is pending")
+        assert not again.interrupted
         assert not state.was_interrupted(*state.queue.records())
         folder = Path(again.document.saved.folder)
     finally:
