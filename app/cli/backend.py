@@ -1,4 +1,4 @@
-"""What ``artiworld backend`` does: from its options to a running backend."""
+"""``artiworld backend``: from its options to a running backend."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What ``artiworld check`` does: whether assets work in a simulator, with figures."""
+"""``artiworld check``: whether assets work in a simulator, with figures."""
 
 from __future__ import annotations
 

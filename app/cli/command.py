@@ -144,7 +144,7 @@ def add_options(parser: Any, options: type) -> None:
 
 
 def _settings(spec: Option, hint: Any, default: Any) -> dict[str, Any]:
-    """What argparse is told of an option whose field has the type ``hint``."""
+    """Arguments of ``add_argument`` for an option whose field has the type ``hint``."""
     if get_origin(hint) in (Union, UnionType):
         (hint,) = (kind for kind in get_args(hint) if kind is not NoneType)
     repeat = "; may be repeated" if spec.repeat else ""

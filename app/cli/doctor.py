@@ -1,4 +1,4 @@
-"""What ``artiworld doctor`` finds: packages, plug-ins, files and machine, with remedies."""
+"""``artiworld doctor``: packages, plug-ins, files and machine, with remedies."""
 
 from __future__ import annotations
 

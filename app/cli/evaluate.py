@@ -1,4 +1,4 @@
-"""What ``artiworld evaluate`` does: score predictors and other people's predictions."""
+"""``artiworld evaluate``: score predictors and predictions from files."""
 
 from __future__ import annotations
 

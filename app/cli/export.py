@@ -1,4 +1,4 @@
-"""What ``artiworld export`` does: articulated objects in the formats of simulators."""
+"""``artiworld export``: articulated objects in the formats of simulators."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ WHO = "scripted annotator"
 
 
 class JointCorrector:
-    """Corrects joints one thing at a time: parent, type, axis, origin, direction, one limit.
+    """Corrects one property of a joint at a time: parent, type, axis, origin, direction, one limit.
 
     Attributes:
         commands: number of corrections so far.

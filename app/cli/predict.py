@@ -1,4 +1,4 @@
-"""Prediction from files to files: what ``artiworld predict`` does."""
+"""``artiworld predict``: prediction from files to files."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def predict(
     progress(0.8, f"writing {out}")
     provenance = {"source": str(folder), "predictor": report["backend"], "seed": seed}
     provenance["versions"] = versions()
-    (out / PREDICTION_JSON).unlink(missing_ok=True)  # of a run that found nothing
+    (out / PREDICTION_JSON).unlink(missing_ok=True)  # of a failed run
     write_asset(
         obj, out.absolute(), provenance=provenance, physics=physics,
         progress=scaled_progress(progress, 0.8, 1.0),

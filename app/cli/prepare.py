@@ -1,4 +1,4 @@
-"""What ``artiworld prepare`` does: it levels, sizes and cleans a scan, and says how."""
+"""``artiworld prepare``: level, size and clean a scan."""
 
 from __future__ import annotations
 

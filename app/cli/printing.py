@@ -1,4 +1,4 @@
-"""What the commands print: a table for people, or JSON and nothing else."""
+"""Output of the commands: a table for people, or JSON alone."""
 
 from __future__ import annotations
 

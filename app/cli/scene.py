@@ -1,4 +1,4 @@
-"""What ``artiworld scene`` does: from a description to an articulated scene."""
+"""``artiworld scene``: from a description to an articulated scene."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def inspect(options: SceneInspectCommand) -> int:
 
 
 def estimate(options: SceneInspectCommand) -> int:
-    """Print what asking a language model would take; nothing is asked and nothing written."""
+    """Print the estimated cost of a language model's finder without calling it."""
     with printing.session(options.json) as show:
         finder = _finder(options, show.progress)
         scene = read_scene(options.scene, options.format)

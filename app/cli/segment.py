@@ -1,4 +1,4 @@
-"""Segmentation from files to files: what ``artiworld segment`` does."""
+"""``artiworld segment``: segmentation from files to files."""
 
 from __future__ import annotations
 

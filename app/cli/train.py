@@ -1,4 +1,4 @@
-"""What ``artiworld train`` does: samples, training in slices, weights for use."""
+"""``artiworld train``: samples, training in slices, weights for use."""
 
 from __future__ import annotations
 

@@ -99,7 +99,7 @@ def read_partnet_mobility(folder: Path, *, shapes: bool = False) -> GroundTruth:
 
 
 def _disagreements(folder: Path, model: UrdfModel) -> tuple[str, ...]:
-    """Where ``mobility_v2.json`` tells another motion than the URDF, which is what counts."""
+    """Differences of ``mobility_v2.json`` from the URDF, which takes precedence."""
     nodes = read_json_beside(folder / "mobility_v2.json")
     out: list[str] = []
     for node in nodes if isinstance(nodes, list) else ():

@@ -24,7 +24,7 @@ class GroundTruth:
     notes: tuple[str, ...] = ()
 
     def segmented(self, *, names: bool = True) -> SegmentedObject:
-        """What a predictor is given: the parts in their rest pose, without the tree.
+        """The predictor's input: the parts in their rest pose, without the tree.
 
         Args:
             names: whether part names and the category come along.
@@ -45,7 +45,7 @@ class Dataset(Protocol):
         ...
 
     def category(self, object_id: str) -> str | None:
-        """What an object is, without reading its geometry; None where nobody says."""
+        """The category of an object, read without its geometry; None if unknown."""
         ...
 
     def ids(self) -> tuple[str, ...]:

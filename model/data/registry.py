@@ -67,7 +67,7 @@ def open_dataset(options: DatasetOptions) -> Dataset:
 
 
 def recognised(root: Path) -> Dataset:
-    """The PartNet-Mobility or PhysXNet folder at ``root``, told apart by what is in it.
+    """The PartNet-Mobility or PhysXNet folder at ``root``, by its content.
 
     Raises:
         InputFileError: where it is neither.

@@ -1,4 +1,4 @@
-"""Which objects of a data set are meant: by category, or by a seed.
+"""Splits of a data set: by category, or by a seed.
 
 A split by seed looks at each object's own name alone, so that adding objects to a folder moves no
 other one to the other side.
@@ -55,7 +55,7 @@ def select(dataset: Dataset, split: str, *, seed: int = 0) -> tuple[str, ...]:
 def training_ids(
     dataset: Dataset, *, held_out: bool = False, test_share: float = 0.0
 ) -> tuple[str, ...]:
-    """What of ``dataset`` is trained on; an object whose category can't be read stays.
+    """The training ids of ``dataset``; an object with an unreadable category stays.
 
     Args:
         dataset: asked for ids and categories.

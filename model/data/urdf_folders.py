@@ -57,7 +57,7 @@ class UrdfFolders:
         """
         path = self._path(object_id)
         model = read_urdf_model(path, root=self.root)
-        # A visual's name is the file's own; what a part is called is told by object.json alone.
+        # Part names come from object.json alone; names of visuals are the file's own.
         files = MaterialFiles(path.parent)
         parts = {
             link: replace(load_part(link, visuals, files), name=None)

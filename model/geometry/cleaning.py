@@ -1,4 +1,4 @@
-"""What in a levelled scan is the object, what it stands on, what stands beside it, and outliers.
+"""Classify a levelled scan into object, support, neighbours and outliers.
 
 Everything is counted on one dense grid, so that five million points take a second or two.
 """

@@ -1,4 +1,4 @@
-"""Which way is up in a scan of any rotation and scale.
+"""Find the up direction of a scan of any rotation and scale.
 
 Candidates are the directions in which the surface faces most, and those square to two of them. Each
 is described by what speaks for it: a surface that the object stands on and that reaches beyond it,

@@ -18,7 +18,7 @@ Array = npt.NDArray[Any]
 
 MAX_POINTS = 100_000
 _FEW = 300  # below, Poisson's smoothing eats the shape
-_VERY_FEW = 100  # below, neighbours say little about the surface
+_VERY_FEW = 100  # below, neighbours don't determine the surface
 _REACH = 3.0  # largest distance of the surface from the points, in spacings
 
 

@@ -1,1 +1,1 @@
-"""Whole scenes: read, find what can be articulated, convert, put back where it stood, write."""
+"""Whole scenes: read, find articulable objects, convert, place, write."""

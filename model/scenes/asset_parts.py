@@ -1,4 +1,4 @@
-"""The rigid parts that an asset already tells, or why a person must cut it."""
+"""The rigid parts that an asset declares, or why an annotator must segment it."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ SAME = 1e-3
 
 
 class LeftForAnnotator(ArtiworldError):
-    """The asset doesn't tell its parts; the message says why."""
+    """The asset declares no parts; the message gives the reason."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,7 +170,7 @@ def bounds_of(parts: tuple[Part, ...]) -> FloatArray:
     meshes = tuple(p for p in parts if p.mesh is not None)
     each = [SegmentedObject("bounds", meshes).bounds] if meshes else []
     if clouds:
-        # All at once: what is stray in a part may lie on the surface of another one.
+        # All at once: an outlier of one part may lie on the surface of another.
         points = np.concatenate(clouds)
         kept = np.ones(len(points), bool)
         kept[outlier_points(points, KDTree(points))] = False

@@ -178,7 +178,7 @@ def _sweep_up(out: Path) -> None:
 
 
 def descriptions(scene: Scene) -> list[ObjectDescription]:
-    """What a finder is told of each object."""
+    """The finder's input for each object."""
     return [ObjectDescription(o.description, o.category, o.fit or o.box) for o in scene.objects]
 
 
@@ -285,7 +285,7 @@ def _run_jobs(
     settings: ConvertSettings,
     progress: Progress,
 ) -> int:
-    """Convert what isn't done; returns how many were done before."""
+    """Convert the remaining jobs; returns the number that were done before."""
     reports = {k: r for k in made if (r := read_done(out, k)) is not None}
     reused = len(reports)
     waiting = [k for k in made if k not in reports]

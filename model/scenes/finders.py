@@ -1,4 +1,4 @@
-"""The finder that needs nothing: a lexicon of articulable kinds, matched against descriptions.
+"""The offline finder: a lexicon of articulable kinds, matched against descriptions.
 
 The head of a description decides: "cabinet with a lamp on it" is a cabinet, "oven mitt" is a mitt.
 Words that are near a known one (spelling mistakes) count as that one.

@@ -1,4 +1,4 @@
-"""What an object that a scene tilts needs so that gravity doesn't open it."""
+"""Joint friction that keeps a tilted object closed under gravity."""
 
 from __future__ import annotations
 

@@ -192,7 +192,7 @@ def write_formats(
 def usability(
     obj: ArticulatedObject, found: AssetParts | None, factors: FloatArray, state: str
 ) -> bool | None:
-    """Whether every joint is right (ArtiWorld, usability); None where no URDF tells the truth."""
+    """Whether every joint is right (ArtiWorld, usability); None without a true URDF."""
     if found is None or found.truth is None:
         return None
     if state != PREDICTED:
@@ -246,7 +246,7 @@ def write_json(path: Path, value: Any, *, allow_nan: bool = False) -> None:
 
 
 def _end_with(parent: int | None) -> None:
-    """A worker whose run was killed ends too, instead of writing beside the next run."""
+    """End a worker whose run was killed, so that it doesn't write beside the next run."""
     monitored = any(t.name == "end-with-parent" for t in threading.enumerate())
     if parent is None or os.getpid() == parent or monitored:
         return

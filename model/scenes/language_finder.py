@@ -69,7 +69,7 @@ class FinderUnavailableError(ArtiworldError):
 
 @dataclass(frozen=True)
 class Answer:
-    """What a model said.
+    """A model's reply.
 
     Attributes:
         text: "" where it said nothing usable.
@@ -110,7 +110,7 @@ class ChatEngine(Protocol):
 
 @dataclass(frozen=True)
 class Usage:
-    """What was asked, or would be.
+    """Usage so far, or its estimate.
 
     Attributes:
         requests: questions.
@@ -177,7 +177,7 @@ class LanguageFinder:
         return [known[o] for o in objects]
 
     def estimate(self, objects: Sequence[ObjectDescription]) -> Usage:
-        """What :meth:`find` would ask, tokens estimated by the length of the text."""
+        """The usage of :meth:`find`, tokens estimated by the length of the text."""
         unique = list(dict.fromkeys(objects))
         left = [o for o in unique if self._kept(o) is None]
         batches = _cut(left, self.engine.batch)
@@ -214,7 +214,7 @@ class LanguageFinder:
                 _hear(pool, futures)
             except BaseException:
                 pool.shutdown(wait=False, cancel_futures=True)
-                # The block waits for what is under way, some of which may begin only now.
+                # The pool waits for running requests, some of which may only begin now.
                 while under_way := [f for f in futures if not f.done()]:
                     self.engine.close()
                     wait(under_way, timeout=_LOOKS_UP)
@@ -282,7 +282,7 @@ def parse_answer(text: str, count: int) -> dict[int, Decision]:
 
 
 def decision_of(entry: Any) -> Decision | None:
-    """A decision out of JSON values, or None where they are none."""
+    """A decision from JSON values, or None if they are invalid."""
     if not isinstance(entry, dict) or not isinstance(entry.get("articulable"), bool):
         return None
     parts = entry.get("parts")

@@ -1,4 +1,4 @@
-"""Joint limits shortened where the motion would hit what stands around the object."""
+"""Shorten joint limits where the motion would hit neighbouring objects."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ def _scanned(*standing: Standing) -> bool:
 
 
 def _beyond_border(part: Part, moving: list[Part]) -> Part | None:
-    """The faces of ``part`` that are further than :data:`SCAN_BORDER` from what moves."""
+    """The faces of ``part`` that are further than :data:`SCAN_BORDER` from moving parts."""
     assert part.mesh is not None
     own = [_points(p) for p in moving]
     middle = part.mesh.triangles.mean(axis=1)

@@ -76,7 +76,7 @@ class OpenAiEngine:
         """See :class:`~model.scenes.language_finder.ChatEngine`."""
         answer: Future[Answer] = Future()
         self._under_way.add(answer)
-        # Nothing ends a thread that waits for a server, and the program doesn't wait for this one.
+        # A thread that waits for a server can't be stopped; as a daemon it doesn't block the exit.
         Thread(target=self._ask_for, args=(answer, system, user), daemon=True).start()
         try:
             return answer.result()

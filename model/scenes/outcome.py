@@ -1,4 +1,4 @@
-"""What became of each object of a converted scene."""
+"""The outcome of each object of a converted scene."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from model.scenes.scene import SceneObject
 
 @dataclass(eq=False)
 class Outcome:
-    """What became of one object; filled in from step to step.
+    """The outcome of one object; filled in step by step.
 
     Attributes:
         obj: the object.

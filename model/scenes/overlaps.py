@@ -1,4 +1,4 @@
-"""What starts inside of something else in a written scene, and what is done about it.
+"""Overlaps at rest in a written scene, and their resolution.
 
 Collision shapes are convex, scans are noisy, and things are put down a little inside of others. A
 simulator throws apart what overlaps at rest. So a link that a joint moves passes through what it
@@ -79,7 +79,7 @@ def at_rest(stands: Sequence[Stand], out: Path) -> tuple[list[Stand], dict[str, 
     passes: dict[int, list[Pass]] = {}
     for a, b, depth in found:
         if any(stands[x.stand].free and stands[x.stand].id not in held for x in (a, b)):
-            continue  # what lies on something must not fall through it
+            continue  # resting objects must not fall through their support
         one, other = (a, b) if a.moves else (b, a)
         if one.moves and one.link is not None:
             passes.setdefault(one.stand, []).append(
@@ -143,14 +143,14 @@ def _hull(geom: ET.Element, at: FloatArray, files: dict[str, Path]) -> Hull | No
         return hull_of(np.array(corners, np.float64) + place)
     w, x, y, z = _numbers(geom.get("quat", "1 0 0 0"), 4)
     sizes = _numbers(geom.get("size"), 3)
-    # MuJoCo tells half of an edge and of a length, and the radius.
+    # MuJoCo's sizes are half edges, half lengths and radii.
     sizes = sizes * ((2.0, 2.0, 2.0) if kind == "box" else (1.0, 2.0, 0.0))
     turn = rotation_from_quaternion(np.array([x, y, z, w]))
     return hull_of_shape(Primitive(kind, pose(place, turn), tuple(sizes.tolist())))  # type: ignore[arg-type]
 
 
 def _numbers(text: str | None, count: int) -> FloatArray:
-    """As many as asked for; what isn't there is 0."""
+    """A fixed number of values; missing ones are 0."""
     said = [float(v) for v in (text or "").split()]
     return np.array([*said, *[0.0] * (count - len(said))])
 

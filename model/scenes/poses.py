@@ -1,4 +1,4 @@
-"""Poses as scene files tell them → (4, 4) in metres, right-handed, +z up."""
+"""Poses in scene files → (4, 4) in metres, right-handed, +z up."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The ports of scenes: who reads them, and who says what in them can be articulated."""
+"""Protocols of scenes: readers, and finders of articulable objects."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class SceneReader(Protocol):
 
 @dataclass(frozen=True)
 class ObjectDescription:
-    """What a finder is told of an object.
+    """A finder's input for one object.
 
     Attributes:
         description: in people's words.

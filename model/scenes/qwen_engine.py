@@ -1,4 +1,4 @@
-"""Qwen3 from a folder on this machine; nothing is downloaded, nothing leaves it."""
+"""Qwen3 from a local folder; nothing is downloaded or sent."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class QwenEngine:
         return Answer(text)
 
     def _submitted(self, system: str, user: str) -> Future[tuple[str, str | None]]:
-        # Ctrl+C is not for the model's process, which starts here: whoever hears it closes this.
+        # Ignore Ctrl+C in the model's process, which starts here: its parent closes it.
         resource_tracker.ensure_running()  # on its start it lets interrupts through again
         mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
@@ -70,7 +70,7 @@ class QwenEngine:
 
 
 def _decide(folder: Path, system: str, user: str) -> tuple[str, str | None]:
-    """Runs in the model's process; the second value says what is wrong with the folder."""
+    """Runs in the model's process; the second value is the folder's problem, if any."""
     from model.prediction.arti4urdf.json_writer import load_json_writer  # torch
 
     try:

@@ -75,7 +75,7 @@ def _connect(address: str) -> tuple[Any, type[Exception]]:
 
 
 def _check_there(address: str) -> None:
-    """Ray itself asks for minutes where nobody answers."""
+    """Ray itself retries for minutes without an answer."""
     host, colon, port = address.removeprefix("ray://").rpartition(":")
     if not colon:
         return

@@ -43,7 +43,7 @@ class Pass:
 
 @dataclass(frozen=True, eq=False)
 class Stand:
-    """An object as MuJoCo gets it.
+    """An object of the MuJoCo scene.
 
     Attributes:
         id: of the object.

@@ -24,7 +24,7 @@ _RIGID = 1e-6
 
 @dataclass(frozen=True)
 class Unpacked:
-    """What became of the objects inside a scene's file.
+    """Assets unpacked from a scene's file.
 
     Attributes:
         files: asset id → file, or folder of part meshes.
@@ -99,7 +99,7 @@ def _write_glb(piece: Loaded, path: Path) -> Path:
 
 
 class Unpacker:
-    """Collects what :class:`Unpacked` holds; one bad object never ends the rest."""
+    """Collects the content of :class:`Unpacked`; a bad object doesn't stop the others."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder

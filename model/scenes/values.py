@@ -1,4 +1,4 @@
-"""Values out of scene files, strictly: what isn't as it should be is told, nothing guessed."""
+"""Strict parsing of values in scene files: invalid ones are reported, never guessed."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ def maybe_text(value: Any) -> str | None:
 
 
 def _writable(value: str) -> str:
-    """Without what no XML file can hold: the written scene has the names, too."""
+    """Remove characters that XML can't hold: the written scene has the names, too."""
     return _UNWRITABLE.sub("\ufffd", " ".join(value.splitlines()).replace("\t", " "))
 
 
@@ -110,7 +110,7 @@ def collect(
     make: Callable[[Place, Any], SceneObject],
     name_of: Callable[[Any], str | None],
 ) -> tuple[tuple[SceneObject, ...], tuple[SceneProblem, ...]]:
-    """Make an object of each entry; a broken one is told and left out.
+    """Make an object of each entry; a broken one is reported and left out.
 
     A second object of the same id stays in the scene under an id of its own, which is told too.
 

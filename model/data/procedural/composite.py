@@ -1,4 +1,4 @@
-"""Random composites: bodies that are no known thing, with modules where they fit.
+"""Random composites: bodies of no category, with modules where they fit.
 
 They teach a network the joints' cues apart from the categories' habits.
 """

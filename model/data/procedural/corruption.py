@@ -1,4 +1,4 @@
-"""From a clean object to what a predictor meets: noisy, partial, badly cut clouds with their truth.
+"""Corrupt clean objects: noisy, partial, badly cut clouds with their true joints.
 
 Each fault can be set on its own, so that its cost can be measured on its own.
 """
@@ -197,7 +197,7 @@ def _sampled(
 
 
 def _without(tree: KinematicTree, link: str) -> KinematicTree:
-    """The tree without a leaf, and without helpers that then carry nothing."""
+    """Remove a leaf from the tree, and helpers without children afterwards."""
     parent = tree.joint_of[link].parent
     links = tuple(x for x in tree.links if x != link)
     out = KinematicTree(links, tuple(j for j in tree.joints if j.child != link))
@@ -289,7 +289,7 @@ def _seen(obj: ArticulatedObject, points: Array, rng: np.random.Generator) -> np
 def _dropped(
     part: npt.NDArray[np.int64], seen: npt.NDArray[np.bool_], links: list[str], tree: KinematicTree
 ) -> tuple[npt.NDArray[np.int64], KinematicTree]:
-    """Leave out parts that nobody sees and that carry nothing; their points get -1."""
+    """Drop hidden parts without children; their points get -1."""
     part = part.copy()
     for number in range(len(links) - 1, -1, -1):
         link = links[number]
@@ -305,7 +305,7 @@ def _dropped(
 def _needed(
     part: npt.NDArray[np.int64], seen: npt.NDArray[np.bool_], count: int, rng: np.random.Generator
 ) -> npt.NDArray[np.bool_]:
-    """A few hidden points of parts that would vanish though something hangs on them."""
+    """A few hidden points of parts with children that would vanish otherwise."""
     out = np.zeros(len(part), bool)
     for number in range(count):
         rows = np.flatnonzero(part == number)

@@ -1,4 +1,4 @@
-"""Write procedural objects as PartNet-Mobility folders: what ``artiworld generate`` runs.
+"""Write procedural objects as PartNet-Mobility folders (``artiworld generate``).
 
 A folder holds ``mobility.urdf``, ``textured_objs/*.obj``, ``semantics.txt``, ``mobility_v2.json``,
 ``result.json`` and ``meta.json``, as SAPIEN's data set has them: OBJ files are Y up with the front

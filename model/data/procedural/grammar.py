@@ -79,7 +79,7 @@ class Body:
 
     @property
     def bounds(self) -> npt.NDArray[np.float64]:
-        """(2, 3) of what was added so far."""
+        """(2, 3) lowest and highest corner of the solids added so far."""
         each = np.stack([p.solid.bounds for p in self.pieces])
         return np.stack([each[:, 0].min(0), each[:, 1].max(0)])
 
@@ -105,7 +105,7 @@ class Builder:
         return tuple(self._joints)
 
     def base(self, name: str) -> Body:
-        """The part that nothing carries; made first."""
+        """The base part; made first."""
         return self._body(name)
 
     def hinge(

@@ -1,4 +1,4 @@
-"""What furniture stands on."""
+"""Legs of furniture."""
 
 from __future__ import annotations
 

@@ -63,7 +63,7 @@ METALS: dict[str, RGB] = {
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """What a solid is covered with.
+    """The surface of a solid.
 
     Attributes:
         material: colour and texture.
@@ -190,7 +190,7 @@ def appliance_palette(rng: np.random.Generator) -> Palette:
 
 
 def plastic_palette(rng: np.random.Generator) -> Palette:
-    """Two plastics and a metal, for small things."""
+    """Two plastics and a metal, for small objects."""
     first, second = rng.choice(len(PLASTICS), 2, replace=False)
     return Palette(
         plain("plastic", _vary(PLASTICS[first], rng)),

@@ -181,7 +181,7 @@ def slab(
 
 
 def along(solid: Solid, axis: int) -> Solid:
-    """Turn what was built along +z to lie along x (0) or y (1); its x and z stay upright."""
+    """Turn a solid built along +z to lie along x (0) or y (1)."""
     if axis == 2:
         return solid
     v = solid.vertices

@@ -156,7 +156,7 @@ def look_from(view: View, middle: Array, diagonal: float, side: int) -> tuple[Ar
 def flying_pixels(
     hits: Hits, depth: Array, side: int, share: float, diagonal: float, rng: np.random.Generator
 ) -> tuple[Array, npt.NDArray[np.bool_]]:
-    """Depths with points beside a jump drawn part of the way into it, and which those are."""
+    """Depths with smeared edges, and the mask of smeared points."""
     image = np.full(side * side, np.nan)
     image[hits.ray] = hits.distance
     image = image.reshape(side, side)
@@ -193,7 +193,7 @@ def _misaligned(points: Array, middle: Array, amount: float, rng: np.random.Gene
 
 
 def visible_elements(obj: ArticulatedObject, views: Sequence[View], *, side: int = 320) -> Hits:
-    """What cameras at ``views`` see of an object, without noise: where a person could click."""
+    """The elements of an object that cameras at ``views`` see, without noise."""
     bounds = np.concatenate([p.bounds for p in obj.parts])
     low, high = bounds.min(0), bounds.max(0)
     middle, diagonal = (low + high) / 2, float(np.linalg.norm(high - low))

@@ -140,7 +140,7 @@ def _seen(
     diagonal: float,
     rng: np.random.Generator,
 ) -> tuple[Array, Array, npt.NDArray[np.int64]]:
-    """Points, colours and mesh of what one view sees, where its drifting pose puts them."""
+    """Points, colours and mesh seen by one view, in its drifting pose."""
     side = int(np.sqrt(3.0 * settings.points / settings.views)) + 8
     eye, rays = look_from(view, middle, diagonal, side)
     hits = caster.cast(np.tile(eye, (len(rays), 1)), rays)

@@ -55,7 +55,7 @@ class GltfSceneReader:
             parents = {int(place[1]): parent for place, (_, parent) in _objects(gltf)}
         for obj in scene.objects:
             index = int(obj.place[1])
-            # Nothing is read before the object's turn: a broken one leaves the others alone.
+            # Geometry is read object by object, so that a broken one doesn't affect the others.
             made.add(obj.asset or obj.id, f"node_{index}", _pieces_of(gltf, index, parents[index]))
         return made.result()
 
@@ -93,7 +93,7 @@ def _objects(gltf: Gltf) -> list[tuple[Place, tuple[dict[str, Any], FloatArray]]
             break
         below = [c for c in nodes[level[0]].get("children") or [] if c in solid]
         if len(below) < 2 and (not below or "mesh" in nodes[below[0]]):
-            break  # a lone object whose meshes hang on it
+            break  # a single object with its meshes
         parent = parent @ node_matrix(nodes[level[0]])
         level = below
     if not level:

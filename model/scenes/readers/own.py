@@ -35,7 +35,7 @@ _ASKED = (
 )  # fmt: skip
 _KNOWN_OF_OBJECT = frozenset({
     *_ASKED,
-    # What a conversion says of it, and where it is written back to.
+    # A conversion's outcome, and the place to write it back to.
     "state", "reason", "articulable", "why", "kind", "expected_parts", "urdf", "decided", "held",
     "passes", "world_from_urdf", "asset_folder", "joints", "shortened", "articulation",
 })  # fmt: skip
@@ -66,7 +66,7 @@ class OwnReader:
 
 
 def _unknown(path: Path, data: dict[str, Any]) -> list[SceneProblem]:
-    """Notes on entries that mean nothing here, such as ``units``: everything is metres."""
+    """Notes on ignored entries, such as ``units``: everything is metres."""
     counts = Counter(k for k in data if k not in _KNOWN)
     notes = [f"{shown(k)} means nothing to a scene" for k in counts]
     entries = [e for e in data["objects"] if isinstance(e, dict)]

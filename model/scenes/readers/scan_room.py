@@ -194,7 +194,7 @@ def _read_labels(path: Path) -> dict[str, npt.NDArray[Any]]:
 
 
 def _categories(arrays: dict[str, npt.NDArray[Any]], count: int) -> npt.NDArray[Any] | None:
-    """(N,) texts, "" where nobody knows."""
+    """(N,) texts, "" if unknown."""
     given, classes = arrays.get("category"), arrays.get("segment20")
     if given is not None and given.shape == (count,) and given.dtype.kind == "U":
         return given
@@ -285,7 +285,7 @@ def _object(
 
 
 def _cut(loaded: Loaded, points: Labels, origin: npt.NDArray[np.float64]) -> list[Any]:
-    """The instance about its own origin; faces whose corners are all its own go along."""
+    """The instance about its own origin, with the faces whose corners it owns."""
     vertices = loaded.vertices[points].astype(np.float64) - origin
     colors = None if loaded.colors is None else loaded.colors[points]
     if not len(loaded.faces):

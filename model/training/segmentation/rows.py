@@ -1,4 +1,4 @@
-"""What scorers learn from: the described proposals of many clicks, with their true overlap."""
+"""Training rows of scorers: features of the proposals of many clicks, with their true IoU."""
 
 from __future__ import annotations
 

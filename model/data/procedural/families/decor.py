@@ -1,4 +1,4 @@
-"""Lamp, Fan, Globe, Clock: things on a stand or a wall that turn."""
+"""Lamp, Fan, Globe, Clock."""
 
 from __future__ import annotations
 

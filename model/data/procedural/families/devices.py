@@ -1,4 +1,4 @@
-"""Display, Keyboard, Phone, Remote, Mouse, Switch: what people work with."""
+"""Display, Keyboard, Phone, Remote, Mouse, Switch."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Box, Safe, Suitcase, TrashCan: things to put things into."""
+"""Box, Safe, Suitcase, TrashCan."""
 
 from __future__ import annotations
 

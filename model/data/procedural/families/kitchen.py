@@ -75,7 +75,7 @@ def rack(
 
 @dataclass(frozen=True)
 class OvenSpec:
-    """What decides how an oven looks.
+    """The shape of an oven.
 
     Attributes:
         size: (x, y, z) metres; knobs: number; burners: 0 for a built-in oven.

@@ -1,4 +1,4 @@
-"""Eyeglasses, Pen, Lighter, USB: things for a pocket."""
+"""Eyeglasses, Pen, Lighter, USB."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ class Cell:
 
 @dataclass(frozen=True)
 class Cupboard:
-    """Everything that decides how a cupboard looks.
+    """The shape of a cupboard.
 
     Attributes:
         size: (x, y, z) of the carcass in metres.

@@ -1,4 +1,4 @@
-"""Kettle, KitchenPot, Bottle, Bucket, Dispenser: things that are turned on a lathe."""
+"""Kettle, KitchenPot, Bottle, Bucket, Dispenser: surfaces of revolution."""
 
 from __future__ import annotations
 
