@@ -470,31 +470,33 @@ def test_an_upload_joins_the_queue(start: Any, open_tab: Any, cabinet: Any, tmp_
     assert tab.object.asset.element_kind == "point"
 
 
-def test_another_up_axis_reads_the_file_again(start: Any, open_tab: Any, cabinet: Any) -> None:
+def test_a_lying_object_in_another_unit_is_prepared(
+    start: Any, open_tab: Any, cabinet: Any
+) -> None:
     path, points = cabinet
     tab = open_tab(start(path))
     tab.prompt(points["door"])
     before = tab.object.asset.bounds[1] - tab.object.asset.bounds[0]
-    tab.page.get_by_text("Orientation and units", exact=True).first.click()
-    tab.page.wait_for_timeout(300)
-    tab.choose("Up axis", "y")
+    tab.step("Prepare")
+    tab.row("Rotate 90°").get_by_role("button", name="X", exact=True).click()
+    wait_until(lambda: tab.document.label == "rotate 90° about X", "it is rotated")
+    wait_until(lambda: tab.object.asset is not None, "it is read again")
     tab.choose("File's unit", "millimetres")
-    tab.button("Apply and reload").click()
-    wait_until(lambda: tab.object.asset is not None and tab.object.asset.up_axis == "y", "y is up")
+    wait_until(lambda: tab.document.unit_scale == 0.001, "another unit")
+    wait_until(lambda: tab.object.asset is not None, "it is read again")
     size = tab.object.asset.bounds[1] - tab.object.asset.bounds[0]
-    np.testing.assert_allclose(size, before[[0, 2, 1]] * 0.001, rtol=1e-6)
+    np.testing.assert_allclose(size, before[[0, 2, 1]] * 0.001, rtol=1e-5)
     assert not tab.document.prompts
-    tab.page.get_by_text("0.8 mm wide: is the file in metres?").wait_for()
-    tab.button("Use metres").click()
-    wait_until(
-        lambda: tab.object.asset is not None and tab.object.asset.unit_scale == 1.0,
-        "the file is in metres",
-    )
-    wait_until(lambda: not tab.button("Use metres").count(), "there is nothing to ask")
-    tab.page.keyboard.press("Control+z")
-    tab.page.keyboard.press("Control+z")
+    tab.step("Annotate")
+    tab.page.get_by_text("0.8 mm wide: is the file in metres?").first.wait_for()
+    tab.key("Enter")
+    wait_until(lambda: tab.selection.step == "Prepare", "the step that asks")
+    tab.key("Enter")
+    wait_until(lambda: tab.document.unit_scale == 1.0, "the file is in metres")
+    wait_until(lambda: tab.object.asset is not None, "it is read again")
+    for _ in range(3):
+        tab.page.keyboard.press("Control+z")
     wait_until(lambda: len(tab.document.prompts) == 1, "undo brings the old reading back")
-    wait_until(lambda: tab.object.asset is not None and tab.object.asset.up_axis == "z", "z is up")
 
 
 def below_the_picture(tab: Tab) -> bool:

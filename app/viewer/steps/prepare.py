@@ -416,6 +416,9 @@ class PrepareStep:
             put(box, "visible", count > 0)
             put(box, "label", words.kind(kind, count))
         put(self._confidence, "visible", asset.display_confidence is not None)
+        if asset.display_confidence is not None:  # some count from 1 without end
+            most = max(1.0, float(np.percentile(asset.display_confidence, 95)))
+            put(self._confidence, "max", round(most, 2))
         for side in self._sides:
             put(side, "visible", bool(self._crop.value))
         height = self._height(obj)

@@ -1,4 +1,8 @@
-"""NPZ archives with ``points`` (or ``xyz``, ``vertices``) and, where known, colours and faces."""
+"""NPZ archives with ``points`` (or ``xyz``, ``vertices``) and, where known, colours and faces.
+
+Also the maps of reconstruction networks (DUSt3R, VGGT, Pi3): points, colours and confidences of
+every pixel of several pictures, (V, H, W, 3).
+"""
 
 from __future__ import annotations
 
@@ -19,10 +23,11 @@ from model.io.formats.loaded import (
 )
 
 _KEYS = {
-    "points": ("points", "xyz", "vertices", "coords", "pos"),
+    "points": ("points", "xyz", "vertices", "coords", "pos", "world_points", "pts3d"),
     "colors": ("colors", "rgb", "color"),
     "normals": ("normals", "normal"),
     "faces": ("faces", "triangles"),
+    "confidence": ("confidence", "conf", "world_points_conf"),
 }
 
 MOST_RATIO = 200
@@ -57,6 +62,8 @@ def read_npz(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
     ) as error:  # fmt: skip
         raise InputFileError(path, f"is not an NPZ archive of arrays ({error})") from None
     points, faces = found["points"], found["faces"]
+    if points is not None and points.ndim > 2:
+        points = points.reshape(-1, points.shape[-1])
     if points is None or points.ndim != 2 or points.shape[1] < 3 or points.dtype.kind not in "fiu":
         raise InputFileError(path, f"has no (N, 3) array 'points'; there are {keys or 'none'}")
     normals, colors = (_fitting(found[k], len(points)) for k in ("normals", "colors"))
@@ -71,10 +78,19 @@ def read_npz(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
         faces.astype(np.int64, copy=False),
         normals,
         None if colors is None else colors_from(np.ascontiguousarray(colors)),
+        confidence=_confidence(found["confidence"], len(points)) if not len(faces) else None,
     )
 
 
+def _confidence(value: np.ndarray | None, count: int) -> np.ndarray | None:
+    if value is None or value.size != count or value.dtype.kind not in "fiu":
+        return None
+    return value.reshape(-1)
+
+
 def _fitting(value: np.ndarray | None, count: int) -> np.ndarray | None:
+    if value is not None and value.ndim > 2:
+        value = value.reshape(-1, value.shape[-1])
     if value is None or value.ndim != 2 or len(value) != count or value.dtype.kind not in "fiu":
         return None
     return value if value.shape[1] in (3, 4) else None

@@ -16,9 +16,13 @@ from model.io.write.meshes import write_cloud
 
 
 def raw_scan(
-    out: Path, name: str = "oven_scan", seed: int = 0, scale: float | None = None
+    out: Path,
+    name: str = "oven_scan",
+    seed: int = 0,
+    scale: float | None = None,
+    every: int = 1,
 ) -> npt.NDArray[np.float64]:
-    """Write a bundled scan on a table, with strays, to a PLY file.
+    """Write a bundled scan, or every so many of its points, on a table, with strays, to a PLY file.
 
     Returns:
         (4, 4) source_from_object.
@@ -26,7 +30,9 @@ def raw_scan(
     rng = np.random.default_rng(seed)
     asset: Asset = open_asset(static_assets() / "examples" / f"{name}.ply")
     cloud = asset.cloud
-    assert cloud is not None and cloud.colors is not None
+    assert cloud is not None
+    cloud = cloud.take(np.arange(0, len(cloud), every))
+    assert cloud.colors is not None
     low, high = asset.bounds
     size = float(np.linalg.norm(high - low))
     count = len(cloud) // 3

@@ -1,0 +1,143 @@
+"""Preparing a scan: proposals, commands, undo, replay, and the way back to the source."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from app.server.app_state import AppState
+from app.server.config import ServeConfig
+from app.server.open_object import OpenObject
+from app.server.prepare_tasks import Marks
+from model.core.asset import Source
+from model.core.resources import static_assets
+from model.geometry.cleaning import CLUTTER, OUTLIER, SUPPORT
+from model.geometry.units import unusual_height
+from model.io.open_asset import open_asset
+from model.segmentation.prompts import Click
+from sessions.commands import AddClick, LeaveOut, Prepare, Redo, Undo
+from sessions.document import Document
+from sessions.edits import amend, edit
+from sessions.provenance import provenance
+from sessions.state import Context, SessionState, replay
+from sessions.store import Store
+from sessions.tool_commands import SOURCE_FRAME, ObjectFrame, Placed
+from tests.builders import wait_until
+from tests.raw_scans import raw_scan
+
+ALL = Marks((SUPPORT, CLUTTER, OUTLIER))
+
+
+@pytest.fixture
+def opened(tmp_path: Path) -> Iterator[Callable[[Path], OpenObject]]:
+    made: list[AppState] = []
+
+    def begin(path: Path) -> OpenObject:
+        workspace = tmp_path / "workspace"
+        made.append(AppState(ServeConfig(workspace=workspace), Store(workspace), [path]))
+        obj = made[-1].object(made[-1].queue.records()[0].id)
+        proposed(obj)
+        return obj
+
+    yield begin
+    for app_state in made:
+        app_state.close()
+
+
+def proposed(obj: OpenObject) -> Any:
+    wait_until(lambda: obj.asset and "open" not in obj.jobs, "it is read")
+    obj.preparing.propose_for_step()
+    return wait_until(lambda: obj.preparing.current, "a proposal")
+
+
+def prepared(obj: OpenObject, marks: Marks = ALL, metres: float | None = None) -> None:
+    done: list[bool] = []
+    frame = obj.preparing.current.object_from_asset  # type: ignore[union-attr]
+    obj.preparing.apply(frame, marks, "level", "ann", lambda: done.append(True), metres=metres)
+    wait_until(lambda: done, "it is prepared")
+    wait_until(lambda: obj.asset and "open" not in obj.jobs, "it is read again")
+
+
+def test_a_raw_scan_is_noticed_levelled_and_cleaned(opened, tmp_path: Path) -> None:
+    frame = raw_scan(tmp_path / "oven.ply", seed=3, every=5)
+    obj = opened(tmp_path / "oven.ply")
+    up = frame[:3, 2] / np.linalg.norm(frame[:3, 2])
+    assert obj.preparing.tilt == pytest.approx(np.arccos(up[2]), abs=np.radians(1))
+    assert set(obj.preparing.noticed()) == {SUPPORT}
+    prepared(obj)
+    assert obj.asset.element_count == pytest.approx(44_088, rel=0.02)
+    assert 0 <= obj.asset.bounds[0, 2] < 0.1 * obj.asset.diagonal
+    # A prepared scan isn't asked about again, and stays as a person levelled it.
+    assert proposed(obj).up == (0.0, 0.0, 1.0)
+    assert not obj.preparing.tilt
+
+
+def test_provenance_leads_from_the_file_to_the_asset_and_back(opened, tmp_path: Path) -> None:
+    raw_scan(tmp_path / "oven.ply", seed=4, every=5)
+    obj = opened(tmp_path / "oven.ply")
+    prepared(obj, metres=0.01)
+    obj.preparing.turn(np.diag([2.0, 2.0, 2.0, 1.0]), "twice as large", "ann")
+    wait_until(lambda: obj.asset and "open" not in obj.jobs, "it is read again")
+    asset = obj.need_asset()
+    source = Source(asset.path, asset.sha256, asset.up_axis, asset.unit_scale, asset.shift)
+    record = provenance(obj.state, obj.services.store.history(obj.record.id), source)
+    object_from_source = np.array(record["object_from_source"])
+    numbers = open_asset(tmp_path / "oven.ply", up_axis="z").cloud.points
+    kept = np.ones(len(numbers), bool)
+    kept[obj.services.store.get_array(obj.document.left_out.elements)] = False
+    there = numbers[kept] @ object_from_source[:3, :3].T + object_from_source[:3, 3]
+    shown = there[asset.element]
+    size = np.ptp(shown, axis=0).max()
+    np.testing.assert_allclose(shown, asset.display_points, atol=1e-5 * size)
+
+
+def test_an_extracted_object_leads_back_to_its_scan() -> None:
+    who = Context("ann", "now")
+    doc = amend(Document(), Placed("room.ply", "e" * 64, "a" * 64, (1.0, 2.0, 0.5)), who)
+    turned = SOURCE_FRAME.then(
+        ObjectFrame((0.1, 0.0, 0.3), (0.6, 0.0, 0.8, 0.0), 2.0).object_from_read
+    )
+    doc = edit(doc, Prepare(1.0, turned, LeaveOut(None), "level"), who)
+    record = provenance(SessionState(doc), [], None)
+    out = np.array(record["scan_from_object"]) @ np.array(record["object_from_source"])
+    expected = np.eye(4)
+    expected[:3, 3] = (1.0, 2.0, 0.5)
+    np.testing.assert_allclose(out, expected, atol=1e-12)
+
+
+def test_undo_redo_and_replay_give_the_same_state(opened, tmp_path: Path) -> None:
+    raw_scan(tmp_path / "oven.ply", seed=5, every=5)
+    obj = opened(tmp_path / "oven.ply")
+    prepared(obj)
+    first = obj.document
+    obj.do(AddClick(Click((0.0, 0.0, 0.0), 1)), "ann")
+    obj.preparing.turn(np.diag([1.0, -1.0, -1.0, 1.0]), "flip upside down", "ann")
+    assert not obj.document.prompts  # elements lie elsewhere now
+    obj.do(Undo(), "ann")
+    assert len(obj.document.prompts) == 1
+    obj.do(Undo(), "ann")
+    obj.do(Undo(), "ann")
+    assert obj.document.frame == SOURCE_FRAME and obj.document.left_out is None
+    obj.do(Redo(), "ann")
+    assert obj.document.frame == first.frame
+    entries = list(obj.services.store.history(obj.record.id))
+    again = replay((e.seq, e.command, Context(e.who, e.at)) for e in entries)
+    assert again.present == obj.document
+
+
+@pytest.mark.parametrize("name", ["oven_scan.ply", "cabinet.glb", "laptop.glb"])
+def test_upright_clean_objects_are_not_called_tilted(opened, name: str) -> None:
+    obj = opened(static_assets() / "examples" / name)
+    assert not obj.preparing.tilt and not obj.preparing.oblique
+    assert not obj.preparing.noticed()
+
+
+def test_heights_far_from_the_usual_ones_are_told() -> None:
+    odd = unusual_height("Refrigerator", 0.4)
+    assert odd is not None and (odd.low, odd.high) == (1.5, 1.9) and 1.5 < odd.proposed < 1.9
+    assert unusual_height("refrigerator", 1.7) is None
+    assert unusual_height("Sculpture", 40.0) is None and unusual_height(None, 1.0) is None
