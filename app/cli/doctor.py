@@ -66,14 +66,14 @@ def examine(workspace: Path, database: str | None = None, port: int = 8080) -> l
     """All findings, in the order of the table. Changes nothing on the machine."""
     return [
         Check("python", "fine", f"{platform.python_version()} ({sys.executable})"),
-        *_packages(),
+        *check_packages(),
         *_optional(),
-        *_plugins(),
+        *check_plugins(),
         *_weights(),
         _examples(),
         _workspace(workspace),
-        _database(workspace, database),
-        _port(port),
+        check_database(workspace, database),
+        check_port(port),
         _processors(),
         _memory(),
     ]
@@ -87,7 +87,8 @@ def to_json(checks: list[Check]) -> dict[str, Any]:
     }
 
 
-def _packages() -> Iterator[Check]:
+def check_packages() -> Iterator[Check]:
+    """Whether the packages that are needed are installed, and in a version that fits."""
     try:
         needed = requires("artiworld") or []
         yield Check("artiworld", "fine", version("artiworld"))
@@ -111,7 +112,7 @@ def _packages() -> Iterator[Check]:
 
 
 def _optional() -> Iterator[Check]:
-    yield _torch()
+    yield check_torch()
     for name, use, extra in OPTIONAL:
         try:
             yield Check(name, "fine", version(name))
@@ -128,7 +129,8 @@ def _optional() -> Iterator[Check]:
         yield Check("chromium", "note", found, "run: apt-get install chromium")
 
 
-def _torch() -> Check:
+def check_torch() -> Check:
+    """PyTorch and the GPU."""
     if importlib.util.find_spec("torch") is None:
         found = "torch is not installed; without it joints come from geometry alone"
         return Check("gpu", "note", found, f"run: {install_command('torch')}")
@@ -144,7 +146,8 @@ def _torch() -> Check:
         return Check("gpu", "note", f"torch can't be used: {_line(error)}", remedy)
 
 
-def _plugins() -> Iterator[Check]:
+def check_plugins() -> Iterator[Check]:
+    """Whether each predictor and segmenter loads."""
     for kind, names, load in (
         ("predictor", predictor_names(), load_predictor),
         ("segmenter", segmenter_names(), load_segmenter),
@@ -199,7 +202,8 @@ def _workspace(workspace: Path) -> Check:
     return Check("workspace", "fine", found)
 
 
-def _database(workspace: Path, url: str | None) -> Check:
+def check_database(workspace: Path, url: str | None) -> Check:
+    """Whether the database can be read; nothing is written."""
     file = workspace / "artiworld.db"
     none_yet = Check("database", "fine", f"none yet; a new one gets format {FORMAT}")
     if url is None and not file.exists():
@@ -224,7 +228,8 @@ def _database(workspace: Path, url: str | None) -> Check:
     return Check("database", "fine", f"format {found}{older}")
 
 
-def _port(port: int) -> Check:
+def check_port(port: int) -> Check:
+    """Whether the server could listen on ``port``."""
     try:
         check_address("127.0.0.1", port)
     except ArtiworldError as error:

@@ -46,7 +46,7 @@ def test_the_databases_format_is_read_without_touching_it(tmp_path):
     Store(tmp_path).close()
     file = tmp_path / "artiworld.db"
     before = file.read_bytes()
-    check = by_name([doctor._database(tmp_path, None)])["database"]
+    check = by_name([doctor.check_database(tmp_path, None)])["database"]
     assert check.status == "fine" and "format" in check.found
     assert file.read_bytes() == before
 
@@ -54,14 +54,14 @@ def test_the_databases_format_is_read_without_touching_it(tmp_path):
 @pytest.mark.parametrize("content", [b"not a database at all" * 100, b""])
 def test_a_file_that_is_no_database_is_wrong(tmp_path, content):
     (tmp_path / "artiworld.db").write_bytes(content)
-    assert doctor._database(tmp_path, None).status == "wrong"
+    assert doctor.check_database(tmp_path, None).status == "wrong"
 
 
 def test_a_newer_format_is_wrong(tmp_path):
     Store(tmp_path).close()
     with sqlite3.connect(tmp_path / "artiworld.db") as connection:
         connection.execute("UPDATE alembic_version SET version_num = '9999'")
-    check = doctor._database(tmp_path, None)
+    check = doctor.check_database(tmp_path, None)
     assert check.status == "wrong" and "9999" in check.found
 
 
@@ -69,7 +69,7 @@ def test_a_newer_format_is_wrong(tmp_path):
     "url", ["nonsense", "postgresql+nodriver://x/y", "sqlite:////nowhere/at/all.db"]
 )
 def test_a_database_url_that_cant_work(tmp_path, url):
-    check = doctor._database(tmp_path, url)
+    check = doctor.check_database(tmp_path, url)
     assert check.status == ("fine" if url.startswith("sqlite") else "wrong")
     assert not Path("/nowhere").exists()
 
@@ -78,7 +78,7 @@ def test_a_taken_port_is_a_note():
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen(1)
-        check = doctor._port(taken.getsockname()[1])
+        check = doctor.check_port(taken.getsockname()[1])
     assert check.status == "note" and "in use" in check.found
 
 
@@ -93,7 +93,7 @@ def test_missing_and_wrong_packages_are_named(monkeypatch):
         return "1.0.0" if name == "viser" else real(name)
 
     monkeypatch.setattr(doctor, "version", version)
-    checks = by_name(doctor._packages())
+    checks = by_name(doctor.check_packages())
     assert checks["lxml"].status == "wrong" and "pip install" in checks["lxml"].remedy
     assert checks["viser"].status == "wrong" and "viser==1.1.1" in checks["viser"].remedy
     assert checks["numpy"].status == "fine"
@@ -108,7 +108,7 @@ def test_a_broken_plugin_is_a_note_with_its_reason(monkeypatch):
 
     monkeypatch.setattr("app.cli.doctor.predictor_names", lambda: ("a", "b", "c"))
     monkeypatch.setattr("app.cli.doctor.load_predictor", load)
-    checks = by_name(doctor._plugins())
+    checks = by_name(doctor.check_plugins())
     assert checks["predictor a"].status == "fine"
     assert "weights" in checks["predictor b"].remedy
     assert checks["predictor c"].status == "note" and "odd" in checks["predictor c"].found

@@ -114,13 +114,15 @@ def collision_of(
     key = _object_key(obj, settings, declared)
     shapes = load_shapes(store, key)
     if shapes is None:
-        shapes = _objects.get(key, lambda: _make_shapes(obj, settings, declared, store, progress))
+        shapes = recent_objects.get(
+            key, lambda: _make_shapes(obj, settings, declared, store, progress)
+        )
         save_shapes(store, key, shapes)
     progress(1.0, "collision shapes are ready")
     return shapes
 
 
-_objects: LruCache[str, dict[str, tuple[Shape, ...]]] = LruCache(8)
+recent_objects: LruCache[str, dict[str, tuple[Shape, ...]]] = LruCache(8)
 """Shapes of the last objects of this process: validation and exporters need the same ones."""
 
 

@@ -48,7 +48,7 @@ def said(obj: ArticulatedObject, store: Path) -> Any:
 def forget(monkeypatch: pytest.MonkeyPatch) -> None:
     """As in a process that has judged nothing yet; what is known of parts goes with them."""
     for module, name in (
-        (build, "_objects"),
+        (build, "recent_objects"),
         (build, "_parts"),
         (narrow_phase, "_depths"),
         (drives, "_DRIVES"),
