@@ -65,19 +65,10 @@ def cabinet(rng: np.random.Generator) -> ProceduralObject:
         for a, b in itertools.pairwise(cuts)
     ]
     left = storage.Cupboard(
-        (w, 0.44, h),
-        (*cells, storage.Cell("door", Opening(third, x, leg, leg + h))),
-        wall=0.019,
-        gap=0.003,
-        leg="taper",
-        leg_height=leg,
-        front="shaker",
-        handle="bar",
-        handle_length=0.13,
-        shelves=1,
-        overhang=0.03,
-        swing=1.92,
-    )
+        (w, 0.44, h), (*cells, storage.Cell("door", Opening(third, x, leg, leg + h))), wall=0.019,
+        gap=0.003, leg="taper", leg_height=leg, front="shaker", handle="bar", handle_length=0.13,
+        shelves=1, overhang=0.03, swing=1.92,
+    )  # fmt: skip
     dark = plain("shadow", (52, 44, 38))
     palette = Palette(wood("walnut"), wood("oak"), metal("brass"), metal("steel"), dark)
     return storage.cupboard(left, palette, rng, mirrored=True)

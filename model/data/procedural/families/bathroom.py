@@ -28,14 +28,9 @@ def toilet(rng: np.random.Generator) -> ProceduralObject:
         return s.at(egg * f + np.array([0, shift]), z)
 
     levels = [
-        at(0.6, 0, 0.05),
-        at(0.55, 0.08, 0.05),
-        at(0.75, 0.6 * h, 0.03),
-        at(1.0, h - 0.02),
-        at(1.0, h),
-        at(0.75, h),
-        at(0.5, 0.55 * h, 0.02),
-    ]
+        at(0.6, 0, 0.05), at(0.55, 0.08, 0.05), at(0.75, 0.6 * h, 0.03), at(1.0, h - 0.02),
+        at(1.0, h), at(0.75, h), at(0.5, 0.55 * h, 0.02),
+    ]  # fmt: skip
     body.add(s.loft(levels), white, "bowl")
     back = length / 2
     tank_d, tank_h, tank_w = 0.18, float(rng.uniform(0.3, 0.4)), w + float(rng.uniform(0.0, 0.08))
@@ -108,11 +103,9 @@ def faucet(rng: np.random.Generator) -> ProceduralObject:
         path = np.vstack([[0, 0, z + 0.001], arc, [0, -reach, z + rise - 0.03]])
     else:
         corners = [
-            (0, 0, z + 0.001),
-            (0, 0, z + rise),
-            (0, -reach, z + rise + 0.01),
+            (0, 0, z + 0.001), (0, 0, z + rise), (0, -reach, z + rise + 0.01),
             (0, -reach, z + rise - 0.03),
-        ]
+        ]  # fmt: skip
         path = s.bent_path(corners, 0.03)
     swivel.add(s.tube(path, thin, 14), skin, "spout")
     swivel.add(s.cylinder(1.1 * r, 0.02, segments=24).moved((0, 0, z + 0.0108)), skin, "collar")

@@ -120,16 +120,6 @@ def _freezer_drawers(
             min(float(z), zone.z1 - 0.025) - 0.002,
         )
         m.drawer(
-            b,
-            body,
-            r,
-            front - 0.006,
-            0.75 * hollow,
-            palette,
-            inner=cell,
-            handle_style=style,
-            thickness=thick,
-            inside=INSIDE,
-            travel=0.8,
-            handle_length=0.6,
-        )
+            b, body, r, front - 0.006, 0.75 * hollow, palette, inner=cell, handle_style=style,
+            thickness=thick, inside=INSIDE, travel=0.8, handle_length=0.6,
+        )  # fmt: skip

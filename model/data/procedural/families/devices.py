@@ -288,14 +288,7 @@ def switch(rng: np.random.Generator) -> ProceduralObject:
             lever.add(s.along(bar, 1).turned((1, 0, 0), 0.45).moved(at), metal("steel"), "lever")
         else:
             controls.knob(
-                b,
-                plate,
-                (x, -t / 2, cz),
-                0.016,
-                0.016,
-                plain("dial", (246, 246, 244)),
-                GREY,
-                style=int(rng.integers(3)),
-                limits=(0.0, 4.7),
-            )
+                b, plate, (x, -t / 2, cz), 0.016, 0.016, plain("dial", (246, 246, 244)), GREY,
+                style=int(rng.integers(3)), limits=(0.0, 4.7),
+            )  # fmt: skip
     return b.build()

@@ -103,17 +103,12 @@ def build_laptop(
 def laptop(rng: np.random.Generator) -> ProceduralObject:
     """Open at any angle; its hinge is two barrels or one long one."""
     shells = (
-        metal("brushed"),
-        plain("alloy", (188, 190, 194)),
-        plain("alloy_dark", (74, 77, 84)),
+        metal("brushed"), plain("alloy", (188, 190, 194)), plain("alloy_dark", (74, 77, 84)),
         plain("alloy_blue", (96, 118, 146)),
-    )
+    )  # fmt: skip
     size = rng.uniform((0.28, 0.19, 0.011), (0.38, 0.26, 0.022))
     return build_laptop(
-        (float(size[0]), float(size[1]), float(size[2])),
-        rng,
-        shells[rng.integers(4)],
-        open_angle=float(rng.uniform(0.4, 2.3)),
-        barrels=int(rng.integers(1, 3)),
+        (float(size[0]), float(size[1]), float(size[2])), rng, shells[rng.integers(4)],
+        open_angle=float(rng.uniform(0.4, 2.3)), barrels=int(rng.integers(1, 3)),
         screen=int(rng.integers(6)),
-    )
+    )  # fmt: skip

@@ -68,12 +68,8 @@ def door(rng: np.random.Generator) -> ProceduralObject:
         elif kind < 0.85:
             knob = b.spin("knob", panel, (0, -1, 0), at) if rng.random() < 0.5 else panel
             profile = [
-                (0.014, 0.0006),
-                (0.012, 0.03),
-                (0.027, 0.042),
-                (0.027, 0.055),
-                (0.012, 0.062),
-            ]
+                (0.014, 0.0006), (0.012, 0.03), (0.027, 0.042), (0.027, 0.055), (0.012, 0.062),
+            ]  # fmt: skip
             knob.add(s.along(s.lathe(profile, 20), 1).moved(at), metal_, "knob")
         else:
             m.add(panel, m.place(m.handle("bow", 0.3, 0.05), at), metal_, "handle")

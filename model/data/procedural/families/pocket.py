@@ -80,23 +80,16 @@ def pen(rng: np.random.Generator) -> ProceduralObject:
     if rng.random() < 0.5:
         cut = 0.42 * length
         profile = [
-            (0.8 * r, 0),
-            (r, 0.004),
-            (r, length - cut),
-            (0.78 * r, length - cut),
-            (0.74 * r, length - 0.014),
-            (0.2 * r, length),
-        ]
+            (0.8 * r, 0), (r, 0.004), (r, length - cut), (0.78 * r, length - cut),
+            (0.74 * r, length - 0.014), (0.2 * r, length),
+        ]  # fmt: skip
         body.add(lay(s.lathe(profile, 20)), skin, "barrel")
         cap = b.slide("cap", body, (1, 0, 0), 0.0, float(rng.uniform(1.0, 1.4)) * cut, (0, 0, lift))
         z0, z1 = length - cut + 0.0008, length + 0.008
         profile = [
-            (0.82 * r, z1 - 0.004),
-            (0.86 * r, z0),
-            (1.02 * r, z0),
-            (1.02 * r, z1 - 0.003),
+            (0.82 * r, z1 - 0.004), (0.86 * r, z0), (1.02 * r, z0), (1.02 * r, z1 - 0.003),
             (0.7 * r, z1),
-        ]
+        ]  # fmt: skip
         cap.add(lay(s.lathe(profile, 20)), accent if rng.random() < 0.5 else skin, "cap")
         clip = s.box((0.7 * cut, 0.0026, 0.0012), (z1 - 0.38 * cut, 0, lift + r + 0.0016), 0.0003)
         cap.add(clip, accent, "clip")
@@ -105,14 +98,9 @@ def pen(rng: np.random.Generator) -> ProceduralObject:
         return b.build()
     travel = 0.004
     profile = [
-        (0.2 * r, length),
-        (0.55 * r, length - 0.006),
-        (r, length - 0.02),
-        (r, 0.004),
-        (0.8 * r, 0.0),
-        (0.5 * r, 0.0),
-        (0.5 * r, 0.02),
-    ]
+        (0.2 * r, length), (0.55 * r, length - 0.006), (r, length - 0.02), (r, 0.004),
+        (0.8 * r, 0.0), (0.5 * r, 0.0), (0.5 * r, 0.02),
+    ]  # fmt: skip
     body.add(lay(s.lathe(profile, 20)), skin, "barrel")
     button = b.slide("button", body, (1, 0, 0), 0.0, travel, (0, 0, lift))
     button.add(

@@ -161,13 +161,9 @@ def _close(
     face = clear.shrunk(spec.gap) if spec.inset else a.shrunk(spec.gap / 2)
     y = -d / 2 + (thick + 0.001 if spec.inset else -0.002)
     look = m.DoorSpec(
-        swing=spec.swing,
-        style=spec.front,
-        handle=spec.handle,
-        handle_length=spec.handle_length,
-        thickness=thick,
-        barrels=not spec.inset,
-    )
+        swing=spec.swing, style=spec.front, handle=spec.handle, handle_length=spec.handle_length,
+        thickness=thick, barrels=not spec.inset,
+    )  # fmt: skip
     if cell.use == "drawer":
         deep = d - 0.012 - max(y + d / 2, 0)
         return [
@@ -235,21 +231,13 @@ def storage_furniture(rng: np.random.Generator) -> ProceduralObject:
     fronts = sum({"open": 0, "two_doors": 2}.get(c.use, 1) for c in cells)
     ajar = rng.random(fronts) * (rng.random(fronts) < (0.3 if rng.random() < 0.3 else 0.0))
     spec = Cupboard(
-        (w, float(size[1]), h),
-        cells,
-        wall=float(rng.uniform(0.015, 0.025)),
-        gap=float(rng.uniform(0.002, 0.005)),
-        leg=leg,
-        leg_height=tall,
+        (w, float(size[1]), h), cells, wall=float(rng.uniform(0.015, 0.025)),
+        gap=float(rng.uniform(0.002, 0.005)), leg=leg, leg_height=tall,
         front=("plain", "shaker", "raised", "glass")[rng.choice(4, p=[0.45, 0.3, 0.15, 0.1])],
         handle=("bar", "bow", "flat", "knob", "cup", "ball", "lip", None)[rng.integers(8)],
-        handle_length=float(rng.uniform(0.08, 0.25)),
-        shelves=int(rng.integers(0, 4)),
-        inset=bool(rng.random() < 0.25),
-        overhang=float(rng.choice([0.0, 0.01, 0.03])),
-        swing=float(rng.uniform(1.5, 2.1)),
-        hinge="left" if rng.random() < 0.5 else "right",
-        drawer_handles=int(rng.integers(1, 3)),
-        open_by=tuple(float(v) for v in ajar),
-    )
+        handle_length=float(rng.uniform(0.08, 0.25)), shelves=int(rng.integers(0, 4)),
+        inset=bool(rng.random() < 0.25), overhang=float(rng.choice([0.0, 0.01, 0.03])),
+        swing=float(rng.uniform(1.5, 2.1)), hinge="left" if rng.random() < 0.5 else "right",
+        drawer_handles=int(rng.integers(1, 3)), open_by=tuple(float(v) for v in ajar),
+    )  # fmt: skip
     return cupboard(spec, furniture_palette(rng), rng)

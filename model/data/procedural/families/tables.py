@@ -54,18 +54,9 @@ def table(rng: np.random.Generator) -> ProceduralObject:
         r = m.Opening(float(a), float(z), low, low + tall)
         clear = m.Opening(float(a) + wall / 2, float(z) - wall / 2, low + 0.001, low + tall)
         m.drawer(
-            b,
-            base,
-            r.shrunk(0.0025),
-            y - 0.001,
-            0.8 * deep,
-            palette,
-            inner=clear,
-            handle_style=handle,
-            inside=wood("birch"),
-            thickness=0.016,
-            handle_length=0.1,
-        )
+            b, base, r.shrunk(0.0025), y - 0.001, 0.8 * deep, palette, inner=clear,
+            handle_style=handle, inside=wood("birch"), thickness=0.016, handle_length=0.1,
+        )  # fmt: skip
     for side in pedestals:
         _pedestal(b, base, side, w, d, low - 0.01, palette, handle, rng)
     return b.build()
@@ -109,17 +100,9 @@ def _pedestal(
                 clear.x0, clear.x1, max(cell.area.z0, clear.z0), min(cell.area.z1, clear.z1)
             )
             m.drawer(
-                b,
-                base,
-                cell.area.shrunk(0.002),
-                y - 0.001,
-                0.8 * deep,
-                palette,
-                inner=inner,
-                handle_style=handle,
-                inside=wood("birch"),
-                handle_length=0.1,
-            )
+                b, base, cell.area.shrunk(0.002), y - 0.001, 0.8 * deep, palette, inner=inner,
+                handle_style=handle, inside=wood("birch"), handle_length=0.1,
+            )  # fmt: skip
 
 
 def cart(rng: np.random.Generator) -> ProceduralObject:
@@ -138,26 +121,18 @@ def cart(rng: np.random.Generator) -> ProceduralObject:
             at = (*spot, low + (h - low) / 2)
             body.add(s.cylinder(0.011, h - low, segments=12).moved(at), frame, "post")
             controls.caster(
-                b,
-                body,
-                (*spot, low),
-                wheel,
-                palette,
-                rubber(),
-                swivel=swivels[1 + (y > 0)],
+                b, body, (*spot, low), wheel, palette, rubber(), swivel=swivels[1 + (y > 0)],
                 heading=float(rng.random() * 6.28) if swivels[1 + (y > 0)] else np.pi / 2,
-            )
+            )  # fmt: skip
     levels = np.linspace(low + 0.03, h - 0.08, int(rng.integers(2, 4)))
     for z in levels:
         at = (0, 0, float(z))
         body.add(s.tray((w, d, 0.05), 0.004, radius=0.02).moved(at), palette.front, "tray")
     if rng.random() < 0.7:
         corners = [
-            (w / 2 - 0.02, -d / 2 + 0.02, h - 0.03),
-            (w / 2 + 0.1, -d / 2 + 0.02, h + 0.05),
-            (w / 2 + 0.1, d / 2 - 0.02, h + 0.05),
-            (w / 2 - 0.02, d / 2 - 0.02, h - 0.03),
-        ]
+            (w / 2 - 0.02, -d / 2 + 0.02, h - 0.03), (w / 2 + 0.1, -d / 2 + 0.02, h + 0.05),
+            (w / 2 + 0.1, d / 2 - 0.02, h + 0.05), (w / 2 - 0.02, d / 2 - 0.02, h - 0.03),
+        ]  # fmt: skip
         path = s.bent_path(corners, 0.05)
         body.add(s.tube(path, 0.011), frame, "handle")
     if rng.random() < 0.4 and len(levels) > 1:
@@ -165,15 +140,7 @@ def cart(rng: np.random.Generator) -> ProceduralObject:
         if z1 - z0 > 0.1:
             r = m.Opening(-w / 2 + 0.035, w / 2 - 0.035, z0, z1)
             m.drawer(
-                b,
-                body,
-                r,
-                -d / 2 + 0.014,
-                0.85 * d,
-                palette,
-                inner=r.shrunk(0.002),
-                handle_style="bar",
-                inside=palette.front,
-                thickness=0.012,
-            )
+                b, body, r, -d / 2 + 0.014, 0.85 * d, palette, inner=r.shrunk(0.002),
+                handle_style="bar", inside=palette.front, thickness=0.012,
+            )  # fmt: skip
     return b.build()

@@ -31,12 +31,9 @@ def scissors(rng: np.random.Generator) -> ProceduralObject:
         sign = 1 if k == 0 else -1
         z = lift + (t / 2 + 0.0002) * sign
         edge = [
-            (-0.004, -0.008 * sign),
-            (0.02, -0.0075 * sign),
-            (blade, 0.0005 * sign),
-            (0.02, 0.0055 * sign),
-            (-0.004, 0.006 * sign),
-        ]
+            (-0.004, -0.008 * sign), (0.02, -0.0075 * sign), (blade, 0.0005 * sign),
+            (0.02, 0.0055 * sign), (-0.004, 0.006 * sign),
+        ]  # fmt: skip
         half.add(_flat(edge, t, z), steel, "blade")
         # The shank crosses to the other side behind the screw.
         y = -(loop_r[k] + 0.006) * sign
@@ -45,12 +42,9 @@ def scissors(rng: np.random.Generator) -> ProceduralObject:
         )
         half.add(s.sweep(path, s.rectangle(0.011, t)), steel, "shank")
         profile = [
-            (loop_r[k] - 0.0045, -0.003),
-            (loop_r[k], -0.004),
-            (loop_r[k] + 0.0015, 0),
-            (loop_r[k], 0.004),
-            (loop_r[k] - 0.0045, 0.003),
-        ]
+            (loop_r[k] - 0.0045, -0.003), (loop_r[k], -0.004), (loop_r[k] + 0.0015, 0),
+            (loop_r[k], 0.004), (loop_r[k] - 0.0045, 0.003),
+        ]  # fmt: skip
         ring = s.ring(profile, 28)
         stretch = float(rng.uniform(1.0, 1.5))
         at = (-back - loop_r[k] * stretch * 0.9, y, lift + 0.0002 * sign)
@@ -77,11 +71,9 @@ def pliers(rng: np.random.Generator) -> ProceduralObject:
         half.add(s.cylinder(0.011, t, segments=24).moved((0, 0, z)), steel, "joint")
         # Jaws lie on their own side of the middle line (y), handles on the other.
         tip = [
-            (0.006, 0.0005 * sign),
-            (jaw, 0.0005 * sign),
-            (jaw, 0.004 * sign),
+            (0.006, 0.0005 * sign), (jaw, 0.0005 * sign), (jaw, 0.004 * sign),
             (0.006, 0.0105 * sign),
-        ]
+        ]  # fmt: skip
         half.add(_flat(tip, 2 * t, lift), steel, "jaw")
         bend = np.array(
             [
