@@ -75,6 +75,17 @@ def _looks(materials: Sequence[Material]) -> Array:
     return np.array([first.setdefault(key, i) for i, key in enumerate(keys)])
 
 
+def packed(tree: str, binary: bytes) -> bytes:
+    """A GLB file of its JSON text and its buffer, if any."""
+    text = tree.encode()
+    chunks = b""
+    for kind, data, fill in ((b"JSON", text, b" "), (b"BIN\0", binary, b"\0")):
+        if data:
+            padded = data + fill * (-len(data) % 4)
+            chunks += struct.pack("<I", len(padded)) + kind + padded
+    return b"glTF" + struct.pack("<II", 2, 12 + len(chunks)) + chunks
+
+
 class GlbTree:
     """A glTF tree and its binary buffer while they are written.
 
@@ -113,11 +124,7 @@ class GlbTree:
         self.binary.extend(b"\0" * (-len(self.binary) % 4))
         if self.binary:
             self.tree["buffers"] = [{"byteLength": len(self.binary)}]
-        text = json.dumps(self.tree, separators=(",", ":")).encode()
-        text += b" " * (-len(text) % 4)
-        chunks = struct.pack("<I", len(text)) + b"JSON" + text
-        chunks += struct.pack("<I", len(self.binary)) + b"BIN\0" + bytes(self.binary)
-        return b"glTF" + struct.pack("<II", 2, 12 + len(chunks)) + chunks
+        return packed(json.dumps(self.tree, separators=(",", ":")), bytes(self.binary))
 
 
 class _Builder(GlbTree):

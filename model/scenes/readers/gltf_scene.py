@@ -19,6 +19,7 @@ from model.core.errors import InputFileError
 from model.io.formats.gltf import Gltf, consistent, joined, node_matrix, open_gltf
 from model.io.formats.loaded import Loaded
 from model.io.geometry_files import turned_up
+from model.io.write.glb import packed
 from model.scenes.readers.lisdf import readable
 from model.scenes.scene import FloatArray, Scene, SceneFrame, SceneObject, SceneObjectError
 from model.scenes.unpacking import Unpacked, Unpacker, placed_frame
@@ -71,15 +72,8 @@ def with_articulation(path: Path, said: dict[int, Any]) -> bytes:
         node = gltf.tree["nodes"][index]
         extras = node.get("extras")
         node["extras"] = {**(extras if isinstance(extras, dict) else {}), "articulation": entry}
-    text = json.dumps(gltf.tree, separators=(",", ":"), ensure_ascii=False).encode()
-    if gltf.binary is None:
-        return text
-    text += b" " * (-len(text) % 4)
-    data = gltf.binary + bytes(-len(gltf.binary) % 4)
-    chunks = len(text).to_bytes(4, "little") + b"JSON" + text
-    if data:
-        chunks += len(data).to_bytes(4, "little") + b"BIN\0" + data
-    return b"glTF" + (2).to_bytes(4, "little") + (12 + len(chunks)).to_bytes(4, "little") + chunks
+    text = json.dumps(gltf.tree, separators=(",", ":"), ensure_ascii=False)
+    return text.encode() if gltf.binary is None else packed(text, gltf.binary)
 
 
 def _objects(gltf: Gltf) -> list[tuple[Place, tuple[dict[str, Any], FloatArray]]]:
