@@ -10,11 +10,12 @@ import numpy as np
 from app.cli import printing
 from app.cli.annotator_report import COLUMNS, annotate_all
 from app.cli.benchmarks.segment import bench_segment
-from app.cli.output import check_output, write_json
+from app.cli.output import check_output
 from app.cli.printing import Result
 from app.cli.research_commands import EvaluateCommand
 from app.cli.simulated_annotator import AnnotatorConfig
 from model.core.errors import ConfigurationError
+from model.core.files import write_json
 from model.core.progress import Progress, scaled_progress
 from model.data.part_export import export_parts
 from model.data.registry import DatasetOptions, open_dataset

@@ -1,13 +1,11 @@
-"""Output folders of the commands: checks before writing, and JSON files."""
+"""Checks of output folders before a command writes."""
 
 from __future__ import annotations
 
-import json
 import os
 from pathlib import Path
-from typing import Any
 
-from model.core.errors import ConfigurationError, InputFileError
+from model.core.errors import ConfigurationError
 
 
 def check_output(out: Path, *inputs: Path, option: str = "--out") -> None:
@@ -39,19 +37,3 @@ def check_output(out: Path, *inputs: Path, option: str = "--out") -> None:
 def other_files_error(out: Path) -> ConfigurationError:
     """The error for an output folder that holds something else than an earlier result."""
     return ConfigurationError(f"--out {out} holds other files; give a new or an empty folder")
-
-
-def write_json(path: Path, value: Any) -> None:
-    """Write ``value`` completely or not at all.
-
-    Raises:
-        InputFileError: where the folder can't be written.
-    """
-    draft = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        text = json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-        draft.write_bytes(text.encode("utf-8", "backslashreplace"))  # lone surrogates: \ud800
-        draft.replace(path)
-    except OSError as error:
-        raise InputFileError(path, f"can't be written: {error.strerror}") from error

@@ -9,9 +9,10 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from app.cli.output import check_output, other_files_error, write_json
+from app.cli.output import check_output, other_files_error
 from model.core.articulated_object import ArticulatedObject, Prediction, SegmentedObject, remarks_of
 from model.core.asset import UpAxis
+from model.core.files import write_json
 from model.core.joint import Joint
 from model.core.part_names import category_remark
 from model.core.progress import Progress, no_progress, scaled_progress

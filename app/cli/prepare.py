@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from app.cli.output import check_output, write_json
+from app.cli.output import check_output
+from model.core.files import write_json
 from model.core.progress import Progress, no_progress, scaled_progress
 from model.geometry.prepare import Prepared, PrepareSettings, prepare
 from model.io.open_asset import open_asset

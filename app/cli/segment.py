@@ -9,11 +9,12 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from app.cli.output import check_output, other_files_error, write_json
+from app.cli.output import check_output, other_files_error
 from app.server.prompt_file import PromptFile, check_prompts, read_prompts
 from model.core.articulated_object import Part
 from model.core.asset import Asset, UpAxis
-from model.core.errors import ArtiworldError, InputFileError
+from model.core.errors import ArtiworldError
+from model.core.files import write_json, written_to
 from model.core.progress import Progress, no_progress, scaled_progress
 from model.geometry.parts import split
 from model.geometry.units import UNITS, odd_size
@@ -116,7 +117,7 @@ def _write_parts(parts: Sequence[Part], out: Path) -> list[dict[str, Any]]:
 
     They are written to a folder aside first: where that fails, the earlier result stays whole.
     """
-    try:
+    with written_to(out, "check space and permissions"):
         out.mkdir(parents=True, exist_ok=True)
         with TemporaryDirectory(prefix=".parts.", dir=out) as aside:
             entries = [_write_part(part, Path(aside)) for part in parts]
@@ -126,10 +127,6 @@ def _write_parts(parts: Sequence[Part], out: Path) -> list[dict[str, Any]]:
                     path.unlink()
             for path in Path(aside).iterdir():
                 path.rename(out / path.name)
-    except OSError as error:
-        raise InputFileError(
-            out, f"can't be written: {error.strerror or error}", "check space and permissions"
-        ) from error
     return entries
 
 

@@ -252,10 +252,8 @@ def _numbered(truth: ArticulatedObject) -> tuple[ArticulatedObject, dict[str, in
     first = truth.tree.root if truth.tree.root in links else links[0]
     order = [first, *(x for x in links if x != first)]
     names = {link: f"link_{i}" for i, link in enumerate(order)}
-    table = {x: names.get(x, x) for x in truth.tree.links}
-    joints = [replace(j, parent=table[j.parent], child=table[j.child]) for j in truth.tree.joints]
     parts = {p.link: replace(p, link=names[p.link]) for p in truth.parts}
-    tree = KinematicTree(tuple(table[x] for x in truth.tree.links), tuple(joints))
+    tree = truth.tree.renamed(names)
     obj = ArticulatedObject(truth.name, tuple(parts[x] for x in order), tree, truth.category)
     return obj, {p.link: i for i, p in enumerate(obj.parts)}
 

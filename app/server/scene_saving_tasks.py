@@ -16,6 +16,7 @@ from typing import Any
 from app.server.part_tasks import PartSource, articulated_object
 from app.server.scene_tasks import SceneItem
 from model.core.errors import ArtiworldError, CommandError
+from model.core.files import write_json
 from model.core.progress import Progress, no_progress
 from model.core.tree import KinematicTree
 from model.io.assets.asset_folder import write_asset
@@ -35,7 +36,6 @@ from model.scenes.jobs import (
     ConvertAsset,
     read_done,
     write_formats,
-    write_json,
 )
 from model.scenes.outcome import Outcome
 from model.scenes.protocol import Decision
@@ -129,7 +129,7 @@ def save_scene(
     shorten_limits(outcomes, out, progress)
     progress(0.97, "writing")
     summary = write_results(scene, outcomes, out, free_bases=True, formats=_formats())
-    write_json(out / "summary.json", summary)
+    write_json(out / "summary.json", summary, indent=1)
     for folder in (out / ASSETS).iterdir():
         if folder.name not in made:  # left from a former save
             shutil.rmtree(folder, ignore_errors=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import secrets
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -16,6 +15,7 @@ from app.server.tasks import ReadOptions, arrays_of, stamp, working_copy
 from model.core.articulated_object import Part
 from model.core.asset import Source
 from model.core.errors import ArtiworldError
+from model.core.files import draft_of
 from model.core.progress import Progress, no_progress
 from model.geometry.appearance import face_colors
 from model.geometry.display import decimate, spacing, thin
@@ -96,10 +96,8 @@ def _shape_of(path: Path, workspace: Path, max_faces: int) -> Shape:
     part = whole(path)
     shape = replace(shape_of_part(part, max_faces), bounds=bounds_of((part,)))
     arrays = {k: v for k, v in vars(shape).items() if v is not None}
-    kept.parent.mkdir(parents=True, exist_ok=True)
-    draft = kept.with_name(f".{key}.{secrets.token_hex(4)}.npz")
-    np.savez(draft, **arrays)
-    draft.replace(kept)
+    with draft_of(kept) as draft:
+        np.savez(draft, **arrays)
     return shape
 
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import hashlib
 import json
-import secrets
+from contextlib import suppress
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from app.server.part_tasks import PartSource, articulated_object
 from model.core import codec
+from model.core.files import draft_of
 from model.core.progress import Progress, no_progress
 from model.core.resources import static_assets
 from model.core.tree import KinematicTree
@@ -35,13 +36,8 @@ def validate_joints(
 
     obj = articulated_object(source, tree)
     report = validate(obj, store=source.workspace / "collision", progress=progress)
-    draft = cached.with_name(f".{cached.name}.{secrets.token_hex(4)}")
-    try:
-        cached.parent.mkdir(parents=True, exist_ok=True)
+    with suppress(OSError, ValueError), draft_of(cached) as draft:  # it counts without the cache
         draft.write_text(json.dumps(codec.write(report)), encoding="utf-8")
-        draft.replace(cached)
-    except (OSError, ValueError):  # the report counts without the cache
-        draft.unlink(missing_ok=True)
     return report
 
 

@@ -85,6 +85,14 @@ class KinematicTree:
         joints = tuple(joint if j.child == joint.child else j for j in self.joints)
         return replace(self, joints=joints)
 
+    def renamed(self, names: Mapping[str, str]) -> KinematicTree:
+        """The tree with its links renamed, old → new; links that aren't named stay."""
+        joints = tuple(
+            replace(j, parent=names.get(j.parent, j.parent), child=names.get(j.child, j.child))
+            for j in self.joints
+        )
+        return KinematicTree(tuple(names.get(x, x) for x in self.links), joints)
+
     def joint_values(self, q: Mapping[str, float]) -> dict[str, float]:
         """Value of each moving joint by name: missing ones are 0, mimics follow.
 

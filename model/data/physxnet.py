@@ -20,7 +20,6 @@ from public readers of it.
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,6 +29,7 @@ import numpy as np
 
 from model.core.articulated_object import Part
 from model.core.errors import InputFileError, KinematicsError
+from model.core.files import read_json
 from model.core.joint import Joint
 from model.core.mesh import Mesh
 from model.core.tree import KinematicTree
@@ -116,12 +116,7 @@ class PhysXNet:
 
     def _read(self, object_id: str) -> dict[str, Any]:
         path = self._path(object_id)
-        try:
-            data = json.loads(path.read_text(encoding="utf-8"))
-        except OSError as error:
-            raise InputFileError(path, error.strerror or "can't be read") from None
-        except (ValueError, RecursionError) as error:
-            raise InputFileError(path, f"is not JSON: {error}") from None
+        data = read_json(path)
         if not isinstance(data, dict) or not isinstance(data.get("group_info"), dict):
             raise InputFileError(path, "has no 'group_info'", "see PhysXNet's finaljson")
         return data

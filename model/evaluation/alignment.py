@@ -228,5 +228,4 @@ def renamed(tree: KinematicTree, names: Mapping[str, str]) -> KinematicTree:
                 new += "_"
             table[link] = new
             taken.add(new)
-    joints = [replace(j, parent=table[j.parent], child=table[j.child]) for j in tree.joints]
-    return KinematicTree(tuple(table[x] for x in tree.links), tuple(joints))
+    return tree.renamed(table)

@@ -8,7 +8,7 @@ from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from model.core.errors import InputFileError
+from model.core.files import written_to
 
 
 def write_page(path: Path, template: Path, **values: Any) -> Path:
@@ -23,11 +23,9 @@ def write_page(path: Path, template: Path, **values: Any) -> Path:
     )  # fmt: skip
     environment.filters["png"] = _png
     page = environment.get_template(template.name).render(values)
-    try:
+    with written_to(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(page, encoding="utf-8")
-    except OSError as error:
-        raise InputFileError(path, f"can't be written: {error.strerror or error}") from None
     return path
 
 

@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from model.core.errors import InputFileError
+from model.core.files import written_to
 from model.evaluation.report import (
     COLUMNS,
     Report,
@@ -42,10 +42,8 @@ def write_markdown(reports: Sequence[Report], path: Path) -> Path:
     Raises:
         InputFileError: where it can't be written.
     """
-    try:
+    with written_to(path):
         path.write_text(to_markdown(reports), encoding="utf-8")
-    except OSError as error:
-        raise InputFileError(path, f"can't be written: {error.strerror or error}") from None
     return path
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from model.core.errors import InputFileError
+from model.core.files import write_json
 from model.evaluation.calibration import Calibration, calibrate
 from model.evaluation.executability import Execution
 from model.evaluation.joint_metrics import JointScore, ObjectScore
@@ -119,12 +120,7 @@ class Report:
             InputFileError: where it can't be written.
         """
         path = folder / REPORT
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            text = json.dumps(self.to_json(), indent=1, allow_nan=False)
-            path.write_text(text + "\n", encoding="utf-8")
-        except OSError as error:
-            raise InputFileError(path, f"can't be written: {error.strerror or error}") from None
+        write_json(path, self.to_json(), indent=1)
         return path
 
 

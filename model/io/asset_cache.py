@@ -24,6 +24,7 @@ from PIL import Image
 from model.core import codec
 from model.core.asset import Asset, Source
 from model.core.errors import GeometryError, InputFileError, KinematicsError
+from model.core.files import written_to
 from model.core.inertial import Inertial
 from model.core.mesh import Material, Mesh
 from model.core.point_cloud import PointCloud
@@ -50,7 +51,7 @@ def save_asset(asset: Asset, folder: str | Path) -> None:
         InputFileError: where the folder can't be written.
     """
     folder = Path(folder)
-    try:
+    with written_to(folder, "check space and permissions"):
         folder.parent.mkdir(parents=True, exist_ok=True)
         temporary = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
         try:
@@ -58,10 +59,6 @@ def save_asset(asset: Asset, folder: str | Path) -> None:
             _replace(temporary, folder)
         finally:
             shutil.rmtree(temporary, ignore_errors=True)
-    except OSError as error:
-        raise InputFileError(
-            folder, f"can't be written: {error.strerror or error}", "check space and permissions"
-        ) from None
 
 
 def _write(asset: Asset, folder: Path) -> None:

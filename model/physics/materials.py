@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import Any
 
 from model.core.articulated_object import Part
 from model.core.errors import ConfigurationError, InputFileError
+from model.core.files import read_json
 from model.core.resources import static_assets
 
 FORMAT = 1
@@ -71,12 +71,7 @@ def read_materials(path: str | Path | None = None) -> MaterialTable:
         InputFileError: naming the problem in the file.
     """
     path = static_assets() / "physics" / "materials.json" if path is None else Path(path)
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputFileError(path, error.strerror or "can't be read") from error
-    except ValueError as error:
-        raise InputFileError(path, f"is not JSON ({error})") from error
+    data = read_json(path)
     try:
         table = _table(data)
     except (KeyError, TypeError, AttributeError, ValueError) as error:

@@ -30,6 +30,7 @@ import numpy as np
 import numpy.typing as npt
 
 from model.core.errors import ArtiworldError, ConfigurationError
+from model.core.files import write_json
 from model.core.progress import Progress, no_progress
 from model.evaluation.pool import robust_map
 from model.io.urdf.files import MOBILITY
@@ -135,7 +136,7 @@ def convert_scene(
             "assets_done_before": reused,
             "seconds": round(time.perf_counter() - start, 3),
         }
-        job_module.write_json(out / "summary.json", summary)
+        write_json(out / "summary.json", summary, indent=1)
     progress(1.0, "done")
     return summary
 
@@ -334,7 +335,7 @@ def _kept(out: Path, me: Standing, others: tuple[Standing, ...]) -> list[dict[st
     except (OSError, ValueError):
         pass
     changes = shortened(me, others)
-    job_module.write_json(path, changes)
+    write_json(path, changes, indent=1)
     return changes
 
 

@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from model.core.articulated_object import ArticulatedObject, SegmentedObject, remarks_of
-from model.core.errors import ArtiworldError, InputFileError
+from model.core.errors import ArtiworldError
+from model.core.files import write_json
 from model.core.tree import KinematicTree
 from model.evaluation.joint_metrics import score_object
 from model.evaluation.pool import OutOfTimeError, time_limit
@@ -109,7 +110,7 @@ class ConvertAsset:
         except Exception as error:  # one bad object never ends the run
             report = _record(job, FAILED, f"{type(error).__name__}: {error}")
         report["seconds"] = round(time.perf_counter() - start, 3)
-        write_json(self.out / DONE / f"{key}.json", report)
+        write_json(self.out / DONE / f"{key}.json", report, indent=1)
         return report
 
 
@@ -224,25 +225,6 @@ def read_done(out: Path, key: str) -> dict[str, Any] | None:
     if report["state"] == FAILED:
         return None  # whatever failed may go well now
     return report if (out / ASSETS / key / MJCF / "object.xml").is_file() else None
-
-
-def write_json(path: Path, value: Any, *, allow_nan: bool = False) -> None:
-    """Write ``value`` at once or not at all.
-
-    Args:
-        allow_nan: whether it may hold NaN and infinity, as a source that goes back as it came.
-
-    Raises:
-        InputFileError: where the folder can't be written.
-    """
-    draft = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        text = json.dumps(value, indent=1, ensure_ascii=False, allow_nan=allow_nan) + "\n"
-        draft.write_bytes(text.encode("utf-8", "backslashreplace"))  # half a surrogate: \ud800
-        draft.replace(path)
-    except OSError as error:
-        raise InputFileError(path, f"can't be written: {error.strerror}") from error
 
 
 def _end_with(parent: int | None) -> None:

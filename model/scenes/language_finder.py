@@ -19,9 +19,9 @@ from threading import Lock
 from typing import Any, Protocol
 
 from model.core.errors import ArtiworldError
+from model.core.files import write_json
 from model.core.progress import Progress, no_progress
 from model.scenes.finders import LexiconFinder
-from model.scenes.jobs import write_json
 from model.scenes.protocol import ArticulableFinder, Decision, ObjectDescription
 
 SYSTEM = (
@@ -239,7 +239,7 @@ class LanguageFinder:
     def _keep(self, obj: ObjectDescription, decision: Decision) -> None:
         path = self._file(obj)
         if path is not None:
-            write_json(path, asdict(decision))
+            write_json(path, asdict(decision), indent=1)
 
 
 def question(objects: Sequence[ObjectDescription]) -> str:

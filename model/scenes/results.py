@@ -14,12 +14,13 @@ from xml.etree import ElementTree as ET  # writes; reading is defusedxml's
 
 import numpy as np
 
+from model.core.files import draft_of, write_json
 from model.io.assets.reader import URDF
 from model.io.export.manifest import ABOUT, write_scene_about
 from model.io.export.mjcf import FILE
 from model.io.urdf.writer import number, xml_name
 from model.scenes.holding_friction import frictions
-from model.scenes.jobs import ASSETS, MISSING, MJCF, MOVING, write_json
+from model.scenes.jobs import ASSETS, MISSING, MJCF, MOVING
 from model.scenes.native_format import quaternion_wxyz, scene_to_json
 from model.scenes.outcome import Outcome
 from model.scenes.overlaps import at_rest
@@ -66,7 +67,7 @@ def write_results(
         o.obj.id: _said(o, urdfs.get(o.obj.id), standing.get(o.obj.id), held.get(o.obj.id))
         for o in outcomes
     }
-    write_json(out / SCENE_JSON, scene_to_json(scene, said))
+    write_json(out / SCENE_JSON, scene_to_json(scene, said), indent=1)
     write_scene_mjcf(scene.name, stands, out, SCENE_MJCF)
     files = [SCENE_JSON, SCENE_MJCF]
     for name, write, file in (
@@ -222,7 +223,7 @@ def _write_back(scene: Scene, said: dict[str, dict[str, Any]], out: Path) -> str
     if scene.path.suffix.lower() == ".json":
         data = copy.deepcopy(read_json(scene.path))
         _add_articulation(data, entries)
-        write_json(out / name, data, allow_nan=True)
+        write_json(out / name, data, indent=1, allow_nan=True)
         return name
     if scene.reader == "lisdf":
         _write_lisdf(scene, urdf_of, out / name)
@@ -254,9 +255,8 @@ def _write_optiscene(
 
 
 def _write_bytes(path: Path, data: bytes) -> None:
-    draft = path.with_name(f".{path.name}.draft")
-    draft.write_bytes(data)
-    draft.replace(path)
+    with draft_of(path) as draft:
+        draft.write_bytes(data)
 
 
 def _write_lisdf(scene: Scene, urdf_of: dict[str, str], path: Path) -> None:

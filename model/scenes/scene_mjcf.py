@@ -14,6 +14,7 @@ from xml.etree import ElementTree as ET  # writes; reading is defusedxml's
 
 import numpy as np
 
+from model.core.files import draft_of
 from model.io.urdf.writer import number, vector, xml_name
 from model.scenes.jobs import ASSETS, MJCF
 from model.scenes.native_format import quaternion_wxyz
@@ -99,12 +100,10 @@ def write_scene_mjcf(name: str, stands: Sequence[Stand], out: Path, file: str) -
                 body2=_body(found.through, found.through_link),
             )  # fmt: skip
     root.extend(e for e in (contact, equality) if len(e))
-    path = out / file
-    draft = path.with_name(f".{file}.draft")
     ET.indent(root)
-    draft.write_bytes(ET.tostring(root, encoding="utf-8") + b"\n")
-    draft.replace(path)
-    return path
+    with draft_of(out / file) as draft:
+        draft.write_bytes(ET.tostring(root, encoding="utf-8") + b"\n")
+    return out / file
 
 
 def _read(out: Path, key: str, assets: ET.Element) -> ET.Element:

@@ -9,6 +9,7 @@ from xml.etree import ElementTree as ET  # writes; reading is defusedxml's
 
 import numpy as np
 
+from model.core.files import draft_of
 from model.io.export.sdf import FILE, VERSION
 from model.io.urdf.writer import number, rpy_from_rotation, vector, xml_name
 from model.scenes.jobs import ASSETS
@@ -37,12 +38,10 @@ def write_scene_sdf(name: str, stands: Sequence[Stand], out: Path, file: str) ->
                 uri.text = f"{ASSETS}/{stand.key}/sdf/{uri.text}"
             read[stand.key] = model
         world.append(_placed(copy.deepcopy(read[stand.key]), stand))
-    path = out / file
-    draft = path.with_name(f".{file}.draft")
     ET.indent(root)
-    draft.write_bytes(ET.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n")
-    draft.replace(path)
-    return path
+    with draft_of(out / file) as draft:
+        draft.write_bytes(ET.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n")
+    return out / file
 
 
 def _placed(model: ET.Element, stand: Stand) -> ET.Element:

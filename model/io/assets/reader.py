@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 from collections.abc import Collection
 from dataclasses import asdict, replace
@@ -11,6 +10,7 @@ from typing import Any, Literal
 
 from model.core.articulated_object import ArticulatedObject, Part, remarks_of
 from model.core.errors import InputFileError
+from model.core.files import read_json
 from model.core.joint import DeclaredDynamics
 from model.core.progress import Progress, no_progress
 from model.io.geometry_files import SUFFIXES, read_geometry_file
@@ -170,14 +170,7 @@ def read_provenance(folder: str | Path) -> dict[str, Any]:
     """
     recover(Path(folder))
     path = Path(folder) / PROVENANCE
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputFileError(
-            path, error.strerror or "can't be read", "give the folder of a saved asset"
-        ) from error
-    except ValueError as error:
-        raise InputFileError(path, f"is not JSON ({error})", "save the asset again") from error
+    data = read_json(path, "give the folder of a saved asset")
     asset = data.get("asset") if isinstance(data, dict) else None
     if not isinstance(asset, dict) or not isinstance(asset.get("format"), int):
         raise InputFileError(path, "has no 'asset' entry", "save the asset again")

@@ -11,7 +11,7 @@ from importlib import metadata
 from pathlib import Path, PurePath
 from typing import Any
 
-from model.core.errors import InputFileError
+from model.core.files import write_json
 from model.io.assets.reader import PROVENANCE, read_provenance
 
 ABOUT = "artiworld.json"
@@ -119,15 +119,8 @@ def _without_nothing(said: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _write(folder: Path, said: Mapping[str, Any]) -> Path:
-    path = folder / ABOUT
-    text = json.dumps(_without_nothing(said), indent=2)
-    try:
-        path.write_text(text + "\n", encoding="utf-8")
-    except OSError as error:
-        raise InputFileError(
-            path, error.strerror or "can't be written", "choose another folder"
-        ) from error
-    return path
+    write_json(folder / ABOUT, _without_nothing(said))
+    return folder / ABOUT
 
 
 def declared_category(folder: Path) -> tuple[str | None, bool]:

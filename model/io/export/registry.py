@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from model.core.articulated_object import ArticulatedObject
-from model.core.errors import InputFileError
+from model.core.files import written_to
 from model.core.progress import Progress, no_progress
 from model.core.registry import Registry
 from model.io.assets.reader import load_object
@@ -93,10 +93,6 @@ def write_object(
     Raises:
         InputFileError: where the folder can't be written.
     """
-    try:
+    with written_to(out, "check space and permissions"):
         out.mkdir(parents=True, exist_ok=True)
         return exporter.export(obj, out, physics=physics, progress=progress)
-    except OSError as error:
-        raise InputFileError(
-            out, f"can't be written ({error.strerror or error})", "check space and permissions"
-        ) from error

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
-from model.core.errors import InputFileError
+from model.core.files import read_json
 
 DESCRIPTION = "object.json"
 
@@ -17,13 +16,7 @@ def description_beside(path: Path) -> dict[str, Any]:
     Raises:
         InputFileError: where it can't be read.
     """
-    file = path.parent / DESCRIPTION
-    try:
-        said = json.loads(file.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        return {}
-    except (OSError, ValueError) as error:
-        raise InputFileError(file, f"is not JSON: {error}") from None
+    said = read_json_beside(path.parent / DESCRIPTION)
     return said if isinstance(said, dict) else {}
 
 
@@ -52,9 +45,4 @@ def read_json_beside(path: Path) -> object:
     Raises:
         InputFileError: where it is not JSON.
     """
-    try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        return {}
-    except ValueError as error:
-        raise InputFileError(path, f"not JSON: {error}") from None
+    return read_json(path) if path.exists() else {}

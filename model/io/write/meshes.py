@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from model.core.errors import ConfigurationError, GeometryError, InputFileError
+from model.core.errors import ConfigurationError, GeometryError
+from model.core.files import written_to
 from model.core.mesh import Material, Mesh
 from model.core.point_cloud import PointCloud
 from model.core.textures import encode
@@ -75,12 +76,8 @@ def write_cloud(cloud: PointCloud, path: str | Path) -> tuple[Path, ...]:
 
 
 def _write(path: Path, data: bytes) -> tuple[Path, ...]:
-    try:
+    with written_to(path, "check space and permissions"):
         path.write_bytes(data)
-    except OSError as error:
-        raise InputFileError(
-            path, f"can't be written: {error.strerror or error}", "check space and permissions"
-        ) from None
     return (path,)
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import os
-import secrets
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile
@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from model.core.articulated_object import Part
+from model.core.files import draft_of
 from model.core.shapes import Primitive, Shape, Solid, hull_of
 
 VERSION = 7
@@ -72,13 +73,8 @@ def load_arrays(path: Path) -> dict[str, npt.NDArray[Any]] | None:
 
 def save_arrays(path: Path, arrays: dict[str, npt.NDArray[Any]]) -> None:
     """Save arrays atomically; an unwritable folder is ignored."""
-    draft = path.with_name(f".{path.stem}.{secrets.token_hex(4)}.npz")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+    with suppress(OSError), draft_of(path) as draft:
         np.savez(draft, **arrays)  # type: ignore[arg-type]
-        draft.replace(path)
-    except OSError:
-        draft.unlink(missing_ok=True)
 
 
 def packed(shapes: Mapping[str, tuple[Shape, ...]]) -> dict[str, npt.NDArray[Any]]:

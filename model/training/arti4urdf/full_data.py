@@ -5,7 +5,6 @@ Draws depend on seed and position alone, not on processes or slices.
 
 from __future__ import annotations
 
-import os
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -19,6 +18,7 @@ from torch.utils.data import Dataset as TorchDataset
 
 from model.core.articulated_object import ArticulatedObject, Part, SegmentedObject
 from model.core.errors import ArtiworldError
+from model.core.files import draft_of
 from model.core.tree import KinematicTree
 from model.data.protocol import Dataset, GroundTruth
 from model.prediction.arti4urdf.answer import rounded, write_answer
@@ -100,10 +100,8 @@ def _unpacked(data: bytes) -> GroundTruth:
 
 
 def _write(path: Path, data: bytes) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    draft = path.with_name(f".{path.name}.{os.getpid()}")
-    draft.write_bytes(data)
-    draft.replace(path)
+    with draft_of(path) as draft:
+        draft.write_bytes(data)
 
 
 @dataclass(frozen=True, eq=False)
