@@ -34,6 +34,7 @@ from app.cli.research_commands import (
     TrainCommand,
 )
 from app.server.config import TOKEN_VARIABLE
+from app.server.ending import EndSignals
 from model.core.registry import at_place
 from model.prediction import DEFAULT as DEFAULT_PREDICTOR
 from model.prediction.remote import TOKEN_VARIABLE as BACKEND_TOKEN_VARIABLE
@@ -81,7 +82,8 @@ class ServeCommand(Command):
 
     def run(self) -> int:
         """Serve until interrupted."""
-        return at_place("app.cli.serve:serve")(self)
+        end = EndSignals()  # first: trimesh swallows the KeyboardInterrupt of its imports
+        return at_place("app.cli.serve:serve")(self, end)
 
 
 @dataclass(frozen=True, kw_only=True)

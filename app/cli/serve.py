@@ -1,4 +1,4 @@
-"""What ``artiworld serve`` does: from its options to a running server."""
+"""``artiworld serve``: from its options to a running server."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from app.cli.backend_client import check_backend, chosen_predictor
 from app.cli.commands import ServeCommand
 from app.server.config import TOKEN_VARIABLE, ServeConfig
+from app.server.ending import EndSignals
 from app.server.login import Login, new_token
 from app.server.network import check_address, free_port, is_loopback
 from model.core.errors import ConfigurationError, InputFileError
@@ -25,12 +26,12 @@ if TYPE_CHECKING:
     from app.server.server import Server
 
 
-def serve(options: ServeCommand) -> int:
+def serve(options: ServeCommand, end: EndSignals) -> int:
     """Check the options while nothing is running yet, then serve until interrupted."""
     config = make_config(options)
     from app.server.server import run_until_interrupted  # imports viser
 
-    run_until_interrupted(start_server(config), open_browser=options.open)
+    run_until_interrupted(start_server(config), end, open_browser=options.open)
     return 0
 
 

@@ -10,6 +10,7 @@ import sys
 from multiprocessing.connection import Connection
 from typing import Any
 
+from app.server.ending import held_back
 from app.server.job import Job, JobFailed
 from app.server.worker import pack, send, unpack
 from model.core.errors import ArtiworldError
@@ -40,12 +41,13 @@ class Child:
             f"import sys; sys.path[:] = {paths!r}; from app.server.worker import main; "
             f"main({descriptor}, {os.getpid()}, {name!r})"
         )
-        self.process = subprocess.Popen(
-            [sys.executable, "-P", "-c", code],
-            pass_fds=[descriptor],
-            stdin=subprocess.DEVNULL,
-            env=with_threads(os.environ, threads),
-        )
+        with held_back():
+            self.process = subprocess.Popen(
+                [sys.executable, "-P", "-c", code],
+                pass_fds=[descriptor],
+                stdin=subprocess.DEVNULL,
+                env=with_threads(os.environ, threads),
+            )
         theirs.close()
         send(self.connection, "setup", 0, pack(setup))
 

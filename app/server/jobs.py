@@ -131,11 +131,15 @@ class WorkerProcess:
         with self._lock:
             return bool(self._running or self._queue)
 
-    def close(self) -> None:
-        """Cancel everything and end the child. May be called twice."""
+    def begin_to_close(self) -> None:
+        """Have the child ended, without waiting for it."""
         with self._lock:
             self._closing = True
         self._wake()
+
+    def close(self) -> None:
+        """Cancel everything and end the child. May be called twice."""
+        self.begin_to_close()
         if threading.current_thread() is not self._supervisor:
             self._supervisor.join(timeout=5.0)
 

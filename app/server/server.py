@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import signal
 import threading
 import webbrowser
 from collections.abc import Callable
@@ -15,6 +14,7 @@ import viser
 
 from app.server.app_state import AppState
 from app.server.config import ServeConfig
+from app.server.ending import EndSignals
 from app.server.guard import guarded_server
 from app.server.network import url
 from model.core.errors import InputFileError
@@ -112,15 +112,12 @@ def paths_to_open(config: ServeConfig) -> list[Path]:
     return found
 
 
-def run_until_interrupted(server: Server, *, open_browser: bool = False) -> None:
-    """Print the addresses and serve until SIGINT or SIGTERM."""
+def run_until_interrupted(server: Server, end: EndSignals, *, open_browser: bool = False) -> None:
+    """Print the addresses and serve until a signal ends it."""
     if server.config.token is not None:
         print(f"Log in at {server.login_url}", flush=True)
     print(f"ArtiWorld is ready: {server.url}", flush=True)
     if open_browser:
         threading.Thread(target=webbrowser.open, args=(server.login_url,), daemon=True).start()
-    stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
-    stop.wait()
+    end.wait()
     server.close()

@@ -6,25 +6,24 @@ only jobs that may. Imports nothing heavy itself.
 
 from __future__ import annotations
 
-import contextlib
 import ctypes
 import faulthandler
 import inspect
 import os
 import pickle
 import queue
-import signal
 import sys
 import threading
 import time
 import traceback
 from collections.abc import Callable
 from multiprocessing.connection import Connection
-from pathlib import Path
 from typing import Any
 
+from app.server.ending import leave_to_parent
 from model.core.errors import ArtiworldError
 from model.core.progress import Cancelled
+from model.core.threads import die_with_parent
 
 PROGRESS_PERIOD = 0.03
 """Least seconds between two progress messages."""
@@ -32,8 +31,6 @@ PROGRESS_PERIOD = 0.03
 TRIM_SECONDS = 1.0
 """Duration of a job after which free memory goes back to the system: glibc keeps fragments, which
 grow to gigabytes over the objects of a scene."""
-
-_PR_SET_PDEATHSIG = 1
 
 
 def pack(value: object) -> list[Any]:
@@ -196,21 +193,10 @@ def _trim_memory() -> None:
             trim(0)
 
 
-def _die_with_parent(parent: int) -> None:
-    """Have Linux kill this process with its parent; elsewhere the closed pipe ends it."""
-    if sys.platform.startswith("linux"):
-        ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-        # Out of memory, the kernel should kill the worker rather than the server.
-        with contextlib.suppress(OSError):
-            Path("/proc/self/oom_score_adj").write_text("500")
-    if os.getppid() != parent:
-        os._exit(0)
-
-
 def main(descriptor: int, parent: int, name: str) -> None:
     """Run the child until the pipe closes."""
-    _die_with_parent(parent)
+    die_with_parent(parent)
     faulthandler.enable()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl+C belongs to the parent
+    leave_to_parent()
     threading.current_thread().name = name
     _Worker(Connection(descriptor)).run()

@@ -26,5 +26,8 @@ class Workers:
     def close(self) -> None:
         """End the processes."""
         self.closing = True
-        for worker in (self.geometry, self.segmentation, self.prediction, self.saving):
+        workers = (self.geometry, self.segmentation, self.prediction, self.saving)
+        for worker in workers:
+            worker.begin_to_close()
+        for worker in workers:
             worker.close()

@@ -1,8 +1,14 @@
-"""Numeric threads of the processes that compute, as far as the person hasn't chosen them."""
+"""Processes that compute: their numeric threads, and that they end with their parent."""
 
 from __future__ import annotations
 
+import contextlib
+import ctypes
+import os
+import signal
+import sys
 from collections.abc import Mapping
+from pathlib import Path
 
 NAMES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
 """Variables that numpy's and torch's libraries read."""
@@ -21,3 +27,17 @@ def chosen_by_person(environment: Mapping[str, str]) -> bool:
     """Whether the number of torch's threads was set by the user."""
     ours = environment.get(BY_DEFAULT, "").split(",")
     return any(n in environment and n not in ours for n in ("OMP_NUM_THREADS", "MKL_NUM_THREADS"))
+
+
+_PR_SET_PDEATHSIG = 1
+
+
+def die_with_parent(parent: int) -> None:
+    """Have Linux kill this process with its parent; elsewhere the closed pipe ends it."""
+    if sys.platform.startswith("linux"):
+        ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+        # Out of memory, the kernel should kill the worker rather than the server.
+        with contextlib.suppress(OSError):
+            Path("/proc/self/oom_score_adj").write_text("500")
+    if os.getppid() != parent:
+        os._exit(0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import signal
 import subprocess
@@ -116,3 +117,9 @@ def hold_a_worker(seconds: float) -> None:
     print(worker.submit(pid).result(30), flush=True)
     worker.submit(deaf, seconds)
     time.sleep(seconds)
+
+
+def hold_the_interpreter(started: str) -> None:
+    """Ignore cancels and messages, as a library's long call does."""
+    Path(started).touch()
+    ctypes.PyDLL(None).sleep(1000)  # with the interpreter's lock

@@ -1,7 +1,8 @@
 """Run coacd in its own process: it may crash and can't be interrupted.
 
-``python -m model.physics.collision.coacd_process IN.npz OUT.npz`` reads ``vertices``, ``faces`` and
-``options`` (JSON) and writes ``count`` and the vertices of each hull.
+``python -m model.physics.collision.coacd_process IN.npz OUT.npz PARENT`` reads ``vertices``,
+``faces`` and ``options`` (JSON), writes ``count`` and the vertices of each hull, and ends with the
+process PARENT.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ import numpy as np
 
 from model.core.mesh import Mesh
 from model.core.shapes import FloatArray, Hull, hull_of
+from model.core.threads import die_with_parent
 
 
 def coacd_installed() -> bool:
@@ -43,7 +45,7 @@ def coacd_hulls(mesh: Mesh, seconds: float, **options: Any) -> list[Hull] | None
         paths = os.pathsep.join([root, *filter(None, [os.environ.get("PYTHONPATH")])])
         try:
             subprocess.run(
-                [sys.executable, "-m", __name__, str(source), str(target)],
+                [sys.executable, "-m", __name__, str(source), str(target), str(os.getpid())],
                 timeout=seconds, check=True, stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
                 env={**os.environ, "PYTHONPATH": paths},
@@ -55,8 +57,9 @@ def coacd_hulls(mesh: Mesh, seconds: float, **options: Any) -> list[Hull] | None
     return [h for points in corners if (h := hull_of(points)) is not None] or None
 
 
-def main(source: str, target: str) -> None:
+def main(source: str, target: str, parent: str) -> None:
     """Run in the child process."""
+    die_with_parent(int(parent))
     import coacd  # type: ignore[import-not-found]
 
     coacd.set_log_level("off")
