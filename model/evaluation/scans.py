@@ -31,7 +31,8 @@ from model.data.simulated.reconstruction import (
     reconstruct_scan,
 )
 from model.evaluation.pool import robust_map
-from model.evaluation.segmentation.visible_clicks import FRONT, picture_of, visible_rounds
+from model.evaluation.segmentation.bench_data import front_of
+from model.evaluation.segmentation.visible_clicks import picture_of, visible_rounds
 from model.evaluation.tree_metrics import chain
 from model.geometry.cleaning import OBJECT
 from model.geometry.crop import crop
@@ -130,22 +131,31 @@ def score_object(config: ScansConfig, name: str) -> list[ScanScore]:
     try:
         truth = open_dataset(config.data).load(name).object
         rng = np.random.default_rng([config.seed, *name.encode()])
-        scan = reconstruct_scan(
-            truth, ReconstructionSettings(points=config.points, clutter=int(rng.integers(3))), rng
+        front = _front(truth)
+        settings = ReconstructionSettings(
+            points=config.points,
+            clutter=int(rng.integers(3)),
+            ahead=float(np.arctan2(front[0], -front[1])),
         )
+        scan = reconstruct_scan(truth, settings, rng)
     except ArtiworldError as error:
         return [ScanScore(name, f, problem=str(error)) for f in config.frames]
     out: list[ScanScore] = []
     for frame in config.frames:
         try:
-            out.append(_scored(config, name, frame, truth, scan))
+            out.append(_scored(config, name, frame, truth, scan, front))
         except ArtiworldError as error:
             out.append(ScanScore(name, frame, problem=f"{type(error).__name__}: {error}"))
     return out
 
 
 def _scored(
-    config: ScansConfig, name: str, frame: Frame, truth: ArticulatedObject, scan: Reconstruction
+    config: ScansConfig,
+    name: str,
+    frame: Frame,
+    truth: ArticulatedObject,
+    scan: Reconstruction,
+    front: Array,
 ) -> ScanScore:
     seconds: list[float] = []
     start = time.perf_counter()
@@ -163,8 +173,8 @@ def _scored(
     labels = np.where(index < 0, -1, part_of[np.maximum(index, 0)]).astype(np.int16)
     session = load_segmenter().encode(asset)
     lap()
-    front = object_from_truth[:3, :3] @ _front(config)
-    picture = picture_of(asset, front / np.linalg.norm(front))
+    toward = object_from_truth[:3, :3] @ front
+    picture = picture_of(asset, toward / np.linalg.norm(toward))
     rounds = visible_rounds(session, picture, labels, 3)
     lap()
     if not rounds.iou:
@@ -215,9 +225,11 @@ def _numbers(truth: ArticulatedObject) -> npt.NDArray[np.int64]:
     return out
 
 
-def _front(config: ScansConfig) -> Array:
-    """Where the data set's objects look to."""
-    return np.array(FRONT if config.data.name == "partnet-mobility" else (0.0, -1.0, 0.0))
+def _front(truth: ArticulatedObject) -> Array:
+    """(3,) where a person looks at it from: the side that shows most of the moving parts."""
+    numbers = _numbers(truth).tolist()
+    pieces = [(n, p.mesh) for n, p in zip(numbers, truth.parts, strict=True) if p.mesh is not None]
+    return np.array(front_of(pieces))
 
 
 def _joints_right(

@@ -32,7 +32,7 @@ class ReconstructionSettings:
     """How a reconstruction is made. Lengths are in diagonals of the object.
 
     Attributes:
-        views: pictures, spread over ``arc`` radians of azimuth around the front.
+        views: pictures, spread over ``arc`` radians of azimuth around ``ahead``.
         points: how many remain in all, fewer where fewer are seen.
         drift: degrees between neighbouring views that registration leaves (standard deviation).
         depth_noise: standard deviation of single depths.
@@ -43,6 +43,7 @@ class ReconstructionSettings:
         support: whether the object stands on a table or floor.
         clutter: other things that stand on it.
         upright: whether the frame is the object's; else it has any rotation and scale.
+        ahead: azimuth in radians from which a person looks at it; 0 is -y.
     """
 
     views: int = 14
@@ -57,6 +58,7 @@ class ReconstructionSettings:
     support: bool = True
     clutter: int = 0
     upright: bool = False
+    ahead: float = 0.0
 
     def __post_init__(self) -> None:
         if self.views < 1 or self.points < 1:
@@ -101,7 +103,7 @@ def reconstruct_scan(
         kinds.append(CLUTTER)
     caster = Caster(meshes)
     order = np.linspace(-0.5, 0.5, settings.views) * settings.arc
-    order = order + rng.normal(0, 0.1, settings.views) + rng.uniform(-0.6, 0.6)
+    order = order + rng.normal(0, 0.1, settings.views) + settings.ahead + rng.uniform(-0.6, 0.6)
     drift = np.cumsum(rng.normal(0, np.radians(settings.drift), (settings.views, 3)), axis=0)
     drift -= drift.mean(0)
     views = [

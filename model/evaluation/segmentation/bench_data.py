@@ -110,7 +110,7 @@ def dataset_objects(
         pieces = [(i, by_link[n]) for i, n in enumerate(links) if n in by_link]
         if len(pieces) < 2:
             continue
-        ahead = _front_of(pieces) if front is None else front
+        ahead = front_of(pieces) if front is None else front
         if view == "scan":
             asset, labels = _scanned(truth, {n: i for i, n in enumerate(links)}, points, ahead)
         else:
@@ -127,7 +127,7 @@ def partnet_objects(
     return dataset_objects(source, view, points, limit, least, most, offset, front=FRONT)
 
 
-def _front_of(pieces: list[tuple[int, Mesh]]) -> Direction:
+def front_of(pieces: list[tuple[int, Mesh]]) -> Direction:
     """The side from which most of the moving parts is visible."""
     mesh, labels = _joined(pieces)
     asset = Asset("sides", mesh=mesh)

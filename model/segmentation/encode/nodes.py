@@ -17,6 +17,7 @@ from model.core.asset import Asset
 from model.core.mesh import Mesh
 from model.core.point_cloud import PointCloud
 from model.geometry.crop import ROOM_METRES
+from model.geometry.denoise import NOISY, denoised, noise_level
 from model.geometry.outliers import outlier_points
 from model.geometry.sampling import sample_surface
 from model.geometry.topology import coincident_faces, connected_shells
@@ -151,7 +152,10 @@ def nodes_of_asset(asset: Asset, target: int = TARGET_NODES) -> Nodes:
     nodes = _cloud_nodes(asset.cloud, target)
     if len(nodes) and np.ptp(nodes.points[:, :2], axis=0).max() >= ROOM_METRES:
         return nodes  # outliers of a room are cropped together with its floor and walls
-    return _without_outliers(nodes)
+    nodes = _without_outliers(nodes)
+    if noise_level(nodes.points, nodes.tree) > NOISY:
+        nodes = replace(nodes, points=denoised(nodes.points, nodes.tree))
+    return nodes
 
 
 def _without_outliers(nodes: Nodes) -> Nodes:
