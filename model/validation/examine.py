@@ -31,6 +31,8 @@ their rails and lids on threads stay below it."""
 LIFTS, PULLED = 0.25, 0.4
 """Share of the travel along which a lifted part stays at its support: lids and caps; and plugs and
 deep rims, which are a warning."""
+ONE_SIDED = 0.5
+"""Net share of a surface that faces one way, from which it was seen from there alone."""
 UPWARD = 0.5
 """Upright share of a prismatic axis from which its part is lifted."""
 SLIDE_LIMIT, SLIDE_ABSURD = 1.2, 3.0
@@ -235,6 +237,8 @@ def detached_finding(scene: Scene, joint: Joint) -> Finding | None:
     if growth[k] <= OFF * scene.diagonal:
         return None
     q, gap = float(support.q[k]), float(growth[k])
+    if _may_reach_inside(scene, joint, support.link, q):
+        return None
     severity, lifted = Severity.ERROR, False
     if not joint.rotates:
         # A lid moves away from its support all the while; a drawer that falls out has slid
@@ -245,7 +249,7 @@ def detached_finding(scene: Scene, joint: Joint) -> Finding | None:
             near = kept < LIFTS and gap < 0.5 * scene.diagonal
             severity = Severity.OK if near else Severity.WARNING
     if severity == Severity.ERROR and not _both_oriented(scene, joint, support.link):
-        severity = Severity.WARNING  # a scan doesn't show the rails inside
+        severity = Severity.WARNING
     at = tuple(float(v) for v in support.where[k])
     message = _how_detached(scene, joint, support.link, q, lifted).format(
         support=scene.display_name(support.link), gap=length(gap), at=value(joint, q)
@@ -272,6 +276,20 @@ def _both_oriented(scene: Scene, joint: Joint, support: str) -> bool:
     """Whether the part and its support are meshes: clouds show their outside alone."""
     both = [scene.surfaces[k] for k in (joint.child, support) if k in scene.surfaces]
     return all(s.oriented for s in both)
+
+
+def _may_reach_inside(scene: Scene, joint: Joint, support: str, q: float) -> bool:
+    """Whether what a scan doesn't show can hold a part at ``q``: of a drawer it shows the front,
+    while the rest of it reaches as far in as its support is deep."""
+    part, around = scene.surfaces.get(joint.child), scene.surfaces[support]
+    if part is None or joint.rotates or abs(joint.axis[2]) > UPWARD:
+        return False
+    axis = np.asarray(joint.axis)
+    if part.oriented:
+        facing = part.normals @ axis
+        if abs(facing.sum()) < ONE_SIDED * np.abs(facing).sum():
+            return False
+    return abs(q) <= float(np.ptp(around.points @ axis))
 
 
 def attached_range(scene: Scene, joint: Joint) -> tuple[float, float]:

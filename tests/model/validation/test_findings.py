@@ -108,6 +108,25 @@ def test_a_door_that_opens_into_a_wall_has_its_limit_shortened():
     assert judge(mended(bad, report, "door", "limits")).severity == Severity.OK
 
 
+@pytest.mark.parametrize("scanned", [False, True])
+def test_of_a_scanned_drawer_the_unseen_rest_reaches_inside(scanned):
+    """Its front alone was seen, from one side: as a cloud, or as the open mesh made of it."""
+    x, z = np.meshgrid(np.linspace(0.0, 0.4, 60), np.linspace(0.0, 0.3, 50), indexing="ij")
+    points = np.stack([x, np.full_like(x, -0.003), z], -1).reshape(-1, 3).astype(np.float32)
+    plate = box([0.0, -0.003, 0.0], [0.4, 0.0, 0.3])
+    plate.update_faces(plate.face_normals[:, 1] < -0.5)
+    front = part("link_2", plate, name="drawer")
+    if scanned:
+        front = Part("link_2", cloud=PointCloud(points), name="drawer")
+
+    def opened(upper: float):
+        obj = cabinet(drawer=replace(DRAWER, upper=upper))
+        return judge(replace(obj, parts=(*obj.parts[:2], front))).of("drawer")
+
+    assert opened(0.3).severity == Severity.OK, opened(0.3).message
+    assert opened(0.6).worst.kind == "detached", "further than the carcass is deep"
+
+
 def test_a_drawer_that_falls_out_has_its_limit_shortened():
     bad = cabinet(drawer=replace(DRAWER, upper=0.7))
     report = judge(bad)
