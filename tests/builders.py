@@ -5,12 +5,15 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import trimesh
 
 from model.core.asset import Asset
+from model.core.joint import Joint
 from model.core.mesh import Mesh
 from model.core.point_cloud import PointCloud
 from model.data.simulated.primitives import block
@@ -43,6 +46,46 @@ CABINET = (
 )
 
 
+def box(low: Any, high: Any) -> trimesh.Trimesh:
+    """An axis-parallel box between two corners."""
+    return trimesh.creation.box(bounds=[low, high])
+
+
+def mesh_of(triangles: npt.NDArray) -> Mesh:
+    """(N, 3, 3) triangles as a mesh; none share a vertex."""
+    faces = np.arange(3 * len(triangles), dtype=np.int32).reshape(-1, 3)
+    return Mesh(triangles.reshape(-1, 3), faces)
+
+
+def blocks(*spans: tuple[Any, Any]) -> tuple[Mesh, npt.NDArray]:
+    """One mesh of boxes between two corners each, and the number of the box of each face."""
+    made = [block(low, high) for low, high in spans]
+    return mesh_of(np.concatenate(made)), np.repeat(np.arange(len(made)), [len(b) for b in made])
+
+
+CUPBOARD_DOOR = Joint(
+    "door", "revolute", "link_0", "link_1", (0, 0, -1), (-0.3, -0.003, 0.2), lower=0, upper=1.5
+)
+"""The true joint of :func:`write_cupboard`; about (0, 0, 1) the door swings into the shelf."""
+
+
+def write_cupboard(folder: Path) -> Path:
+    """A folder of two parts: a carcass with a shelf, and a door before it."""
+    folder.mkdir()
+    w = 0.02
+    boards = [
+        box([-0.3, 0, 0], [0.3, 0.3, w]),
+        box([-0.3, 0, 0.4 - w], [0.3, 0.3, 0.4]),
+        box([-0.3, 0, 0], [-0.3 + w, 0.3, 0.4]),
+        box([0.3 - w, 0, 0], [0.3, 0.3, 0.4]),
+        box([-0.3, 0.3 - w, 0], [0.3, 0.3, 0.4]),
+        box([-0.3, 0.005, 0.2], [0.3, 0.3, 0.2 + w]),
+    ]
+    trimesh.util.concatenate(boards).export(folder / "link_0.ply")
+    box([-0.3, -w - 0.003, 0], [0.3, -0.003, 0.4]).export(folder / "link_1.ply")
+    return folder
+
+
 def subdivide(triangles: npt.NDArray, times: int) -> npt.NDArray:
     """Each triangle into four, ``times`` times."""
     for _ in range(times):
@@ -58,9 +101,7 @@ def cabinet_mesh(times: int = 3) -> Labelled:
     """The cabinet as one mesh without any part information."""
     triangles = [subdivide(block(low, high), times) for _, low, high, _ in CABINET]
     labels = np.repeat([p for p, *_ in CABINET], [len(t) for t in triangles]).astype(np.int16)
-    vertices = np.concatenate(triangles).reshape(-1, 3)
-    faces = np.arange(len(vertices), dtype=np.int32).reshape(-1, 3)
-    return Labelled(Asset("cabinet", mesh=Mesh(vertices, faces)), labels)
+    return Labelled(Asset("cabinet", mesh=mesh_of(np.concatenate(triangles))), labels)
 
 
 def cabinet_cloud(count: int = 20_000, seed: int = 0, noise: float = 0.0) -> Labelled:

@@ -12,10 +12,10 @@ from pathlib import Path
 from tempfile import TemporaryFile
 from unittest import mock
 
-import numpy as np
 import trimesh
 
 from app.cli.main import main
+from tests.builders import box
 
 PROGRAM = Path(sys.executable).with_name("artiworld")
 
@@ -66,13 +66,6 @@ def assert_users_mistake(done, *words: str) -> None:
     assert "Traceback" not in lines[0]
     for word in words:
         assert word in lines[0]
-
-
-def box(low, high) -> trimesh.Trimesh:
-    low, high = np.asarray(low, float), np.asarray(high, float)
-    made = trimesh.creation.box(high - low)
-    made.apply_translation((low + high) / 2)
-    return made
 
 
 def cupboard() -> list[trimesh.Trimesh]:

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import trimesh
 
 from app.server import validation_tasks as judging_tasks
 from app.server.accepting import accept, asset_folder, withdraw
@@ -23,7 +22,6 @@ from app.server.part_tasks import parts_of
 from app.server.validating import UnseenWarningsError
 from model.core.articulated_object import Prediction
 from model.core.errors import CommandError
-from model.core.joint import Joint
 from model.core.resources import static_assets
 from model.core.tree import KinematicTree
 from model.physics.collision import build
@@ -31,35 +29,17 @@ from model.validation.report import Severity
 from sessions import commands as cmd
 from sessions.live import LiveSession
 from sessions.store import PendingAcceptance, Store
-from tests.builders import wait_until
+from tests.builders import CUPBOARD_DOOR as DOOR
+from tests.builders import wait_until, write_cupboard
 
 NOW = "2026-01-01T00:00:00+00:00"
-W = 0.02
-DOOR = Joint(
-    "door", "revolute", "link_0", "link_1", (0, 0, -1), (-0.3, -0.003, 0.2), lower=0, upper=1.5
-)
-
-
-def box(low: Any, high: Any) -> trimesh.Trimesh:
-    return trimesh.creation.box(bounds=[low, high])
 
 
 @pytest.fixture(scope="module")
 def app_state(tmp_path_factory: pytest.TempPathFactory) -> Iterator[AppState]:
     """A server with a cupboard in parts, whose door swings into its shelf."""
     folder = tmp_path_factory.mktemp("cupboard")
-    source = folder / "cupboard"
-    source.mkdir()
-    boards = [
-        box([-0.3, 0, 0], [0.3, 0.3, W]),
-        box([-0.3, 0, 0.4 - W], [0.3, 0.3, 0.4]),
-        box([-0.3, 0, 0], [-0.3 + W, 0.3, 0.4]),
-        box([0.3 - W, 0, 0], [0.3, 0.3, 0.4]),
-        box([-0.3, 0.3 - W, 0], [0.3, 0.3, 0.4]),
-        box([-0.3, 0.005, 0.2], [0.3, 0.3, 0.2 + W]),
-    ]
-    trimesh.util.concatenate(boards).export(source / "link_0.ply")
-    box([-0.3, -W - 0.003, 0], [0.3, -0.003, 0.4]).export(source / "link_1.ply")
+    source = write_cupboard(folder / "cupboard")
     config = ServeConfig(workspace=folder / "workspace")
     state = AppState(config, Store(folder / "workspace"), [source])
     yield state

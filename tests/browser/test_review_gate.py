@@ -11,48 +11,24 @@ from typing import Any
 
 import numpy as np
 import pytest
-import trimesh
 
 from app.server.prompt_file import read_prompts
 from app.viewer.words.review import FIXES
 from model.core.articulated_object import Prediction
-from model.core.joint import Joint
 from model.core.resources import static_assets
 from model.core.tree import KinematicTree
 from model.validation.report import Severity
 from sessions import commands as cmd
 from tests.browser.browsing import Tab, wait_until
+from tests.builders import CUPBOARD_DOOR as DOOR
+from tests.builders import write_cupboard
 
 pytestmark = [
     pytest.mark.browser,
     pytest.mark.timeout(900),
 ]
 
-W = 0.02
-DOOR = Joint(
-    "door", "revolute", "link_0", "link_1", (0, 0, -1), (-0.3, -0.003, 0.2), lower=0, upper=1.5
-)
 TREE = KinematicTree(("link_0", "link_1"), (replace(DOOR, axis=(0, 0, 1)),))
-
-
-def write_cupboard(folder: Path) -> Path:
-    """A cupboard in parts: a carcass with a shelf, and a door before it."""
-    folder.mkdir()
-
-    def box(low: Any, high: Any) -> trimesh.Trimesh:
-        return trimesh.creation.box(bounds=[low, high])
-
-    boards = [
-        box([-0.3, 0, 0], [0.3, 0.3, W]),
-        box([-0.3, 0, 0.4 - W], [0.3, 0.3, 0.4]),
-        box([-0.3, 0, 0], [-0.3 + W, 0.3, 0.4]),
-        box([0.3 - W, 0, 0], [0.3, 0.3, 0.4]),
-        box([-0.3, 0.3 - W, 0], [0.3, 0.3, 0.4]),
-        box([-0.3, 0.005, 0.2], [0.3, 0.3, 0.2 + W]),
-    ]
-    trimesh.util.concatenate(boards).export(folder / "link_0.ply")
-    box([-0.3, -W - 0.003, 0], [0.3, -0.003, 0.4]).export(folder / "link_1.ply")
-    return folder
 
 
 def record_prediction(obj: Any, sure: float) -> None:

@@ -11,6 +11,7 @@ from model.core.mesh import Material, Mesh
 from model.core.point_cloud import PointCloud
 from model.core.surface_maps import ImageFile, SurfaceMaps
 from model.core.textures import encode
+from model.segmentation.default import DefaultSegmenter, DefaultSession
 from tests.builders import Labelled, cabinet_cloud, cabinet_mesh
 
 
@@ -76,6 +77,17 @@ def cloud_cabinet() -> Labelled:
 @pytest.fixture(scope="session")
 def mesh_cabinet() -> Labelled:
     return cabinet_mesh()
+
+
+@pytest.fixture(scope="session")
+def cloud_session(cloud_cabinet: Labelled) -> DefaultSession:
+    """The encoded cloud; its answers depend on the prompts alone."""
+    return DefaultSegmenter().encode(cloud_cabinet.asset)
+
+
+@pytest.fixture(scope="session")
+def mesh_session(mesh_cabinet: Labelled) -> DefaultSession:
+    return DefaultSegmenter().encode(mesh_cabinet.asset)
 
 
 @pytest.fixture(scope="session")

@@ -17,13 +17,10 @@ from model.core.point_cloud import PointCloud
 from model.core.tree import KinematicTree
 from model.kinematics.surface import surface_of
 from model.kinematics.sweep import free_range, sweep_joint, sweep_path
+from tests.builders import box
 
 KINDS = ("mesh", "badly wound", "cloud")
 BOARD = 0.02
-
-
-def box(low, high) -> trimesh.Trimesh:
-    return trimesh.creation.box(bounds=[low, high])
 
 
 def part(link: str, kind: str, *pieces: trimesh.Trimesh, noise: float = 0.0) -> Part:

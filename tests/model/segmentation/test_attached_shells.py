@@ -9,17 +9,16 @@ import pytest
 
 from model.core.asset import Asset
 from model.core.mesh import Mesh
-from model.core.resources import static_assets
 from model.data.simulated.primitives import block
 from model.geometry.topology import connected_shells
-from model.io.open_asset import open_asset
 from model.segmentation.default import DefaultSegmenter, DefaultSession
 from model.segmentation.finish.attached_shells import find_attached_shells
 from model.segmentation.finish.contacts import contacts_of
 from model.segmentation.prompts import Click, Prompts, Region
 from model.segmentation.tools.all_parts import propose_parts
 from model.segmentation.tools.connected import hover
-from tests.builders import subdivide
+from tests.builders import blocks, mesh_of, subdivide
+from tests.model.demos import EXAMPLES, demo_truth, encoded_demo
 
 FRONT, TRAY, CARCASS = 0, 1, slice(2, 7)
 
@@ -30,19 +29,15 @@ def cabinet(gap: float = 0.004, *, behind: float = 0.0) -> tuple[Mesh, np.ndarra
     ``behind`` is how far the tray stands behind the front.
     """
     inner = 0.38
-    boxes = [
-        block((-0.4, -0.02, 0.02), (0.4, 0.0, 0.38)),
-        block((-inner + gap, behind, 0.06), (inner - gap, 0.4, 0.3)),
-        block((-0.4, 0.002, 0), (-inner, 0.5, 0.4)),
-        block((inner, 0.002, 0), (0.4, 0.5, 0.4)),
-        block((-0.4, 0.002, -0.02), (0.4, 0.5, 0.0)),
-        block((-0.4, 0.002, 0.4), (0.4, 0.5, 0.42)),
-        block((-0.4, 0.5, -0.02), (0.4, 0.52, 0.42)),
-    ]
-    triangles = np.concatenate(boxes)
-    faces = np.arange(3 * len(triangles), dtype=np.int32).reshape(-1, 3)
-    of = np.repeat(np.arange(len(boxes)), [len(b) for b in boxes])
-    return Mesh(triangles.reshape(-1, 3), faces), of
+    return blocks(
+        ((-0.4, -0.02, 0.02), (0.4, 0.0, 0.38)),
+        ((-inner + gap, behind, 0.06), (inner - gap, 0.4, 0.3)),
+        ((-0.4, 0.002, 0), (-inner, 0.5, 0.4)),
+        ((inner, 0.002, 0), (0.4, 0.5, 0.4)),
+        ((-0.4, 0.002, -0.02), (0.4, 0.5, 0.0)),
+        ((-0.4, 0.002, 0.4), (0.4, 0.5, 0.42)),
+        ((-0.4, 0.5, -0.02), (0.4, 0.52, 0.42)),
+    )
 
 
 def pulled(mesh: Mesh, of: np.ndarray, *parts: int) -> list[int]:
@@ -102,11 +97,8 @@ def test_contacts_are_exact(gap: float, touched: set[int]) -> None:
 @pytest.fixture(scope="module")
 def bundled() -> tuple[DefaultSession, np.ndarray, dict[int, str]]:
     """The bundled cabinet, its faces' true parts, and what they are."""
-    path = static_assets() / "examples" / "cabinet.glb"
-    truth = json.loads((path.parent / "truth" / "cabinet.json").read_text())
-    labels = np.concatenate([np.full(number, part) for part, number in truth["runs"]])
-    session = DefaultSegmenter().encode(open_asset(path))
-    return session, labels, {p["id"]: p["name"] for p in truth["parts"] if p["id"]}
+    labels, truth = demo_truth("cabinet")
+    return encoded_demo("cabinet"), labels, {p["id"]: p["name"] for p in truth["parts"] if p["id"]}
 
 
 def test_one_click_takes_each_part_of_the_bundled_cabinet(
@@ -158,9 +150,7 @@ def test_a_key_beside_others_is_no_handle() -> None:
     for size, bar in zip(sizes, (False, False, True), strict=True):
         low = np.array((0.2, 0.2, 0.1))
         boxes = [deck, block(low, low + size), block((0.7, 0.7, 0.1), (0.72, 0.72, 0.12))]
-        triangles = np.concatenate(boxes)
-        faces = np.arange(3 * len(triangles), dtype=np.int32).reshape(-1, 3)
-        mesh = Mesh((10 * triangles).reshape(-1, 3), faces)
+        mesh = mesh_of(10 * np.concatenate(boxes))
         none = np.zeros(0, np.int32)
         face = find_attached_shells(mesh, none, none).mount(len(deck))
         assert (face is not None) == bar, size
@@ -188,9 +178,8 @@ def test_a_proposal_has_whole_drawers(
 
 def test_a_mesh_of_one_shell_has_no_attached_shells() -> None:
     triangles = subdivide(block((0, 0, 0), (1, 0.5, 0.3)), 3)
-    faces = np.arange(3 * len(triangles), dtype=np.int32).reshape(-1, 3)
-    session = DefaultSegmenter().encode(Asset("block", Mesh(triangles.reshape(-1, 3), faces)))
-    assert len(propose_parts(session).labels) == len(faces)
+    session = DefaultSegmenter().encode(Asset("block", mesh_of(triangles)))
+    assert len(propose_parts(session).labels) == len(triangles)
     x, y, z = triangles[0].mean(0).tolist()
     labels = session.segment(Prompts((Click((x, y, z), 1, True, 0),))).labels
     assert labels[0] == 1 and hover(session, triangles[0].mean(0), 0)[0]
@@ -204,7 +193,7 @@ def test_a_first_click_never_means_the_whole_object(
     assert session.asset.mesh is not None
     area = session.asset.mesh.face_areas
     center = session.asset.element_centers
-    demo = json.loads((static_assets() / "examples" / "cabinet.prompts.json").read_text())
+    demo = json.loads((EXAMPLES / "cabinet.prompts.json").read_text())
     for click in demo["clicks"][::2]:
         x, y, z = click["position"]
         face = int(np.linalg.norm(center - click["position"], axis=1).argmin())

@@ -10,7 +10,6 @@ from scipy.spatial.transform import Rotation
 
 from model.core.asset import Asset
 from model.core.mesh import Mesh
-from model.data.simulated.primitives import block
 from model.geometry.sampling import sample_surface
 from model.segmentation.describe.masks import ClickContext
 from model.segmentation.encode.edge_strength import shipped_edge_model
@@ -20,6 +19,7 @@ from model.segmentation.propose.box_grid import BoxGrid, main_directions
 from model.segmentation.propose.proposals import Proposals
 from model.segmentation.solver import PartSolver
 from model.segmentation.solvers import object_solver, solver_of
+from tests.builders import blocks
 
 DRAWER = 2
 """The middle one of three."""
@@ -38,11 +38,8 @@ def chest() -> tuple[Mesh, np.ndarray]:
                  ((0.76, 0, z + 0.01), (0.77, 0.45, z + 0.15)),
                  ((0.03, 0.44, z + 0.01), (0.77, 0.45, z + 0.15))]  # fmt: skip
         parts += [drawer] * 5
-    triangles = [block(*ends) for ends in made]
-    part = np.repeat(parts, [len(t) for t in triangles])
-    vertices = np.concatenate(triangles).reshape(-1, 3)
-    faces = np.arange(len(vertices), dtype=np.int32).reshape(-1, 3)
-    return Mesh(vertices, faces), part
+    mesh, of = blocks(*made)
+    return mesh, np.array(parts)[of]
 
 
 @pytest.fixture(scope="module")
@@ -128,10 +125,7 @@ def test_the_network_that_ranks_boxes_is_for_clouds(monkeypatch) -> None:
     """On meshes, of one shell too, it made later clicks worse."""
     asked: list[None] = []
     monkeypatch.setattr("model.segmentation.solvers.shipped_box_model", lambda: asked.append(None))
-    ends = ((0.0, 0.0, 0.0), (0.4, 0.5, 0.6))
-    triangles = block(*ends)
-    faces = np.arange(3 * len(triangles), dtype=np.int32).reshape(-1, 3)
-    one = Mesh(triangles.reshape(-1, 3), faces)
+    one, _ = blocks(((0.0, 0.0, 0.0), (0.4, 0.5, 0.6)))
     cloud, _ = sample_surface(one, 3000, np.random.default_rng(0))
     solver_of(encode(Asset("block", mesh=one), None), None, None)
     assert not asked

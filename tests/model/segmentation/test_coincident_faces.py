@@ -11,13 +11,13 @@ import pytest
 from model.core.asset import Asset
 from model.core.mesh import Mesh
 from model.core.resources import static_assets
-from model.data.simulated.primitives import block
 from model.geometry.topology import coincident_faces
 from model.io.open_asset import open_asset
 from model.segmentation.default import DefaultSegmenter, DefaultSession
 from model.segmentation.encode.nodes import nodes_of_asset
 from model.segmentation.prompts import Click, Prompts, Region
 from model.segmentation.tools.all_parts import propose_parts
+from tests.builders import blocks
 
 EXAMPLES = static_assets() / "examples"
 
@@ -44,9 +44,7 @@ def clicks() -> tuple[Click, ...]:
 
 
 def test_the_first_of_faces_with_the_same_corners() -> None:
-    box = Mesh(
-        block((0, 0, 0), (1, 1, 1)).reshape(-1, 3), np.arange(36, dtype=np.int32).reshape(-1, 3)
-    )
+    box, _ = blocks(((0, 0, 0), (1, 1, 1)))
     assert coincident_faces(box) is None
     found = coincident_faces(doubled(box))
     assert found is not None
@@ -54,9 +52,7 @@ def test_the_first_of_faces_with_the_same_corners() -> None:
 
 
 def test_a_surface_that_is_there_twice_is_sampled_once() -> None:
-    box = Mesh(
-        block((0, 0, 0), (1, 1, 1)).reshape(-1, 3), np.arange(36, dtype=np.int32).reshape(-1, 3)
-    )
+    box, _ = blocks(((0, 0, 0), (1, 1, 1)))
     once, twice = (nodes_of_asset(Asset("box", mesh=m)) for m in (box, doubled(box)))
     assert np.array_equal(once.points, twice.points)
     label = (once.points[:, 2] > 0.5).astype(np.int16)

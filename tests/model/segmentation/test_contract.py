@@ -16,6 +16,7 @@ from model.segmentation.adapters.example import BallSegmenter
 from model.segmentation.prompts import BASE, Click, Prompts, Region
 from model.segmentation.protocol import SegmentationSession, Segmenter
 from model.segmentation.registry import load_segmenter, segmenter_names
+from tests.builders import Labelled, cabinet_cloud, cabinet_mesh
 
 NAMES = [*segmenter_names(), "point-sam", "balls"]
 """The registered ones, Point-SAM with random weights, and the example of a plug-in."""
@@ -36,8 +37,9 @@ def load(name: str) -> Segmenter:
 
 
 @pytest.fixture(scope="session", params=["cloud", "mesh"])
-def labelled(request):
-    return request.getfixturevalue(f"{request.param}_cabinet")
+def labelled(request) -> Labelled:
+    """A small cloud: no answer has to be good here."""
+    return cabinet_cloud(3000) if request.param == "cloud" else cabinet_mesh()
 
 
 @pytest.fixture(scope="session")

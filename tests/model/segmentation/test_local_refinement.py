@@ -9,8 +9,9 @@ import pytest
 
 from model.core.asset import Asset
 from model.core.point_cloud import PointCloud
+from model.data.partnet_mobility import PartNetMobility
 from model.data.simulated.scans import build, scan
-from model.evaluation.segmentation.bench_data import partnet_objects
+from model.evaluation.segmentation.bench_data import FRONT, BenchObject, View, dataset_objects
 from model.segmentation.default import DefaultSegmenter, DefaultSession
 from model.segmentation.finish.local_refinement import SMALL
 from model.segmentation.prompts import Click, Prompts, Region
@@ -45,7 +46,7 @@ def click(points: np.ndarray, index: int, part: int, positive: bool = True) -> C
 def played(
     session: DefaultSession, labels: np.ndarray, parts: list[int], most: int = 3
 ) -> list[float]:
-    """IoU of each part after some clicks."""
+    """IoU of each part after some clicks; ``artiworld bench segment`` has many objects."""
     points, out = session.asset.element_centers, []
     for part in parts:
         truth = labels == part
@@ -70,6 +71,13 @@ def without(session: DefaultSession) -> DefaultSession:
     return DefaultSession(session.asset, session.encoding, session.solver, refine=False)
 
 
+def real_object(shared_data: Path, object_id: str, view: View) -> BenchObject:
+    """A PartNet-Mobility object, as the benchmark has it."""
+    source = PartNetMobility(shared_data / "partnet_mobility")
+    first = source.ids().index(object_id)
+    return next(dataset_objects(source, view, 100_000, 0, 20, 5, first, front=FRONT))
+
+
 def test_small_parts_have_their_own_outline() -> None:
     data = scan(build(900_011), 100_000, "outside", 0.0, 900_011)
     session = DefaultSegmenter().encode(Asset("composite", cloud=data.cloud))
@@ -80,19 +88,17 @@ def test_small_parts_have_their_own_outline() -> None:
 
 def test_buttons_of_a_real_remote(shared_data: Path) -> None:
     """The knobs and buttons of a PartNet-Mobility object, 24 to 200 points of 100k each."""
-    found = partnet_objects(shared_data / "partnet_mobility", "all", 100_000, 14, 20, 5, 0)
-    item = next(item for item in found if item.name == "101352")
+    item = real_object(shared_data, "101352", "all")
     session = DefaultSegmenter().encode(item.asset)
-    parts = [part for part in item.parts if part in small_parts(item.labels)]
-    assert len(parts) >= 3
+    parts = [part for part in item.parts if part in small_parts(item.labels)][:3]
+    assert len(parts) == 3
     close, plain = (played(s, item.labels, parts) for s in (session, without(session)))
     assert np.mean(close) > 0.8 and np.mean(close) > np.mean(plain) + 0.1
 
 
 def test_small_parts_of_a_real_mesh(shared_data: Path) -> None:
     """Three parts of a PartNet table, 0.12 % of its surface and 1528 faces each."""
-    found = partnet_objects(shared_data / "partnet_mobility", "mesh", 1, 14, 20, 5, 3)
-    item = next(item for item in found if item.name == "26800")
+    item = real_object(shared_data, "26800", "mesh")
     session = DefaultSegmenter().encode(item.asset)
     assert session.refinement is not None
     close, plain = (played(s, item.labels, [2, 3, 4], 1) for s in (session, without(session)))
@@ -102,7 +108,7 @@ def test_small_parts_of_a_real_mesh(shared_data: Path) -> None:
 def test_buttons_are_told_from_what_they_are_painted_on(remote: Remote) -> None:
     session, _, labels = remote
     assert 40 < np.bincount(labels)[1:].mean() < 80
-    assert np.mean(played(session, labels, small_parts(labels))) > 0.95
+    assert np.mean(played(session, labels, small_parts(labels)[:4])) > 0.95
 
 
 def test_undo_gives_what_was_there(remote: Remote) -> None:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from model.segmentation.default import DefaultSegmenter, DefaultSession
+from model.segmentation.default import DefaultSession
 from model.segmentation.describe.objects import HISTORY_FEATURES
 from model.segmentation.finish.alternatives import overlaps
 from model.segmentation.models.mlp import load_mlp
@@ -25,9 +25,9 @@ from model.training.segmentation.visible_objects import MovingPartTraining
 SMALL = PartMaskTraining(asked=6, spread=40, networks=1, held_out=2, workers=1)
 
 
-@pytest.fixture(scope="module")
-def session(cloud_cabinet) -> DefaultSession:
-    return DefaultSegmenter().encode(cloud_cabinet.asset)
+@pytest.fixture
+def session(cloud_session) -> DefaultSession:
+    return cloud_session
 
 
 def test_parts_exclude_each_other_but_small_ones_may_sit_on_large_ones() -> None:

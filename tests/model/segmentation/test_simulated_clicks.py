@@ -61,12 +61,12 @@ def test_next_part_click_names_the_true_part():
 
 def test_procedural_objects_are_sound():
     seen = set()
-    for seed in range(60):
+    for seed in range(40):
         shape = build(seed)
         seen.add(shape.family)
         assert np.isfinite(shape.mesh.vertices).all()
         assert shape.part.min() == 0 and len(shape.part) == len(shape.mesh.faces)
-    assert len(seen) >= 25 and not seen & set(HELD_OUT)
+    assert len(seen) >= 20 and not seen & set(HELD_OUT)
     assert build(1, SMALL_PARTED).family in SMALL_PARTED
     data = random_scan(4, 3000)
     assert np.array_equal(data.cloud.points, random_scan(4, 3000).cloud.points)

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 import pytest
 
-from model.core.resources import static_assets
-from model.io.open_asset import open_asset
-from model.segmentation.default import DefaultSegmenter, DefaultSession
+from model.segmentation.default import DefaultSession
 from model.segmentation.prompts import Click, Prompts, Region
 from model.segmentation.tools.connected import hover
+from tests.model.demos import demo_truth, encoded_demo
 
 DOOR = 1
 Oven = tuple[DefaultSession, np.ndarray, np.ndarray, np.ndarray]
@@ -20,15 +17,12 @@ Oven = tuple[DefaultSession, np.ndarray, np.ndarray, np.ndarray]
 @pytest.fixture(scope="module")
 def oven() -> Oven:
     """The bundled scan's session, its points, its true parts, and the bar of the door's handle."""
-    path = static_assets() / "examples" / "oven_scan.ply"
-    truth = json.loads((path.parent / "truth" / "oven_scan.json").read_text())
-    labels = np.concatenate([np.full(number, part) for part, number in truth["runs"]])
-    asset = open_asset(path)
-    points = asset.element_centers
+    session, (labels, _) = encoded_demo("oven_scan"), demo_truth("oven_scan")
+    points = session.asset.element_centers
     low, high = np.array([-0.23, -0.43, 0.67]), np.array([0.31, -0.355, 0.73])
     bar = (labels == DOOR) & ((points > low) & (points < high)).all(1)
     assert bar.sum() > 2000
-    return DefaultSegmenter().encode(asset), points, labels, bar
+    return session, points, labels, bar
 
 
 def click(points: np.ndarray, where: np.ndarray, part: int, positive: bool = True) -> Click:

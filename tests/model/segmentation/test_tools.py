@@ -21,9 +21,9 @@ from model.segmentation.tools.rectangles import rectangle_cut
 from model.segmentation.tools.similar import mirrored, same_shape
 
 
-@pytest.fixture(scope="module")
-def session(cloud_cabinet):
-    return DefaultSegmenter().encode(cloud_cabinet.asset)
+@pytest.fixture
+def session(cloud_session):
+    return cloud_session
 
 
 def sampled(boxes, count: int, seed: int = 0):
@@ -72,9 +72,8 @@ def test_connected_stops_at_the_gap():
     assert sorted(m.sum() for m in both) == sorted(np.bincount(label))
 
 
-def test_connected_on_a_mesh_is_the_shell(mesh_cabinet):
-    session = DefaultSegmenter().encode(mesh_cabinet.asset)
-    mask = connected(session, (0.42, -0.06, 0.37)).mask
+def test_connected_on_a_mesh_is_the_shell(mesh_session):
+    mask = connected(mesh_session, (0.42, -0.06, 0.37)).mask
     knob = np.zeros(len(mask), bool)
     knob[-2 * 12 * 64 : -12 * 64] = True
     assert np.array_equal(mask, knob)

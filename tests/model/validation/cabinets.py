@@ -9,13 +9,10 @@ from model.core.articulated_object import ArticulatedObject, Part
 from model.core.joint import Joint
 from model.core.mesh import Mesh
 from model.core.tree import KinematicTree
+from tests.builders import box
 
 W = 0.02
 """Boards."""
-
-
-def box(low, high) -> trimesh.Trimesh:
-    return trimesh.creation.box(bounds=[low, high])
 
 
 def part(link: str, *pieces: trimesh.Trimesh, name: str | None = None) -> Part:
