@@ -38,6 +38,15 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "out"
 
 
+@pytest.fixture(scope="module")
+def stage_room(room: Path) -> Path:
+    """The same as a USD stage in centimetres, converted."""
+    path = made.write_usd(room.parent / "room.usda")
+    out = room.parent / "out of usd"
+    convert(path, room.parent / "assets", out, "--predictor", "geometric")
+    return out
+
+
 def cabinet_of(out: Path) -> tuple[ArticulatedObject, np.ndarray, dict]:
     """The articulated object, world_from_urdf, and what the scene says of it."""
     entry = next(e for e in objects_of(out).values() if e["state"] == "predicted")
@@ -46,14 +55,11 @@ def cabinet_of(out: Path) -> tuple[ArticulatedObject, np.ndarray, dict]:
     return read_urdf(out / entry["urdf"]), world, entry
 
 
-@pytest.mark.parametrize("file", ["room.glb", "room.usda"])
-def test_the_articulated_object_stands_in_place(file: str, room: Path, tmp_path: Path) -> None:
-    out = room
-    if file == "room.usda":
-        path = made.write_usd(tmp_path / file)
-        convert(path, room.parent / "assets", tmp_path / "out", "--predictor", "geometric")
-        out = tmp_path / "out"
-    obj, world, entry = cabinet_of(out)
+@pytest.mark.parametrize("converted", ["room", "stage_room"])
+def test_the_articulated_object_stands_in_place(
+    converted: str, request: pytest.FixtureRequest
+) -> None:
+    obj, world, entry = cabinet_of(request.getfixturevalue(converted))
     points = np.concatenate([p.mesh.vertices for p in obj.parts if p.mesh is not None])
     points = points @ world[:3, :3].T + world[:3, 3]
     cabinet = np.concatenate([m.vertices for m in made.cabinet_parts().values()])
@@ -72,18 +78,15 @@ def test_the_glb_comes_back_with_the_urdf_in_its_extras(room: Path) -> None:
     assert len(read_scene(room / "room.glb").objects) == 3
 
 
-def test_the_stage_comes_back_as_a_layer_over_it(tmp_path: Path) -> None:
+def test_the_stage_comes_back_as_a_layer_over_it(stage_room: Path) -> None:
     from pxr import Usd, UsdGeom  # type: ignore[import-not-found]
 
-    path = made.write_usd(tmp_path / "room.usda")
-    made.make_assets(tmp_path / "assets")
-    convert(path, tmp_path / "assets", tmp_path / "out", "--predictor", "geometric")
-    stage = Usd.Stage.Open(str(tmp_path / "out" / "room_articulated.usda"))
+    stage = Usd.Stage.Open(str(stage_room / "room_articulated.usda"))
     assert UsdGeom.GetStageMetersPerUnit(stage) == 0.01
     assert stage.GetPrimAtPath("/World/cabinet/door").GetTypeName() == "Mesh"
     data = stage.GetPrimAtPath("/World/cabinet").GetCustomDataByKey("artiworld")
-    assert (tmp_path / "out" / data["urdf"]).is_file()
-    assert "artiworld" not in path.read_text()
+    assert (stage_room / data["urdf"]).is_file()
+    assert "artiworld" not in (stage_room.parent / "room.usda").read_text()
 
 
 def test_usd_core_opens_the_scene_and_its_joints_meet(room: Path) -> None:

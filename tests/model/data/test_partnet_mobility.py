@@ -176,13 +176,13 @@ def test_exported_parts_are_read_back(folder: Path, tmp_path: Path, with_names: 
 
 
 def test_real_objects_agree_with_yourdfpy(shared_data: Path) -> None:
-    """Every link of every object is where another reader has it, at random joint values."""
+    """Every link of every eighth object is where another reader has it, at random joint values."""
     import yourdfpy
 
     data = PartNetMobility(shared_data / "partnet_mobility")
     ids = data.ids()
     rng = np.random.default_rng(0)
-    for object_id in ids:
+    for object_id in ids[::8]:
         obj = data.load(object_id).object
         path = data.root / object_id / "mobility.urdf"
         other = yourdfpy.URDF.load(str(path), load_meshes=False, build_collision_scene_graph=False)

@@ -94,10 +94,9 @@ def test_what_is_wrong_is_clicked_as_what_it_is(picture, mesh_cabinet) -> None:
     assert (last.part, last.positive) == (1, False) and truth[last.element] == 0
 
 
-def test_a_person_gets_the_doors(picture, mesh_cabinet) -> None:
-    session = DefaultSegmenter().encode(mesh_cabinet.asset)
+def test_a_person_gets_the_doors(picture, mesh_cabinet, mesh_session) -> None:
     rounds = visible_click_ious(
-        session, picture, mesh_cabinet.labels, mesh_cabinet.asset.mesh.face_areas
+        mesh_session, picture, mesh_cabinet.labels, mesh_cabinet.asset.mesh.face_areas
     )
     assert len(rounds) == 3
     assert rounds[0][0] > 0.8 and rounds[-1][0] > 0.9
@@ -120,7 +119,11 @@ def test_a_person_gets_the_doors_of_a_scan(make_cabinet_cloud) -> None:
 
 @pytest.mark.parametrize("data", ["partnet-mesh", "partnet-one-sided"])
 def test_the_benchmark_says_it(shared_data, data) -> None:
-    report = run(BenchConfig(data=shared_data, sets=(data,), limit=1, parts=1, cap=1))
+    config = BenchConfig(
+        data=shared_data, sets=(data,), segmenters=("nearest",), limit=1, points=20_000, parts=1,
+        cap=1,
+    )  # fmt: skip
+    report = run(config)
     summary = report.rows[0].summary()
     assert 0 < summary["seen all@1, hidden too"] <= 1
     assert summary["seen all@1"] <= summary["seen all@3"] + 0.05

@@ -1,4 +1,4 @@
-"""Ground truth passes: the bundled examples wholly, a data set with few exceptions."""
+"""Ground truth passes: bundled examples of each kind of joint have no error."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ import pytest
 
 from model.validation.report import Severity
 from model.validation.runner import validate
-from tests.model.demos import DEMOS, demo_object
+from tests.model.demos import demo_object
 
 
-@pytest.mark.parametrize("name", DEMOS)
+@pytest.mark.parametrize("name", ["cabinet", "desk_lamp", "kettle", "oven_scan"])
 def test_no_true_joint_of_a_bundled_example_is_broken(name):
     # A scan's shapes take long, and tests/model/physics/test_simulated.py drives them.
     report = validate(demo_object(name), shapes=not name.endswith("_scan"), fixes=False)
