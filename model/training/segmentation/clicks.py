@@ -60,6 +60,7 @@ class ClickTraining:
         clicks: length of a simulated session.
         explore: probability of following a proposal that is not the best one, by kind of round.
         mesh_share: share of the objects that are meshes; the others are clouds.
+        points: of each cloud; None for some of 30 to 100 thousand.
         networks: that are fitted and averaged.
         first_seed, small_seed, drawer_seed: of the objects of the rounds.
         rooms: of the first round of rooms, and of a second one, played by the scorers of the first.
@@ -79,6 +80,7 @@ class ClickTraining:
     clicks: int = 8
     explore: tuple[float, float, float, float] = (0.3, 0.2, 0.2, 0.15)
     mesh_share: float = 0.3
+    points: int | None = None
     networks: int = 3
     first_seed: int = 60_000
     small_seed: int = 70_000
@@ -106,7 +108,8 @@ def _scene(
         labels, asset = shape.part, Asset("object", mesh=shape.mesh)
     else:
         counts = _POINTS.get(kind, (30_000, 40_000, 100_000))
-        data = random_scan(seed, counts[seed % len(counts)], _FAMILIES.get(kind))
+        count = config.points or counts[seed % len(counts)]
+        data = random_scan(seed, count, _FAMILIES.get(kind))
         labels, asset = data.labels, Asset("object", cloud=data.cloud)
     encoding = encode(asset, shipped_edge_model())
     return encoding, labels[encoding.nodes.elements.element_of_node]

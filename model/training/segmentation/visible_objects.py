@@ -33,8 +33,8 @@ from model.segmentation.encode.encoding import Encoding, encode
 from model.segmentation.part_state import PartState
 from model.training.segmentation.rows import Seeds, asked_by_size
 
-_COUNTS, _COUNT_CHANCE = (100_000, 60_000, 30_000), (0.6, 0.2, 0.2)
-"""Points of clouds."""
+_COUNT_CHANCE = (0.6, 0.2, 0.2)
+"""Probability of each number of points of a cloud."""
 _NEAR_MIDDLE = 0.35
 """Share of the greatest depth of a visible part above which clicks land."""
 _SIDES = 8
@@ -53,6 +53,7 @@ class MovingPartTraining:
         ornaments: share of them that get ornaments.
         camera, one_sided, mesh: shares that are clouds of depth cameras, one-sided clouds and
             meshes; the rest are clouds seen from all around.
+        points: numbers of points of clouds, the likeliest first.
         parts: asked for in each, spread over the logarithm of their sizes.
         clicks: first clicks on each.
         held_out: every n-th object measures in a fit of its own.
@@ -73,6 +74,7 @@ class MovingPartTraining:
     camera: float = 0.4
     one_sided: float = 0.15
     mesh: float = 0.25
+    points: tuple[int, int, int] = (100_000, 60_000, 30_000)
     parts: int = 5
     clicks: int = 3
     held_out: int = 6
@@ -166,7 +168,7 @@ def visible_object(
     if rng.random() < config.ornaments:
         shape = ornamented(shape, rng)
     ahead = _ahead(shape, base)
-    count = int(rng.choice(_COUNTS, p=_COUNT_CHANCE))
+    count = int(rng.choice(config.points, p=_COUNT_CHANCE))
     chance = rng.random()
     if chance < config.mesh:
         asset, labels = Asset(shape.family, mesh=shape.mesh), shape.part
