@@ -80,9 +80,9 @@ def test_thinning_is_even_and_bounded(kind: str, rng: np.random.Generator) -> No
 def test_a_million_points_and_faces_are_quick() -> None:
     points = np.random.default_rng(0).random((1_000_000, 3)).astype(np.float32)
     points[:, 2] = 0
-    began = time.perf_counter()
+    began = time.process_time()
     shown = display_asset(Asset("c", cloud=PointCloud(points)))
-    assert len(shown.element) <= 150_000 and time.perf_counter() - began < 5
+    assert len(shown.element) <= 150_000 and time.process_time() - began < 5
 
 
 def test_samples_are_spread_by_area(rng: np.random.Generator) -> None:

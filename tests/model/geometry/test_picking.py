@@ -75,9 +75,9 @@ def test_cloud_pick_among_a_million_points_is_quick(rng: np.random.Generator) ->
     for _ in range(60):
         origin = rng.normal(size=3)
         origin *= 4 / np.linalg.norm(origin)
-        began = time.perf_counter()
+        began = time.process_time()
         assert picker.pick(origin, rng.uniform(-0.2, 0.2, 3) - origin) is not None
-        seconds.append(time.perf_counter() - began)
+        seconds.append(time.process_time() - began)
     assert np.median(seconds) < 0.010  # about 1 ms on a free core
 
 
