@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -145,8 +146,6 @@ def collect(
 
 def with_id(obj: SceneObject, id: str) -> SceneObject:
     """The same object under another id."""
-    from dataclasses import replace
-
     return replace(obj, id=id)
 
 

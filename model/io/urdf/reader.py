@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -27,12 +26,15 @@ from model.io.urdf.collision import DeclaredCollision, repeats
 from model.io.urdf.declared_physics import read_declared_physics
 from model.io.urdf.files import package_root, resolve_mesh
 from model.io.urdf.model import UrdfModel, renamed_helpers
+from model.io.urdf.unread import unread
 from model.io.urdf.visual import UrdfVisual
 from model.io.xml_file import parse
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
 
+FloatArray = npt.NDArray[np.float64]
+Poses = Mapping[str, FloatArray]
 _LOG = logging.getLogger(__name__)
 
 MOST_LINKS = 5000
@@ -40,45 +42,8 @@ MOST_LINKS = 5000
 LARGEST = 1e6
 """Metres of a size, an offset or a limit; with more, numbers are damaged and sums overflow."""
 _MOVING: dict[str, JointType] = {
-    "revolute": "revolute",
-    "continuous": "continuous",
-    "prismatic": "prismatic",
-}
-_PASSED_OVER = (
-    "gazebo", "transmission", "sensor", "ros2_control", "mujoco", "drake", "safety_controller",
-    "calibration", "verbose", "contact_coefficients",
-)  # fmt: skip
-"""Elements that say nothing of shapes and motion."""
-_KNOWN: dict[str, tuple[frozenset[str], frozenset[str]]] = {
-    tag: (frozenset(children.split()), frozenset(attributes.split()))
-    for tag, children, attributes in (
-        ("robot", "link joint material", "name version"),
-        ("link", "inertial visual collision", "name type"),
-        ("joint", "origin parent child axis limit mimic dynamics", "name type"),
-        ("inertial", "origin mass inertia", ""),
-        ("visual", "origin geometry material", "name"),
-        ("collision", "origin geometry material", "name"),
-        ("geometry", "mesh box cylinder sphere capsule", ""),
-        ("material", "color texture", "name"),
-        ("origin", "", "xyz rpy quat_xyzw"),
-        ("mass", "", "value"),
-        ("inertia", "", "ixx ixy ixz iyy iyz izz"),
-        ("mesh", "", "filename scale"),
-        ("box", "", "size"),
-        ("cylinder", "", "radius length"),
-        ("sphere", "", "radius"),
-        ("capsule", "", "radius length"),
-        ("color", "", "rgba"),
-        ("texture", "", "filename"),
-        ("parent", "", "link"),
-        ("child", "", "link"),
-        ("axis", "", "xyz"),
-        ("limit", "", "lower upper effort velocity acceleration deceleration jerk"),
-        ("mimic", "", "joint multiplier offset"),
-        ("dynamics", "", "damping friction"),
-    )
-}
-"""Element → the elements and attributes that it may have; others are counted in a remark."""
+    "revolute": "revolute", "continuous": "continuous", "prismatic": "prismatic",
+}  # fmt: skip
 _TO_FIXED = ("planar", "floating")
 _REMEDIES = {
     "at least one link": "of a xacro file, give the URDF that xacro makes of it",
@@ -163,11 +128,11 @@ class _Reader:
         if most > MOST_LINKS:
             what = f"has {most:,} links or joints"
             raise InputFileError(self.path, what, f"an object has {MOST_LINKS:,} at most")
-        locals_: dict[str, npt.NDArray[np.float64]] = {}
+        locals_: dict[str, FloatArray] = {}
         joints = [j for e in robot.findall("joint") if (j := self._joint(e, locals_)) is not None]
         joints = [self._followed(j, joints) for j in joints]
         geometry = self._geometry(robot)
-        self._count_unknown(robot)
+        self.notes += unread(robot)
         self.problems += tree_problems(tuple(links), tuple(joints))
         self._raise()
         object_from_link = _compose(KinematicTree(tuple(links), tuple(joints)), locals_)
@@ -175,23 +140,10 @@ class _Reader:
         renamed = renamed_helpers(links, {v.link for v in geometry}, self.renamed)
         self.notes += self.renamed
         try:
-            tree = KinematicTree(
-                tuple(renamed.get(n, n) for n in links),
-                tuple(
-                    replace(
-                        j,
-                        parent=renamed.get(j.parent, j.parent),
-                        child=renamed.get(j.child, j.child),
-                    )
-                    for j in joints
-                ),
-            )
+            tree = KinematicTree(tuple(links), tuple(joints)).renamed(renamed)
         except KinematicsError as error:
             raise InputFileError(self.path, str(error)) from error
-        visuals = tuple(
-            replace(v, object_from_geometry=object_from_link[v.link] @ v.object_from_geometry)
-            for v in geometry
-        )
+        visuals = tuple(_in_object(v, object_from_link) for v in geometry)
         name = robot.get("name") or self.path.stem
         declared = read_declared_physics(robot, object_from_link)
         collision = self._collisions(robot, visuals, object_from_link)
@@ -216,33 +168,28 @@ class _Reader:
         return name
 
     def _numbers(
-        self,
-        element: Element | None,
-        attribute: str,
-        count: int,
-        default: Sequence[float],
+        self, element: Element | None, attribute: str, count: int, default: Sequence[float],
         where: str,
-    ) -> npt.NDArray[np.float64]:
-        text = None if element is None else element.get(attribute)
+    ) -> FloatArray:  # fmt: skip
+        text, word = None if element is None else element.get(attribute), ""
         if element is None or text is None:
             return np.array(default, dtype=np.float64)
-        words, values = self._words(element, attribute, text, count), []
-        for word in words:
-            try:
+        try:
+            values = []
+            for word in self._words(element, attribute, text, count):
                 values.append(float(word))
-            except ValueError:
-                self.problems.append(
-                    f"{where}: {word!r} in {attribute}={text!r} of <{element.tag}> is not a "
-                    "number; write numbers with blanks between them"
-                )
-                return np.array(default, dtype=np.float64)
-        if len(values) != count or not np.isfinite(values).all():
+            if len(values) == count and np.isfinite(values).all():
+                return np.array(values)
             self.problems.append(
                 f"{where}: {attribute}={text!r} of <{element.tag}> must be {count} finite "
                 f"number{'s' if count > 1 else ''}"
             )
-            return np.array(default, dtype=np.float64)
-        return np.array(values)
+        except ValueError:
+            self.problems.append(
+                f"{where}: {word!r} in {attribute}={text!r} of <{element.tag}> is not a "
+                "number; write numbers with blanks between them"
+            )
+        return np.array(default, dtype=np.float64)
 
     def _words(self, element: Element, attribute: str, text: str, count: int) -> list[str]:
         """The numbers' texts. A comma after each but the last is taken for a blank, and noted;
@@ -265,7 +212,7 @@ class _Reader:
     def _number(self, element: Element | None, attribute: str, default: float, where: str) -> float:
         return float(self._numbers(element, attribute, 1, [default], where)[0])
 
-    def _pose(self, element: Element, where: str) -> npt.NDArray[np.float64]:
+    def _pose(self, element: Element, where: str) -> FloatArray:
         origin = element.find("origin")
         out = np.eye(4)
         if origin is not None and origin.get("quat_xyzw") is not None:  # URDF 1.1
@@ -284,7 +231,7 @@ class _Reader:
 
     # -- joints ----------------------------------------------------------------------------------
 
-    def _joint(self, element: Element, locals_: dict[str, npt.NDArray[np.float64]]) -> Joint | None:
+    def _joint(self, element: Element, locals_: dict[str, FloatArray]) -> Joint | None:
         """The joint with its axis still in the child's frame; its pose goes into ``locals_``.
 
         A joint with problems comes back as a fixed one, so that the tree can still be checked.
@@ -326,29 +273,6 @@ class _Reader:
                 for q in (leader.lower, leader.upper)]  # fmt: skip
         return replace(joint, lower=min(ends), upper=max(ends))
 
-    def _count_unknown(self, robot: Element) -> None:
-        """One note that counts the elements and attributes that URDF hasn't."""
-        found: Counter[str] = Counter()
-        stack = [robot]
-        while stack:
-            element = stack.pop()
-            children, attributes = _KNOWN[element.tag]
-            found.update(f"attribute {a!r} of <{element.tag}>" for a in element.attrib
-                         if a not in attributes and "}" not in a)  # fmt: skip
-            for child in element:
-                if not isinstance(child.tag, str) or child.tag in _PASSED_OVER:
-                    continue
-                if element.tag == "geometry" and child.tag not in children:
-                    continue  # an unknown shape has a message of its own
-                if child.tag in children and child.tag in _KNOWN:
-                    stack.append(child)
-                else:
-                    found[f"<{child.tag}> in <{element.tag}>"] += 1
-        if found:
-            listed = ", ".join(f"{what} ({n})" for what, n in found.most_common(5))
-            rest = f" and {len(found) - 5} kinds more" if len(found) > 5 else ""
-            self.notes.append(f"not read: {listed}{rest}")
-
     def _end(self, element: Element, end: str, where: str) -> str:
         found = element.find(end)
         link = "" if found is None else found.get("link", "")
@@ -356,7 +280,7 @@ class _Reader:
             self.problems.append(f'{where}: needs <{end} link="…"/>')
         return link
 
-    def _axis(self, element: Element, type_: JointType, where: str) -> npt.NDArray[np.float64]:
+    def _axis(self, element: Element, type_: JointType, where: str) -> FloatArray:
         axis = self._numbers(element.find("axis"), "xyz", 3, [1, 0, 0], where)
         length = float(np.linalg.norm(axis))
         if type_ == "fixed":
@@ -389,10 +313,8 @@ class _Reader:
             self.unlimited.append(element.get("name", ""))
             return 0.0, 0.0
         if limit is not None and not stated:
-            self.notes.append(
-                f"{where}: <limit> states neither lower nor upper; it doesn't move until a range "
-                "is set"
-            )
+            why = "<limit> states neither lower nor upper; it doesn't move until a range is set"
+            self.notes.append(f"{where}: {why}")
         if limit is None:
             self.problems.append(f"{where}: a {type_} joint needs <limit lower=… upper=…/>")
             return None, None
@@ -440,10 +362,7 @@ class _Reader:
         return out
 
     def _collisions(
-        self,
-        robot: Element,
-        visuals: Sequence[UrdfVisual],
-        object_from_link: Mapping[str, npt.NDArray[np.float64]],
+        self, robot: Element, visuals: Sequence[UrdfVisual], object_from_link: Poses
     ) -> dict[str, DeclaredCollision]:
         """Collision shapes by link; a mistake in one is recorded there, not as a problem of the
         file."""
@@ -454,11 +373,7 @@ class _Reader:
             found = [self._visual(e, name) for e in link.findall("collision")]
             wrong = self.problems[before:]
             del self.problems[before:]
-            pieces = tuple(
-                replace(v, object_from_geometry=object_from_link[name] @ v.object_from_geometry)
-                for v in found
-                if v is not None
-            )
+            pieces = tuple(_in_object(v, object_from_link) for v in found if v is not None)
             if found:
                 same = not wrong and repeats(pieces, [v for v in seen if v.link == name])
                 out[name] = DeclaredCollision(pieces, wrong[0] if wrong else "", same)
@@ -495,15 +410,11 @@ class _Reader:
                 f"{where}: geometry <{shape.tag}> is none of mesh, box, cylinder, sphere, capsule"
             )
             return None
-        if min(sizes) <= 0:
-            self.problems.append(f"{where}: <{shape.tag}> needs sizes above 0, got {sizes}")
-            return None
-        if max(sizes) > LARGEST:
-            self.problems.append(
-                f"{where}: <{shape.tag}> needs sizes of {LARGEST:g} m at most, got {sizes}"
-            )
-            return None
-        return UrdfVisual(link, name, pose, None, (shape.tag, sizes), color)
+        if min(sizes) > 0 and max(sizes) <= LARGEST:
+            return UrdfVisual(link, name, pose, None, (shape.tag, sizes), color)
+        needed = "above 0" if min(sizes) <= 0 else f"of {LARGEST:g} m at most"
+        self.problems.append(f"{where}: <{shape.tag}> needs sizes {needed}, got {sizes}")
+        return None
 
     def _resolve(self, filename: str, where: str) -> Path | None:
         """``filename`` inside the allowed folder, or None with a problem noted."""
@@ -530,19 +441,15 @@ class _Reader:
             return None
 
     def _color(self, material: Element | None) -> tuple[int, int, int, int] | None:
-        if material is None:
-            return None
-        color = material.find("color")
-        if color is None:
-            return self.colors.get(material.get("name", ""))
+        color = None if material is None else material.find("color")
+        if material is None or color is None:
+            return None if material is None else self.colors.get(material.get("name", ""))
         where = f"material {material.get('name', '')!r}"
         r, g, b, a = np.clip(self._numbers(color, "rgba", 4, [0.8, 0.8, 0.8, 1], where), 0, 1)
         return round(255 * r), round(255 * g), round(255 * b), round(255 * a)
 
 
-def _compose(
-    tree: KinematicTree, locals_: Mapping[str, npt.NDArray[np.float64]]
-) -> dict[str, npt.NDArray[np.float64]]:
+def _compose(tree: KinematicTree, locals_: Poses) -> dict[str, FloatArray]:
     """Link → (4, 4) ``object_from_link`` at rest."""
     out = {tree.root: np.eye(4)}
     for link in tree.order[1:]:
@@ -551,7 +458,12 @@ def _compose(
     return out
 
 
-def _to_object(joint: Joint, object_from_link: npt.NDArray[np.float64]) -> Joint:
+def _in_object(visual: UrdfVisual, object_from_link: Poses) -> UrdfVisual:
+    pose = object_from_link[visual.link] @ visual.object_from_geometry
+    return replace(visual, object_from_geometry=pose)
+
+
+def _to_object(joint: Joint, object_from_link: FloatArray) -> Joint:
     axis = object_from_link[:3, :3] @ np.asarray(joint.axis)
     axis[np.abs(axis) < 1e-15] = 0.0
     ox, oy, oz = object_from_link[:3, 3]

@@ -1,6 +1,4 @@
-"""ArtiWorld's own scene file, ``scene.json``; :mod:`model.scenes.native_format` writes it and
-tells the
-format."""
+"""ArtiWorld's own scene file, ``scene.json``; see :mod:`model.scenes.native_format`."""
 
 from __future__ import annotations
 
