@@ -14,7 +14,7 @@ from PIL import Image
 
 from model.core.mesh import Material, Mesh
 from model.core.surface_maps import ImageFile, SurfaceMaps
-from model.core.textures import decode, encode
+from model.core.textures import encode
 from model.geometry.shading import corner_normals
 from model.io.formats.gltf_materials import BRIGHTER
 from model.io.formats.srgb import to_linear
@@ -30,7 +30,6 @@ def mesh_to_glb(
     *,
     y_up: bool = False,
     smooth: bool = True,
-    max_texture: int | None = None,
     matt: bool = False,
 ) -> bytes:
     """``mesh`` as a GLB file; the same mesh gives the same bytes.
@@ -43,7 +42,6 @@ def mesh_to_glb(
         y_up: turn +z up to +y up, as the glTF standard has it. Off, coordinates stay as they are,
             which is what a browser scene that is +z up itself wants.
         smooth: with normals that are smooth but for creases; else viewers shade each face flat.
-        max_texture: shrink textures and maps whose longer side has more pixels.
         matt: take all for non-metallic, rough and without maps: for a screen where colours are to
             be seen, metal without surroundings to reflect would be black, and maps would make what
             is sent up to four times as large.
@@ -53,7 +51,7 @@ def mesh_to_glb(
         mesh = replace(mesh, materials=tuple(map(_matt, mesh.materials)))
     look = _looks(mesh.materials)[mesh.face_material]
     for i in np.unique(look):
-        builder.material(mesh.materials[i], mesh.vertex_colors is not None, max_texture)
+        builder.material(mesh.materials[i], mesh.vertex_colors is not None)
     builder.geometry(mesh, look, y_up, smooth)
     return builder.finish()
 
@@ -139,7 +137,7 @@ class _Builder(GlbTree):
         view = self.view(np.ascontiguousarray(values).tobytes(), target=target)
         return self.accessor(values, kind, component, view, **more)
 
-    def material(self, material: Material, colored: bool, max_texture: int | None) -> None:
+    def material(self, material: Material, colored: bool) -> None:
         color = np.array(material.base_color, np.float64) / 255.0
         alpha = float(color[3])
         factor = [1.0, 1.0, 1.0, alpha] if colored else [*to_linear(color[:3]).tolist(), alpha]
@@ -156,21 +154,21 @@ class _Builder(GlbTree):
         if alpha < 1.0:
             entry["alphaMode"] = "BLEND"
         if material.texture is not None:
-            surface["baseColorTexture"] = {"index": self.texture(material.texture, max_texture)}
+            surface["baseColorTexture"] = {"index": self.texture(material.texture)}
             if alpha == 1.0 and _has_holes(material.texture):
                 entry["alphaMode"] = "MASK"
-        self.maps(entry, material.maps, max_texture)
+        self.maps(entry, material.maps)
         self.tree["materials"].append(entry)
 
-    def maps(self, entry: dict[str, Any], maps: SurfaceMaps, max_texture: int | None) -> None:
+    def maps(self, entry: dict[str, Any], maps: SurfaceMaps) -> None:
         if maps.normal is not None:
-            slot = {"index": self.texture(maps.normal, max_texture), "scale": maps.normal_scale}
+            slot = {"index": self.texture(maps.normal), "scale": maps.normal_scale}
             entry["normalTexture"] = slot
         if maps.occlusion is not None:
-            at, strength = self.texture(maps.occlusion, max_texture), maps.occlusion_strength
+            at, strength = self.texture(maps.occlusion), maps.occlusion_strength
             entry["occlusionTexture"] = {"index": at, "strength": strength}
         if maps.emissive is not None:
-            entry["emissiveTexture"] = {"index": self.texture(maps.emissive, max_texture)}
+            entry["emissiveTexture"] = {"index": self.texture(maps.emissive)}
         if any(maps.emission):
             strength = max(1.0, *maps.emission)
             entry["emissiveFactor"] = [c / strength for c in maps.emission]
@@ -178,10 +176,13 @@ class _Builder(GlbTree):
                 entry["extensions"] = {BRIGHTER: {"emissiveStrength": strength}}
                 self.tree["extensionsUsed"] = [BRIGHTER]
 
-    def texture(self, image: Image.Image | ImageFile, max_texture: int | None) -> int:
+    def texture(self, image: Image.Image | ImageFile) -> int:
         key = image if isinstance(image, ImageFile) else id(image)
         if key not in self._images:
-            data, suffix = _sent(image, max_texture)
+            if isinstance(image, ImageFile):
+                data, suffix = image.data, image.suffix
+            else:
+                data, suffix = encode(image)
             picture = {"bufferView": self.view(data), "mimeType": _MIME[suffix]}
             source = self.append("images", picture)
             self._images[key] = self.append("textures", {"source": source})
@@ -238,19 +239,6 @@ def _turned(vectors: Array, y_up: bool) -> Array:
     if not y_up:
         return vectors
     return np.stack([vectors[:, 0], vectors[:, 2], -vectors[:, 1]], axis=1)
-
-
-def _sent(image: Image.Image | ImageFile, longest: int | None) -> tuple[bytes, str]:
-    """The image's file, shrunk where its longer side has more than ``longest`` pixels."""
-    if isinstance(image, ImageFile):
-        if longest is None:
-            return image.data, image.suffix
-        image = decode(image.data, "map")
-    if longest is not None and max(image.size) > longest:
-        ratio = longest / max(image.size)
-        size = tuple(max(1, round(s * ratio)) for s in image.size)
-        image = image.resize(size, Image.Resampling.LANCZOS)  # type: ignore[arg-type]
-    return encode(image)
 
 
 def _has_holes(image: Image.Image) -> bool:
