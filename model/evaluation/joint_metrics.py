@@ -14,6 +14,11 @@ as a hit. Choices that the paper leaves open are made here, once:
   way a joint opens shows in the limits, which are compared after the predicted axis was turned to
   the true side.
 * A prismatic joint's origin and a continuous joint's limits mean nothing and are not scored.
+* Where two parts are as large as each other (pliers, the panels of a carton), which of them is the
+  base is a convention: a prediction with the other one is turned round first. The box of the
+  predicted base needs :data:`EQUAL_BASE` of the true one's surface.
+* A revolute joint that turns by :data:`FULL_TURN` or more and a continuous one are one type: nobody
+  notices the stop of such a knob.
 * Limits that were written in the wrong order are compared as written.
 * A missing joint (a part that should move and doesn't, is not there, or the whole prediction) and
   one that couldn't be read are no type match and not usable; the means exist with them, at the
@@ -34,7 +39,7 @@ from model.core.joint import Joint
 from model.core.tree import KinematicTree
 from model.evaluation.executability import Execution
 from model.evaluation.part_matching import PartMatch
-from model.evaluation.tree_metrics import chain, parents, path, tree_edits
+from model.evaluation.tree_metrics import chain, parents, path, rerooted, tree_edits
 
 ABSENT = ("missing", "unparseable")
 """Types of a missing joint, and of one that couldn't be read."""
@@ -42,6 +47,8 @@ WORST_ANGLE = math.pi / 2
 """Axis error of a missing joint (rad): an unsigned angle can't be larger."""
 WORST_DISTANCE = 1.0
 """Origin error of a missing joint, in diagonals."""
+EQUAL_BASE = 0.6
+FULL_TURN = math.radians(300)
 
 
 @dataclass(frozen=True)
@@ -83,6 +90,7 @@ class JointScore:
             joint counts with. None for continuous joints.
         range_iou: overlap of the ranges, both limited and of one type.
         range_right, usable: see :class:`UsableLimits`.
+        full_turn: one is continuous and the other turns by :data:`FULL_TURN` or more.
         confidence: the predictor's, 0..1, or None.
     """
 
@@ -101,11 +109,12 @@ class JointScore:
     range_right: bool = False
     usable: bool = False
     confidence: float | None = None
+    full_turn: bool = False
 
     @property
     def type_right(self) -> bool:
-        """Whether the joint type is the true one."""
-        return self.type == self.true_type
+        """Whether the joint type is the true one, or as good."""
+        return self.type == self.true_type or self.full_turn
 
     @property
     def present(self) -> bool:
@@ -183,6 +192,8 @@ def score_object(
     limits = limits or UsableLimits()
     parts = frozenset(p.link for p in truth.parts)
     above = parents(truth.tree, parts)
+    if predicted is not None and _equal_base(truth, predicted.root):
+        predicted = rerooted(predicted, truth.tree.root)
     below = {} if predicted is None else parents(predicted, parts)
     diagonal = _diagonal(truth, parts)
     joints: list[JointScore] = []
@@ -216,6 +227,15 @@ def score_object(
         parts=len(parts),
         matched=len(below),
     )
+
+
+def _equal_base(truth: ArticulatedObject, root: str) -> bool:
+    """Whether the part ``root`` could be the base as well as the true one."""
+    sides = {p.link: np.ptp(p.bounds, axis=0) for p in truth.parts}
+    if root == truth.tree.root or not {root, truth.tree.root} <= sides.keys():
+        return False
+    mine, own = (float(s @ np.roll(s, 1)) for s in (sides[root], sides[truth.tree.root]))
+    return mine >= EQUAL_BASE * own
 
 
 def _diagonal(truth: ArticulatedObject, links: Collection[str]) -> float:
@@ -260,13 +280,15 @@ class _PartScorer:
             opd = float(np.linalg.norm(np.subtract(found.origin, true.origin)))
             line = point_to_line(found.origin, true.origin, true.axis)
         error = iou = None
-        range_right = true.type == found.type
-        if range_right and true.limited:
+        full_turn = _full_turn(true, found)
+        same = true.type == found.type or full_turn
+        range_right = same
+        if true.type == found.type and true.limited:
             error, iou, range_right = compare_ranges(
                 true, found, limits, self.diagonal, swapped=swapped
             )
         usable = (
-            true.type == found.type
+            same
             and self.parent_right
             and apd <= limits.axis
             and (line is None or line / self.diagonal <= limits.origin)
@@ -288,7 +310,15 @@ class _PartScorer:
             range_right=range_right,
             usable=usable,
             confidence=confidence,
+            full_turn=full_turn,
         )
+
+
+def _full_turn(true: Joint, found: Joint) -> bool:
+    if {true.type, found.type} != {"revolute", "continuous"}:
+        return False
+    lower, upper = (true if true.limited else found).motion_range
+    return upper - lower >= FULL_TURN
 
 
 def compare_ranges(

@@ -22,6 +22,8 @@ from model.evaluation.joint_metrics import (
     score_object,
 )
 from model.evaluation.summary import summarise
+from model.evaluation.tree_metrics import rerooted
+from model.kinematics.joint_path import tree_poses
 
 DIAGONAL = math.sqrt(3.0)
 
@@ -233,6 +235,45 @@ def test_y_up_axes_lose_axes_not_types() -> None:
 
 angle = st.floats(-1, 1)
 vector = st.tuples(angle, angle, angle).filter(lambda v: np.linalg.norm(v) > 0.1)
+
+
+def pliers(second: float = 1.0) -> ArticulatedObject:
+    """Two handles; ``second`` is the size of the one that moves."""
+    corners = np.array(np.meshgrid((0, 1), (0, 1), (0, 1))).reshape(3, -1).T
+    parts = tuple(
+        Part(f"link_{i}", cloud=PointCloud((size * corners).astype(np.float32)))
+        for i, size in enumerate((1.0, second))
+    )
+    joint = Joint("pin", "revolute", "link_0", "link_1", (0, 0, 1), (0.5, 0.5, 0), 0.0, 0.8)
+    return ArticulatedObject("pliers", parts, KinematicTree(("link_0", "link_1"), (joint,)))
+
+
+def test_either_half_of_pliers_may_be_the_base_but_no_door_may_be_a_cabinets() -> None:
+    for size, usable in ((1.0, True), (0.6, False)):
+        truth = pliers(size)
+        other = rerooted(truth.tree, "link_1")
+        assert other.root == "link_1"
+        assert rerooted(other, "link_0") == truth.tree
+        scored = score_object(truth, other)
+        assert scored.usable is usable
+        assert bool(scored.extra) is not usable
+
+
+def test_turned_round_the_parts_move_against_each_other_as_before() -> None:
+    tree = pliers().tree
+    moved = tree_poses(tree, [{"pin": 0.5}])["link_1"][0]
+    other = tree_poses(rerooted(tree, "link_1"), [{"pin": 0.5}])["link_0"][0]
+    np.testing.assert_allclose(other, np.linalg.inv(moved), atol=1e-12)
+
+
+@pytest.mark.parametrize("degrees, right", [(360, True), (310, True), (180, False)])
+def test_a_knob_that_turns_almost_round_is_as_good_as_continuous(degrees, right) -> None:
+    truth = oracle()
+    knob = replace(truth.tree.by_name["knob"], type="revolute", lower=0.0,
+                   upper=math.radians(degrees))  # fmt: skip
+    scored = score(truth.tree.with_joint(knob))
+    assert joint_score(scored, "link_2").type_right is right
+    assert scored.usable is right
 
 
 @settings(deadline=None)
