@@ -1,4 +1,9 @@
-"""PLY: ASCII and binary, clouds and meshes, any order of properties."""
+"""PLY: ASCII and binary, clouds and meshes, any order of properties.
+
+Libraries read these wrongly: open3d 0.20 fills a file that is cut off up to the promised number of
+points, and drops splats' colours, textures and triangle strips; trimesh 5.2 refuses faces of mixed
+sizes and drops triangle strips; both keep indices out of range. plyfile is under the GPL.
+"""
 
 from __future__ import annotations
 

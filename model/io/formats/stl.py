@@ -1,4 +1,8 @@
-"""STL, binary and ASCII."""
+"""STL, binary and ASCII.
+
+open3d 0.20 and trimesh 5.2 return nothing, without an error, for a binary file that is cut off;
+an ASCII file with a byte order mark is empty in the one and fails in the other.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""Points as text: XYZ, TXT, CSV, PTS and the like."""
+"""Points as text: XYZ, TXT, CSV, PTS and the like.
+
+trimesh 5.2 reads XYZ only, and decimal commas as separators; open3d 0.20 reads neither headings nor
+commas, and returns no points without an error.
+"""
 
 from __future__ import annotations
 
