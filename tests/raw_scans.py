@@ -45,7 +45,7 @@ def raw_scan(
     colors = np.concatenate([cloud.colors, wood, rng.integers(40, 220, (len(strays), 3))])
     frame = np.eye(4)
     factor = rng.uniform(0.3, 3.0) if scale is None else scale
-    frame[:3, :3] = factor * Rotation.random(rng=seed).as_matrix()
+    frame[:3, :3] = factor * Rotation.random(rng=rng).as_matrix()
     frame[:3, 3] = rng.normal(0, 1, 3)
     moved = points @ frame[:3, :3].T + frame[:3, 3]
     write_cloud(PointCloud(moved.astype(np.float32), None, colors.astype(np.uint8)), out)

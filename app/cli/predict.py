@@ -9,14 +9,18 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from app.cli.output import check_output, other_files_error
 from model.core.articulated_object import ArticulatedObject, Prediction, SegmentedObject, remarks_of
-from model.core.asset import UpAxis
+from model.core.asset import Asset, UpAxis
 from model.core.files import write_json
 from model.core.joint import Joint
 from model.core.part_names import category_remark
+from model.core.point_cloud import PointCloud
 from model.core.progress import Progress, no_progress, scaled_progress
 from model.core.tree import KinematicTree
+from model.geometry.prepare import tilt_remark
 from model.io.assets.asset_folder import write_asset
 from model.io.open_asset import read_part_files
 from model.physics.collision.store import default_store
@@ -73,6 +77,10 @@ def predict(
     report = prediction_json(segmented, answer)
     if remark := category_remark(category):
         report["problems"].insert(0, remark)
+    scans = [p.cloud.points for p in segmented.parts if p.mesh is None and p.cloud is not None]
+    if scans:
+        whole = Asset(segmented.name, cloud=PointCloud(np.concatenate(scans)))
+        report["problems"] += filter(None, [tilt_remark(whole)])
     if answer.tree is None:
         write_json(out / PREDICTION_JSON, report)
         why = "; ".join(answer.problems) or "no reason was given"

@@ -17,6 +17,7 @@ from model.core.errors import ArtiworldError
 from model.core.files import write_json, written_to
 from model.core.progress import Progress, no_progress, scaled_progress
 from model.geometry.parts import split
+from model.geometry.prepare import tilt_remark
 from model.geometry.units import UNITS, odd_size
 from model.io.open_asset import open_asset
 from model.io.write.meshes import write_cloud, write_mesh
@@ -96,6 +97,8 @@ def _problems(asset: Asset, file: PromptFile, parts: Sequence[Part]) -> list[str
     missing = [i for i in file.prompts.parts if f"link_{i}" not in found and i != 0]
     out = [*asset.warnings, *(f"part {i} got no {asset.element_kind}" for i in missing)]
     odd = odd_size(asset.bounds, asset.source.unit_scale if asset.source else 1.0)
+    if asset.element_part is None and (remark := tilt_remark(asset)):
+        out.append(remark)
     if odd is not None:
         remedy = "" if odd.unit is None else f" If so, give --unit-scale {UNITS[odd.unit]:g}"
         out.append(odd.question + remedy)

@@ -16,6 +16,7 @@ from app.server.prepare_tasks import Marks, ScanProposal, Vector
 from app.server.room_tasks import Removal
 from model.core.errors import CommandError
 from model.geometry.cleaning import CLUTTER, OBJECT, OUTLIER, SUPPORT
+from model.geometry.levelling import SURE
 from model.geometry.picking import Camera
 from model.geometry.strokes import Stroke
 from model.io.geometry_files import declares_up
@@ -26,9 +27,8 @@ Array = npt.NDArray[np.float64]
 
 TILT = np.radians(3.0)
 """Tilt that is noticed; registration drifts by a degree or two."""
-_SURE, _VERY_SURE = 0.5, 0.9
-"""Confidences from which an oblique scan is called tilted, and one along its axes: chosen on the
-bundled and free objects, of which none that is upright is called tilted."""
+_VERY_SURE = 0.9
+"""Confidence from which a scan that lies along an axis is called tilted; chosen as ``SURE``."""
 _LEAST_OBJECT, _LEAST_SUPPORT = 0.15, 0.05
 """Shares of the scan: a door that lies on nothing has a handle on a large "table"."""
 _MANY_OUTLIERS = 0.03
@@ -99,8 +99,7 @@ class Preparing:
         found = self.current
         if found is None:
             self.propose()
-        elif found.up is None and found.levelling.tilt > TILT and not (self.tilt or self.oblique):
-            # It may well be upright: what stands around is found as it lies.
+        elif self._rejected:  # what stands around is found as it lies
             self.propose(UPRIGHT, anew=True)
 
     def next_up(self, step: int) -> None:
@@ -123,30 +122,46 @@ class Preparing:
         level = found.levelling
         if level.tilt < TILT:
             return 0.0
-        if level.upright == 0.0:  # nothing in it is level or upright as it lies
-            return level.tilt if level.confidence >= _SURE else 0.0
+        if level.askew:
+            return level.tilt if level.confidence >= SURE else 0.0
         supported = level.support is not None and self._share(OBJECT) > _LEAST_OBJECT
-        sure = supported and level.confidence >= _VERY_SURE and not declares_up(asset.path)
+        sure = supported and level.confidence >= _VERY_SURE and self._along_an_axis
         return level.tilt if sure else 0.0
 
     @property
-    def oblique(self) -> bool:
-        """Whether the scan is certainly not upright, but which way is up isn't sure."""
+    def _along_an_axis(self) -> bool:
+        """Whether another axis of the file seems to be up, and its format doesn't declare one."""
+        found, asset = self.current, self._obj.asset
+        if found is None or asset is None or declares_up(asset.path):
+            return False
+        _, y, z = found.levelling.up
+        return max(abs(y), -z) > np.cos(TILT)
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether the scan doesn't seem to be upright, though which way is up isn't sure."""
         found = self.current
-        return (
-            found is not None
-            and found.up is None
-            and found.levelling.tilt > TILT
-            and found.levelling.upright == 0.0
-            and found.levelling.confidence < _SURE
-        )
+        if found is None or found.up is not None or found.levelling.tilt < TILT or self.tilt:
+            return False
+        level = found.levelling
+        return level.askew or (level.confidence >= SURE and self._along_an_axis)
+
+    @property
+    def _rejected(self) -> bool:
+        """Whether the scan may well be upright, though another direction was found."""
+        found = self.current
+        if found is None or found.up is not None or found.levelling.tilt < TILT:
+            return False
+        return not (self.tilt or self.doubtful)
 
     def noticed(self) -> dict[int, int]:
         """Kind → number of elements that don't belong to the object, where they are many."""
         found = self.current
-        if found is None:
+        asset = self._obj.asset
+        if found is None or asset is None or self._rejected:
             return {}
-        least = {SUPPORT: _LEAST_SUPPORT, CLUTTER: 0.0, OUTLIER: _MANY_OUTLIERS}
+        many = _MANY_OUTLIERS if asset.element_kind == "point" else 1.0  # meshes have loose faces
+        least = {SUPPORT: _LEAST_SUPPORT, CLUTTER: 0.0, OUTLIER: many}
         return {k: found.counts[k] for k, share in least.items() if self._share(k) > share}
 
     def _share(self, kind: int) -> float:

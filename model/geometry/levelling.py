@@ -26,10 +26,15 @@ _SAMPLE = 20_000
 """Points that are looked at; more change no answer."""
 _DIRECTIONS = 1500
 """Directions of the half sphere whose share of normals is counted, 3.6 degrees apart."""
-_UPRIGHT = np.radians(3)
-"""Tilt up to which a scan counts as upright: registration drifts by a degree or two."""
+_SQUARE = np.radians(6)
+"""Tilt up to which a face counts as level or upright: one-sided scans of rooms are that rough."""
 _CANDIDATES = 6
 """Directions that are described, each both ways; of 400 scans none had its up further behind."""
+
+
+SURE = 0.5
+"""Confidence from which a scan that lies askew is called tilted: chosen on the bundled objects and
+on crops of one room, of which none that is upright is."""
 
 
 @dataclass(frozen=True)
@@ -42,14 +47,14 @@ class Levelling:
         support: height along ``up`` of the surface that the object stands on, in the source's
             unit; None where none reaches beyond the object.
         alternatives: other directions, the likelier first.
-        upright: probability that +z is up; 0 where nothing in the scan faces along z.
+        askew: whether the main faces are neither level nor upright as the scan lies.
     """
 
     up: tuple[float, float, float]
     confidence: float
     support: float | None
     alternatives: tuple[tuple[float, float, float], ...] = ()
-    upright: float = 0.0
+    askew: bool = False
 
     @property
     def tilt(self) -> float:
@@ -75,13 +80,13 @@ def find_up(points: npt.NDArray[np.floating], normals: Array | None = None) -> L
     odds /= odds.sum()
     order = np.argsort(-odds)
     best = found[order[0]]
-    along_z = [odds[k] for k, c in enumerate(found) if c.refined[2] > np.cos(_UPRIGHT)]
+    off = [np.arccos(min(abs(float(c.up[2])), 1.0)) for c in found[:4:2]]
     return Levelling(
         _vector(best.refined),
         float(odds[order[0]]),
         best.height,
         tuple(_vector(found[k].up) for k in order[1:4]),
-        float(max(along_z, default=0.0)),
+        any(_SQUARE < angle < np.pi / 2 - _SQUARE for angle in off),
     )
 
 

@@ -20,7 +20,7 @@ from model.core.progress import Progress, no_progress, scaled_progress
 from model.core.tree import KinematicTree
 from model.geometry.cleaning import KIND_NAMES, OBJECT, Kinds, classify
 from model.geometry.crop import crop
-from model.geometry.levelling import Levelling, find_up, supporting_height
+from model.geometry.levelling import SURE, Levelling, find_up, supporting_height
 from model.geometry.sampling import sample_surface
 
 Array = npt.NDArray[np.float64]
@@ -121,6 +121,15 @@ def propose(
     return PrepareProposal(
         _frame(rotation, levelled, of_points, found.support, settings), found, kinds
     )
+
+
+def tilt_remark(asset: Asset) -> str | None:
+    """A remark for people where a scan certainly isn't upright, else None."""
+    points, normals, _ = _surface(asset)
+    found = find_up(points, normals)
+    if not found.askew or found.confidence < SURE:
+        return None
+    return f"tilted by {np.degrees(found.tilt):.0f}°: level it first with artiworld prepare"
 
 
 def prepare(

@@ -86,7 +86,7 @@ def test_provenance_leads_from_the_file_to_the_asset_and_back(opened, tmp_path: 
     source = Source(asset.path, asset.sha256, asset.up_axis, asset.unit_scale, asset.shift)
     record = provenance(obj.state, obj.services.store.history(obj.record.id), source)
     object_from_source = np.array(record["object_from_source"])
-    numbers = open_asset(tmp_path / "oven.ply", up_axis="z").cloud.points
+    numbers = open_asset(tmp_path / "oven.ply", up_axis="z").element_centers
     kept = np.ones(len(numbers), bool)
     kept[obj.services.store.get_array(obj.document.left_out.elements)] = False
     there = numbers[kept] @ object_from_source[:3, :3].T + object_from_source[:3, 3]
@@ -132,7 +132,7 @@ def test_undo_redo_and_replay_give_the_same_state(opened, tmp_path: Path) -> Non
 @pytest.mark.parametrize("name", ["oven_scan.ply", "cabinet.glb", "laptop.glb"])
 def test_upright_clean_objects_are_not_called_tilted(opened, name: str) -> None:
     obj = opened(static_assets() / "examples" / name)
-    assert not obj.preparing.tilt and not obj.preparing.oblique
+    assert not obj.preparing.tilt and not obj.preparing.doubtful
     assert not obj.preparing.noticed()
 
 

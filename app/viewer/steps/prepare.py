@@ -133,7 +133,7 @@ class PrepareStep:
             return False
         odd = odd_size(asset.bounds, asset.unit_scale)
         kinds = {} if may_be_a_room(asset.bounds) else preparing.noticed()
-        return bool(preparing.tilt or preparing.oblique or kinds or odd)
+        return bool(preparing.tilt or preparing.doubtful or kinds or odd)
 
     def follow(self, obj: OpenObject) -> None:
         """Show the step at once for a scan that is tilted, unless it is being worked on."""
@@ -159,8 +159,8 @@ class PrepareStep:
         if found is not None and preparing.tilt:
             level = found.levelling
             lines.append(words.tilted(level.tilt, level.up, level.confidence))
-        elif preparing.oblique:
-            lines.append(words.OBLIQUE)
+        elif preparing.doubtful:
+            lines.append(words.DOUBTFUL)
         kinds = preparing.noticed()
         return [*lines, words.also(kinds)] if kinds else lines
 
@@ -182,7 +182,7 @@ class PrepareStep:
         found, preparing = obj.preparing.current, obj.preparing
         if found is None:
             return False
-        return bool(found.up not in (None, UPRIGHT) or preparing.tilt or preparing.oblique)
+        return bool(found.up not in (None, UPRIGHT) or preparing.tilt or preparing.doubtful)
 
     def _chosen(self, found: ScanProposal) -> tuple[int, ...]:
         return tuple(k for k in KINDS if found.counts[k] and self._kinds[k].value)
@@ -452,8 +452,8 @@ class PrepareStep:
             lines.append(words.bold(odd.question))
         if found.up not in (None, UPRIGHT):
             lines.append(words.GIVEN)
-        elif obj.preparing.oblique:
-            lines.append(words.OBLIQUE)
+        elif obj.preparing.doubtful:
+            lines.append(words.DOUBTFUL)
         elif obj.preparing.tilt:
             level = found.levelling
             lines.append(words.tilted(level.tilt, level.up, level.confidence))

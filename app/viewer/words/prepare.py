@@ -21,7 +21,7 @@ LOOKING: Final = "*Finding floor and orientation…*"
 NOT_FOUND: Final = "**Auto** finds floor and orientation."
 UPRIGHT: Final = "**Upright.** Nothing to remove."
 GIVEN: Final = "**Shown in another direction.**"
-OBLIQUE: Final = "**Not level,** and the up direction is uncertain."
+DOUBTFUL: Final = "**Maybe not upright;** the up direction is uncertain."
 DISCARDS: Final = "⚠ Changes here discard parts and joints; undo restores them."
 KINDS: Final[dict[int, str]] = {
     SUPPORT: "Support", CLUTTER: "Other objects", OUTLIER: "Outliers",
