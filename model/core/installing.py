@@ -6,7 +6,8 @@ import os
 import shlex
 import shutil
 import sys
-from importlib.util import find_spec
+from importlib import import_module
+from typing import Any
 
 from model.core.errors import ConfigurationError
 
@@ -28,12 +29,14 @@ def install_command(*requirements: str) -> str:
     return f"{start} install {' '.join(map(shlex.quote, requirements))}"
 
 
-def require(package: str, extra: str) -> None:
-    """Refuse to go on where an optional package isn't installed.
+def require(module: str, extra: str, what: str = "this") -> Any:
+    """Import an optional package's module; ``what`` needs it, for the message.
 
     Raises:
         ConfigurationError: with the command that installs it.
     """
-    if find_spec(package) is None:
-        how = install_command(extra)
-        raise ConfigurationError(f"this needs the package {package}, which isn't installed: {how}")
+    try:
+        return import_module(module)
+    except ImportError as error:
+        missing = f"{what} needs {module.partition('.')[0]}, which isn't installed"
+        raise ConfigurationError(f"{missing}: {install_command(extra)}") from error

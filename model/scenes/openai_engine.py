@@ -10,7 +10,7 @@ from threading import Thread
 from typing import Any, TypeVar
 
 from model.core.errors import ConfigurationError
-from model.core.installing import install_command
+from model.core.installing import require
 from model.core.progress import Progress
 from model.scenes.finder_options import FinderOptions
 from model.scenes.language_finder import SCHEMA, Answer, FinderUnavailableError, LanguageFinder
@@ -132,13 +132,7 @@ class OpenAiEngine:
 
 
 def _client(url: str | None, timeout: float, retries: int) -> Any:
-    try:
-        import openai
-    except ImportError as error:
-        raise ConfigurationError(
-            "asking a language model needs the package openai: "
-            f"{install_command('artiworld[finder]')}"
-        ) from error
+    openai = require("openai", "artiworld[finder]", "asking a language model")
     key = os.environ.get(KEY_VARIABLE)
     if not key and url is None:
         raise ConfigurationError(

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, TypeVar
 
 from model.core.errors import ConfigurationError
-from model.core.installing import install_command
+from model.core.installing import require
 
 T = TypeVar("T")
 
@@ -55,13 +55,8 @@ def ray_map(
 
 
 def _connect(address: str) -> tuple[Any, type[Exception]]:
-    try:
-        import ray  # type: ignore[import-not-found]
-        import ray.exceptions  # type: ignore[import-not-found]
-    except ImportError as error:
-        raise ConfigurationError(
-            f"--ray needs the package ray: {install_command('artiworld[cluster]')}"
-        ) from error
+    ray = require("ray", "artiworld[cluster]", "--ray")
+    require("ray.exceptions", "artiworld[cluster]", "--ray")
     _check_there(address)
     try:
         ray.init(

@@ -11,8 +11,6 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Sequence
-from importlib import import_module
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -21,9 +19,8 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from model.core.articulated_object import ArticulatedObject
-from model.core.errors import ConfigurationError
 from model.core.inertial import Inertial
-from model.core.installing import install_command
+from model.core.installing import require
 from model.core.joint import Joint, Mimic
 from model.core.mesh import Material, Mesh
 from model.core.progress import Progress, no_progress
@@ -59,19 +56,14 @@ class UsdExporter:
         progress: Progress = no_progress,
     ) -> tuple[Path, ...]:
         """See :class:`~model.io.export.protocol.Exporter`."""
-        if find_spec("pxr") is None:
-            how = install_command("artiworld[usd]")
-            raise ConfigurationError(f"USD needs the package usd-core: {how}")
         return _Writer(obj, folder, physics or plain_physics(obj)).write(progress)
 
 
 class _Writer:
     def __init__(self, obj: ArticulatedObject, folder: Path, physics: Physics) -> None:
         self.obj, self.folder, self.physics = obj, folder, physics
-        pxr: Any = import_module("pxr")
-        names = ("Gf", "Sdf", "Usd", "UsdGeom", "UsdPhysics", "UsdShade", "Vt")
-        for name in names:
-            setattr(self, name, import_module(f"{pxr.__name__}.{name}"))
+        for name in ("Gf", "Sdf", "Usd", "UsdGeom", "UsdPhysics", "UsdShade", "Vt"):
+            setattr(self, name, require(f"pxr.{name}", "artiworld[usd]", "USD"))
         self.origins = link_origins(obj.tree)
         self.files: list[Path] = []
         self.looks: dict[tuple[Any, ...], Any] = {}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 from dataclasses import replace
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -31,8 +30,7 @@ def read_dae(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
         InputFileError: where it is no such file, damaged, or has no triangles.
         ConfigurationError: where pycollada isn't installed.
     """
-    require("collada", "artiworld[scans]")
-    collada: Any = import_module("collada")
+    collada = require("collada", "artiworld[scans]")
     data = read_bytes(path, max_bytes)
     if b"<!DOCTYPE" in data[:4096] or b"<!ENTITY" in data:
         raise InputFileError(path, "declares XML entities, which are not read", "export it again")

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from importlib import import_module
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -22,8 +20,7 @@ def read_e57(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
         InputFileError: where it is no such file, damaged, or has no points.
         ConfigurationError: where pye57 isn't installed.
     """
-    require("pye57", "artiworld[scans]")
-    pye57: Any = import_module("pye57")
+    pye57 = require("pye57", "artiworld[scans]")
     if size_of(path) > max_bytes:
         raise InputFileError(path, "is over the limit of bytes", "thin the scan first")
     points: list[np.ndarray] = []

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import io
 import struct
-from importlib import import_module
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -22,8 +20,7 @@ def read_las(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
         InputFileError: where it is no such file, damaged, or has no points.
         ConfigurationError: where laspy isn't installed.
     """
-    require("laspy", "artiworld[scans]")
-    laspy: Any = import_module("laspy")
+    laspy = require("laspy", "artiworld[scans]")
     data = read_bytes(path, max_bytes)
     if not data.startswith(b"LASF"):
         raise InputFileError(path, "is not a LAS file", "a LAS or LAZ file begins with 'LASF'")

@@ -1,7 +1,7 @@
 """PCD (Point Cloud Library): ascii, binary and binary_compressed.
 
-trimesh 5.2 has no reader. open3d 0.20 returns no points and no error for a file that is cut off, and
-drops colours in columns r, g and b.
+trimesh 5.2 has no reader. open3d 0.20 returns no points and no error for a file that is cut off,
+and drops colours in columns r, g and b.
 """
 
 from __future__ import annotations

@@ -8,8 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from importlib import import_module
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +15,8 @@ import numpy as np
 import numpy.typing as npt
 from trimesh import creation
 
-from model.core.errors import ConfigurationError, InputFileError
-from model.core.installing import install_command
+from model.core.errors import InputFileError
+from model.core.installing import require
 from model.core.mesh import Material
 from model.io.formats.loaded import (
     DEFAULT_MAX_BYTES,
@@ -70,11 +68,9 @@ class UsdStage:
     """An open stage with pxr's modules; geometry comes out in metres, +z up."""
 
     def __init__(self, path: Path) -> None:
-        if find_spec("pxr") is None:
-            how = install_command("artiworld[usd]")
-            raise ConfigurationError(f"USD needs the package usd-core: {how}")
         self.usd, self.geom, self.shade, tf = (
-            import_module(f"pxr.{n}") for n in ("Usd", "UsdGeom", "UsdShade", "Tf")
+            require(f"pxr.{n}", "artiworld[usd]", "USD")
+            for n in ("Usd", "UsdGeom", "UsdShade", "Tf")
         )
         if not path.is_file():
             raise InputFileError(path, "no such file", "check the path")

@@ -9,17 +9,15 @@ import math
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from importlib import import_module
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from model.core.errors import ConfigurationError, InputFileError, KinematicsError
+from model.core.errors import InputFileError, KinematicsError
 from model.core.inertial import Inertial, inertial_problems
-from model.core.installing import install_command
+from model.core.installing import require
 from model.core.joint import DeclaredDynamics, Joint, Mimic
 from model.core.mesh import Mesh
 from model.core.tree import KinematicTree
@@ -84,12 +82,7 @@ def need_mujoco() -> Any:
     Raises:
         ConfigurationError: where it isn't installed.
     """
-    if find_spec("mujoco") is None:
-        raise ConfigurationError(
-            "MJCF is read through MuJoCo, which isn't installed; "
-            f"{install_command('artiworld[physics]')}"
-        )
-    return import_module("mujoco")
+    return require("mujoco", "artiworld[physics]", "MJCF")
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from torch.nn import functional
 
 from model.core.checkpoints import strict_load
 from model.core.errors import ConfigurationError, InputFileError
-from model.core.installing import install_command
+from model.core.installing import require
 from model.prediction.arti4urdf.checkpoints import (
     from_config,
     load_checkpoint,
@@ -335,13 +335,9 @@ def _grow_vocabulary(language_model: Any, known: int, size: int) -> None:
 
 
 def _with_lora(language_model: Any, settings: LoraSettings, tokenizer: Tokenizer) -> Any:
-    try:
-        from peft import LoraConfig, get_peft_model
-    except ImportError as error:
-        how = install_command("artiworld[train]")
-        raise ConfigurationError(f"LoRA needs peft: {how}") from error
+    peft = require("peft", "artiworld[train]", "LoRA")
     new_words = [i for t in SPECIAL_TOKENS if (i := tokenizer.token_to_id(t)) is not None]
-    config = LoraConfig(
+    config = peft.LoraConfig(
         r=settings.rank,
         lora_alpha=settings.alpha,
         lora_dropout=settings.dropout,
@@ -350,4 +346,4 @@ def _with_lora(language_model: Any, settings: LoraSettings, tokenizer: Tokenizer
         trainable_token_indices=new_words,
         task_type="CAUSAL_LM",
     )
-    return get_peft_model(language_model, config)
+    return peft.get_peft_model(language_model, config)

@@ -12,8 +12,7 @@ import torch
 from tokenizers import Tokenizer
 from torch import Tensor
 
-from model.core.errors import ConfigurationError
-from model.core.installing import install_command
+from model.core.installing import require
 from model.core.progress import Progress, no_progress
 from model.prediction.arti4urdf.language_model import Decoder
 from model.prediction.arti4urdf.text_script import AnswerScript
@@ -105,13 +104,9 @@ class VllmEngine:
     """
 
     def __init__(self, folder: Path, end: int) -> None:
-        try:
-            from vllm import LLM, SamplingParams  # type: ignore[import-not-found]
-        except ImportError as error:
-            how = install_command("vllm")
-            raise ConfigurationError(f"the engine vllm needs vLLM: {how}") from error
-        self._sampling, self._end = SamplingParams, end
-        self._model = LLM(model=str(folder), enable_prompt_embeds=True, dtype="bfloat16")
+        vllm = require("vllm", "vllm", "the engine vllm")
+        self._sampling, self._end = vllm.SamplingParams, end
+        self._model = vllm.LLM(model=str(folder), enable_prompt_embeds=True, dtype="bfloat16")
 
     def generate(
         self, prompt: Tensor, *, max_tokens: int, progress: Progress = no_progress

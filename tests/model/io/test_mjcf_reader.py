@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from pathlib import Path
 
 import mujoco
@@ -19,7 +20,6 @@ from model.io.assets.reader import load_object
 from model.io.export.mjcf import MjcfExporter
 from model.io.export.registry import write_object
 from model.io.find_assets import find_assets
-from model.io.mjcf import reader as mjcf_reader
 from model.io.open_asset import open_asset
 from model.physics.simulation_values import physics_of
 from tests.model.demos import demo_object
@@ -278,6 +278,6 @@ def test_other_xml_and_doctypes_are_none(tmp_path: Path) -> None:
 def test_without_mujoco_the_line_that_installs_it_is_told(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(mjcf_reader, "find_spec", lambda name: None)
+    monkeypatch.setitem(sys.modules, "mujoco", None)
     with pytest.raises(ConfigurationError, match=r"install 'artiworld\[physics\]'"):
         opened(tmp_path, f"<worldbody>{BOX}</worldbody>")
