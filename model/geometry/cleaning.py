@@ -95,7 +95,8 @@ def _classified(points: Points, support: float | None) -> Kinds:
 def _belonging(points: Points, piece: npt.NDArray[np.int32], count: Index, large: Index) -> Index:
     """The main piece and those within its outline, seen from above."""
     low, high = np.percentile(points[np.isin(piece, large)][:, :2], [1, 99], axis=0)
-    middle, width = (low + high) / 2, float(np.linalg.norm(high - low))
+    # People scan around the object: the middle of all points is near it, whatever stands beside it.
+    middle, width = np.median(points[:, :2], axis=0), float(np.linalg.norm(high - low))
     centers = np.stack([points[piece == k][:, :2].mean(0) for k in large])
     central = np.exp(-np.linalg.norm(centers - middle, axis=1) / max(0.5 * width, 1e-12))
     main = large[(count[large] * central).argmax()]

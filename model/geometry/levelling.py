@@ -194,8 +194,12 @@ def describe(points: Array, normals: Array, up: Array) -> Described:
             float(np.log((top + 0.01) / (bottom + 0.01))), float(np.log(extent / max(width, 1e-9))),
         ]
     )  # fmt: skip
-    supported = below < 0.03 and reach > 0.2 and on.mean() > 0.04
-    return Described(features, float(at) if supported else None, on)
+    support = float(np.median(height[on])) if on.any() else at
+    # A slab whose underside is seen too is part of the object: a laptop's base under its screen.
+    scatter = float(np.median(np.abs(height[on] - support))) if on.any() else 0.0
+    slab = float((height < support - 6 * scatter - 1e-3 * size).mean()) > 0.1
+    supported = below < 0.03 and reach > 0.1 and on.mean() > 0.04 and not slab
+    return Described(features, support if supported else None, on)
 
 
 def _stand(flat: Array, foot: npt.NDArray[np.bool_]) -> tuple[float, float]:
