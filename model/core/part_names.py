@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import lru_cache
 
 from model.core.motion_lexicon import (
@@ -83,18 +83,8 @@ def mechanism_of(name: str | None, category: str | None) -> tuple[Mechanism | No
     found = words(name)
     if not found:
         return None, ""
-    key = category_key(category)
-    special = CATEGORY_WORDS.get(key, {})
-    mechanism: Mechanism | None = None
-    said = ""
     # The last word is the noun: a "drawer handle" is a handle.
-    for word in reversed(found):
-        if (hit := known_word(word, tuple(special))) is not None:
-            mechanism, said = special[hit], hit
-        elif (hit := known_word(word, tuple(WORDS))) is not None:
-            mechanism, said = WORDS[hit], hit
-        if mechanism is not None:
-            break
+    mechanism, said = next(_mechanisms(found, category), (None, ""))
     if mechanism is None:
         return None, ""
     if any(w in TURN_PREFIX for w in found):
@@ -106,6 +96,26 @@ def mechanism_of(name: str | None, category: str | None) -> tuple[Mechanism | No
     if "toggle" in found or "rocker" in found:
         mechanism = "toggle"
     return mechanism, said
+
+
+def mechanisms_of(name: str | None, category: str | None) -> tuple[Mechanism, ...]:
+    """The different mechanisms that the words of a name imply, the last word's first: those of a
+    "drawer door" are of a door and of a drawer. Words such as "sliding" leave only one."""
+    found = words(name)
+    if any(w in TURN_PREFIX | SLIDE_PREFIX | PRESS_PREFIX | {"toggle", "rocker"} for w in found):
+        only, _ = mechanism_of(name, category)
+        return () if only is None else (only,)
+    return tuple(dict.fromkeys(m for m, _ in _mechanisms(found, category)))
+
+
+def _mechanisms(found: Sequence[str], category: str | None) -> Iterator[tuple[Mechanism, str]]:
+    """The mechanism of each known word, and that word, the last one first."""
+    special = CATEGORY_WORDS.get(category_key(category), {})
+    for word in reversed(found):
+        for table in (special, WORDS):
+            if (hit := known_word(word, tuple(table))) is not None:
+                yield table[hit], hit
+                break
 
 
 def base_score(name: str | None, category: str | None) -> float:

@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 
 from model.core.motion_lexicon import CATEGORY_MOTIONS, TURN_PREFIX, Mechanism
-from model.core.part_names import mechanism_of
+from model.core.part_names import mechanism_of, mechanisms_of
 from model.prediction.geometric.context import Assembly, PartContext
 from model.prediction.geometric.motion_scores import Scores, motion_scores, passes_sibling
 from model.prediction.geometric.part_features import PartFeatures, measure_features
@@ -76,6 +76,11 @@ def mechanism_scores(
 def named_mechanism(part: PartContext) -> Mechanism | None:
     """The mechanism that a part's name implies; its shape decides if the name is ambiguous."""
     named, _ = mechanism_of(part.shape.name, part.sampled.category)
+    several = mechanisms_of(part.shape.name, part.sampled.category)
+    if len(several) > 1:  # people call a drawer's front a "drawer door": its shape decides
+        features = measure_features(part)
+        scores = motion_scores(part, features, {part.part: features})
+        named = max(several, key=lambda m: scores.get(m, -np.inf))
     turns = any(w in TURN_PREFIX for w in part.words)
     if named == "hinge" and not turns and passes_sibling(part):
         return "slide_along"  # sashes and doors that slide past each other

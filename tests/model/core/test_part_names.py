@@ -5,7 +5,14 @@ from __future__ import annotations
 import pytest
 
 from model.core.motion_lexicon import CATEGORY_WORDS, MECHANISMS, SLIDING, TURNING, WORDS
-from model.core.part_names import base_score, category_key, category_remark, mechanism_of, words
+from model.core.part_names import (
+    base_score,
+    category_key,
+    category_remark,
+    mechanism_of,
+    mechanisms_of,
+    words,
+)
 from model.prediction.geometric.mechanisms import BUILDERS
 
 
@@ -41,6 +48,21 @@ from model.prediction.geometric.mechanisms import BUILDERS
 )
 def test_mechanism(name, category, expected) -> None:
     assert mechanism_of(name, category)[0] == expected
+
+
+@pytest.mark.parametrize(
+    ("name", "category", "expected"),
+    [
+        ("drawer door", None, ("hinge", "slide_out")),
+        ("sliding drawer door", None, ("slide_along",)),
+        ("toggle_button", "Switch", ("toggle",)),
+        ("door", None, ("hinge",)),
+        ("upper left", None, ()),
+        (None, None, ()),
+    ],
+)
+def test_all_words_of_a_name_are_heard(name, category, expected) -> None:
+    assert mechanisms_of(name, category) == expected
 
 
 def test_the_base_is_told_from_what_moves() -> None:

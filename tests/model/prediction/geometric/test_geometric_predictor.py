@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -23,6 +24,7 @@ from model.prediction.geometric.predictor import GeometricPredictor
 from model.prediction.protocol import Predictor
 from model.prediction.registry import load_predictor
 from tests.model.prediction.geometric.archetypes import THINGS, cabinet
+from tests.model.validation.cabinets import cabinet as wooden_cabinet
 
 PREDICTOR = GeometricPredictor()
 
@@ -365,3 +367,12 @@ def test_a_lever_under_a_seat_is_held_at_its_inner_end(name: str, seed: int) -> 
     expected = truth.object.tree.joint_of[lever]
     assert found is not None and found.rotates
     assert np.allclose(found.origin, expected.origin, atol=0.02)
+
+
+@pytest.mark.parametrize("part, expected", [("link_2", "prismatic"), ("link_1", "revolute")])
+def test_the_shape_decides_between_the_words_of_a_name(part: str, expected: str) -> None:
+    """People call a drawer's front a "drawer door"."""
+    obj = wooden_cabinet()
+    parts = tuple(replace(p, name="drawer door" if p.link == part else None) for p in obj.parts)
+    tree = PREDICTOR.predict(SegmentedObject("cabinet", parts)).tree
+    assert tree is not None and tree.joint_of[part].type == expected
