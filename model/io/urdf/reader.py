@@ -418,11 +418,15 @@ class _Reader:
 
     def _resolve(self, filename: str, where: str) -> Path | None:
         """``filename`` inside the allowed folder, or None with a problem noted."""
-        try:
-            return resolve_mesh(filename, self.path.parent, self.root)
-        except ReferenceRefused as error:
-            self.problems.append(f"{where}: mesh {error}")
-            return None
+        refused: ReferenceRefused | None = None
+        # Data sets of symbolic links: beside where the URDF really lies, too.
+        for root in dict.fromkeys((self.root, self.path.resolve().parent)):
+            try:
+                return resolve_mesh(filename, self.path.parent, root)
+            except ReferenceRefused as error:
+                refused = refused or error
+        self.problems.append(f"{where}: mesh {refused}")
+        return None
 
     def _texture(self, material: Element | None, where: str) -> Material | None:
         """The material of a ``<texture>``, by its own element or by name; None without one."""

@@ -278,6 +278,23 @@ def test_a_symbolic_link_cannot_leave_the_folder(tmp_path):
     assert "outside" in problem(path)
 
 
+def test_data_sets_of_symbolic_links_open(tmp_path):
+    """Each file, or its folder, is a link to where it lies."""
+    there = tmp_path / "there"
+    (there / "meshes").mkdir(parents=True)
+    (there / "meshes" / "a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    (there / "robot.urdf").write_text(robot(links("a", geometry='<mesh filename="meshes/a.obj"/>')))
+    (tmp_path / "by folder").symlink_to(there)
+    (tmp_path / "by file" / "meshes").mkdir(parents=True)
+    for name in ("robot.urdf", "meshes/a.obj"):
+        (tmp_path / "by file" / name).symlink_to(there / name)
+    for folder in ("by folder", "by file"):
+        path = tmp_path / folder / "robot.urdf"
+        for root in (None, tmp_path / folder, tmp_path / "by file"):
+            (visual,) = read_urdf_model(path, root=root).by_link["a"]
+            assert visual.file is not None and visual.file.is_file(), (folder, root)
+
+
 def test_a_missing_mesh_is_named(write):
     message_of = write(robot(links("link_7", geometry='<mesh filename="gone.obj"/>')))
     with pytest.raises(InputFileError, match=r"gone\.obj.*link_7"):
