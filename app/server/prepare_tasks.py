@@ -26,6 +26,8 @@ from model.geometry.strokes import Stroke
 Array = npt.NDArray[np.float64]
 Vector = tuple[float, float, float]
 
+_SAMPLE = 100_000
+"""Points that outlines are measured on."""
 _ROOM_SHARE = 0.5
 """Of the floor, that the walls' outline covers at least."""
 _proposals: LruCache[tuple[Path, Vector | None], PrepareProposal] = LruCache(4)
@@ -91,8 +93,9 @@ def _found(folder: Path, up: Vector | None, progress: Progress) -> PreparePropos
 
 def _is_room(points: Array, found: PrepareProposal) -> bool:
     """Whether what stands on the floor is as wide as a room, and as the floor."""
-    flat = (points @ found.object_from_source[:3, :3].T)[:, :2]
-    stands = found.kinds == OBJECT
+    every = max(len(points) // _SAMPLE, 1)
+    flat = (points[::every] @ found.object_from_source[:3, :3].T)[:, :2]
+    stands = found.kinds[::every] == OBJECT
     if not stands.any():
         return False
     whole, object_ = (

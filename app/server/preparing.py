@@ -122,10 +122,11 @@ class Preparing:
         level = found.levelling
         if level.tilt < TILT:
             return 0.0
-        if level.askew:
-            return level.tilt if level.confidence >= SURE else 0.0
         supported = level.support is not None and self._share(OBJECT) > _LEAST_OBJECT
-        sure = supported and level.confidence >= _VERY_SURE and self._along_an_axis
+        if level.askew:  # slanted lamps are, too: a format that declares its axis is trusted more
+            sure = level.confidence >= SURE and (supported or not declares_up(asset.path))
+        else:
+            sure = level.confidence >= _VERY_SURE and supported and self._along_an_axis
         return level.tilt if sure else 0.0
 
     @property

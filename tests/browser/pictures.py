@@ -26,6 +26,7 @@ from model.core.resources import static_assets
 from sessions import commands as cmd
 from tests.browser.browsing import CHROMIUM_FLAGS, SceneTab, Tab, find_chromium, wait_until
 from tests.browser.film import Film
+from tests.raw_scans import raw_scan
 
 EXAMPLES = static_assets() / "examples"
 SIZE = (1400, 850)
@@ -219,6 +220,20 @@ def oven(taking: Taking) -> None:
         lasso(taking, tab)
 
 
+def prepare(taking: Taking) -> None:
+    """The bundled oven on a table, as it comes, shown levelled with the table in grey."""
+    if not taking.wanted("prepare"):
+        return
+    scan = Path(tempfile.mkdtemp()) / "oven.ply"
+    raw_scan(scan, seed=3, scale=1.0)
+    tab = taking.open(scan)
+    wait_until(lambda: tab.selection.step == "Prepare", "a tilted scan is noticed", LONG)
+    tab.camera_at_rest()
+    away(tab)
+    free_of_notes(tab)
+    taking.take(tab, "prepare")
+
+
 def rectangle(taking: Taking, tab: Tab) -> None:
     """Two corners of the oven's door, the second still under the pointer."""
     for armed in ("cut", "rectangle"):
@@ -339,8 +354,8 @@ def demo(taking: Taking) -> None:
 
 
 NAMES = ("demo", "all_parts", "joints", "review", "preview", "rectangle", "same_shape", "annotate",
-         "lasso", "scene")  # fmt: skip
-PLAYS: tuple[Callable[[Taking], None], ...] = (demo, cabinet, oven, scene)
+         "lasso", "scene", "prepare")  # fmt: skip
+PLAYS: tuple[Callable[[Taking], None], ...] = (demo, cabinet, oven, scene, prepare)
 
 
 def main() -> None:

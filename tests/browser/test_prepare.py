@@ -11,7 +11,7 @@ import pytest
 from tests.browser.browsing import Tab, wait_until
 from tests.raw_scans import raw_scan
 
-pytestmark = [pytest.mark.browser, pytest.mark.flaky(reruns=2, reruns_delay=2)]
+pytestmark = pytest.mark.browser
 
 
 def up_error(tab: Tab, source_from_object: np.ndarray) -> float:
@@ -93,7 +93,10 @@ def test_up_by_floor_and_size_by_length(start: Any, open_tab: Any, tmp_path: Pat
     for place in ((-0.6, -0.6), (0.6, -0.6), (0.0, 0.7)):
         tab.click3d(corner(*place))
         tab.page.wait_for_timeout(300)
-    wait_until(lambda: tab.object.preparing.current.up is not None, "levelled by the floor")
+    wait_until(
+        lambda: getattr(tab.object.preparing.current, "up", None) is not None,
+        "levelled by the floor",
+    )
     tab.key("m")
     wait_until(lambda: tab.app.pointing.armed == "length", "a length is asked for")
     for place in ((-0.6, -0.6), (0.6, -0.6)):

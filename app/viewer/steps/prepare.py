@@ -445,7 +445,7 @@ class PrepareStep:
         self, obj: OpenObject, doc: Document, found: ScanProposal | None, marks: Marks
     ) -> list[str]:
         if found is None:
-            return [words.LOOKING if "prepare" in obj.busy else words.NOT_FOUND]
+            return [words.SEARCHING if "prepare" in obj.busy else words.NOT_FOUND]
         lines = [] if not (doc.prompts or doc.tree) else [words.DISCARDS]
         odd = None if obj.asset is None else odd_size(obj.asset.bounds, obj.asset.unit_scale)
         if odd is not None:

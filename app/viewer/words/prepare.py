@@ -17,9 +17,9 @@ CONTINUE: Final = "Annotate (Enter)"
 
 # --- what was found
 
-LOOKING: Final = "*Finding floor and orientation…*"
+SEARCHING: Final = "*Finding floor and orientation…*"
 NOT_FOUND: Final = "**Auto** finds floor and orientation."
-UPRIGHT: Final = "**Upright.** Nothing to remove."
+UPRIGHT: Final = "**Upright,** nothing to remove."
 GIVEN: Final = "**Shown in another direction.**"
 DOUBTFUL: Final = "**Maybe not upright;** the up direction is uncertain."
 DISCARDS: Final = "⚠ Changes here discard parts and joints; undo restores them."

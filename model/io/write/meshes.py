@@ -56,7 +56,7 @@ def write_mesh(mesh: Mesh, path: str | Path) -> tuple[Path, ...]:
 
 
 def write_cloud(cloud: PointCloud, path: str | Path) -> tuple[Path, ...]:
-    """Write ``cloud`` as a binary PLY with its normals and colours.
+    """Write ``cloud`` as a binary PLY with its normals, colours and confidences.
 
     Raises:
         ConfigurationError: for another suffix than .ply.
@@ -72,6 +72,8 @@ def write_cloud(cloud: PointCloud, path: str | Path) -> tuple[Path, ...]:
         columns += [(f"n{name}", "f4", cloud.normals[:, k]) for k, name in enumerate("xyz")]
     if cloud.colors is not None:
         columns += _color_columns(cloud.colors)
+    if cloud.confidence is not None:
+        columns.append(("confidence", "f4", cloud.confidence))
     return _write(path, _ply_header(len(cloud), columns, None) + _rows(columns))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 import trimesh
 from PIL import Image
 
-from model.core.errors import ConfigurationError
+from model.core.errors import ConfigurationError, InputFileError
 from model.core.mesh import Mesh
 from model.core.point_cloud import PointCloud
 from model.core.surface_maps import SurfaceMaps
@@ -44,6 +45,31 @@ def test_ply_clouds_in_every_encoding(tmp_path: Path, cloud: PointCloud, style: 
     np.testing.assert_array_equal(got.points, cloud.points)
     np.testing.assert_array_equal(got.colors, cloud.colors)
     np.testing.assert_allclose(got.normals, cloud.normals, atol=1e-6)
+
+
+def test_confidences_of_points_are_read(tmp_path: Path, rng: np.random.Generator) -> None:
+    """A scanner's field, a splat's opacity (a logit), and the maps of a reconstruction network."""
+    xyz, logits = rng.random((40, 3)), rng.normal(0, 3, 40)
+    names = ("x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity")
+    head = "ply\nformat ascii 1.0\nelement vertex 40\n"
+    for fields, column in ((names, logits), (("x", "y", "z", "confidence"), np.abs(logits))):
+        colors = np.zeros((40, len(fields) - 4))
+        rows = np.column_stack([xyz, colors, column])
+        text = "".join(f"property float {n}\n" for n in fields) + "end_header\n"
+        body = "\n".join(" ".join(f"{v:.9g}" for v in row) for row in rows)
+        (tmp_path / "scan.ply").write_text(head + text + body)
+        got = open_asset(tmp_path / "scan.ply").cloud
+        assert got is not None and got.confidence is not None
+        wanted = 1 / (1 + np.exp(-logits)) if "opacity" in fields else column
+        np.testing.assert_allclose(got.confidence, wanted, rtol=1e-5)
+        some = got.take(np.array([3, 5])).confidence
+        assert some is not None and some[1] == got.confidence[5]
+    maps = {"points": xyz.reshape(2, 4, 5, 3), "conf": np.abs(logits).reshape(2, 4, 5)}
+    np.savez(tmp_path / "maps.npz", colors=xyz.reshape(2, 4, 5, 3), **maps)
+    got = open_asset(tmp_path / "maps.npz").cloud
+    assert got is not None and got.confidence is not None and got.colors is not None
+    np.testing.assert_allclose(got.points, xyz, atol=1e-6)
+    np.testing.assert_allclose(got.confidence, np.abs(logits), rtol=1e-6)
 
 
 def test_ply_polygons_of_different_sizes_ascii_and_binary(tmp_path: Path) -> None:
@@ -362,3 +388,25 @@ def test_gaussian_splats_and_float_colours(tmp_path: Path) -> None:
     got = open_asset(tmp_path / "s.ply").cloud
     assert got is not None and got.colors is not None
     np.testing.assert_allclose(got.colors[0].astype(int), [255, 128, 0], atol=1)
+
+
+def star(corners: int) -> str:
+    """An OBJ with one concave face, a zigzag ring of area 0.75 · corners · sin(2 π / corners)."""
+    turn = 2 * np.pi * np.arange(corners) / corners
+    radius = 1 + 0.5 * (np.arange(corners) % 2)
+    points = np.stack([radius * np.cos(turn), radius * np.sin(turn), 0 * turn], 1)
+    lines = [f"v {x:.9f} {y:.9f} {z:.9f}" for x, y, z in points]
+    return "\n".join([*lines, "f " + " ".join(map(str, range(1, corners + 1)))])
+
+
+def test_a_concave_face_of_many_corners_is_triangulated_or_refused_at_once(tmp_path: Path) -> None:
+    path = tmp_path / "star.obj"
+    path.write_text(star(8000))
+    begun = time.process_time()
+    mesh = open_asset(path, up_axis="z").mesh
+    assert mesh is not None and mesh.face_areas.sum() == pytest.approx(1.5 * np.pi, rel=1e-5)
+    assert (mesh.face_normals[:, 2] > 0).all()
+    path.write_text(star(100_000))
+    with pytest.raises(InputFileError, match=r"star\.obj: 1 concave face with up to 100,000"):
+        open_asset(path, up_axis="z")
+    assert time.process_time() - begun < 3  # it was 5.8 s for the first one alone
