@@ -41,7 +41,12 @@ class AppState:
         self.acceptances = PendingAcceptances(
             store, self.hub, Path(config.workspace), self._queue_changed
         )
-        self.queue = ObjectQueue(store, paths, self.acceptances.__contains__)
+        self.queue = ObjectQueue(
+            store,
+            paths,
+            self.acceptances.__contains__,
+            None if config.scene is not None else Path(config.workspace),
+        )
         self.scene: SceneWorkspace | None = None
         self.review_order = ReviewOrder(lambda i: store.load(i).present)
         self._services = Services(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -20,13 +21,20 @@ class ObjectQueue:
 
     Args:
         pending: whether an object has a pending acceptance, by id.
+        workspace: whose objects of earlier runs are queued, too; None for none.
 
     Attributes:
         unreadable: objects whose file can't be opened, or couldn't be read at the last opening.
         removed: objects of this run that were removed from the queue, the last one last.
     """
 
-    def __init__(self, store: Store, paths: list[Path], pending: Callable[[int], bool]) -> None:
+    def __init__(
+        self,
+        store: Store,
+        paths: list[Path],
+        pending: Callable[[int], bool],
+        workspace: Path | None = None,
+    ) -> None:
         self._store, self._pending = store, pending
         self._lock = threading.RLock()
         self._listeners: list[Listener] = []
@@ -35,6 +43,8 @@ class ObjectQueue:
         self.unreadable: frozenset[int] = frozenset()
         self.removed: tuple[int, ...] = ()
         self._enter(paths)
+        if workspace is not None:
+            self._enter([r.path for r in store.objects() if _kept(r, workspace)])
         self._leave_out_removed()
 
     def records(self) -> list[ObjectRecord]:
@@ -157,6 +167,16 @@ class ObjectQueue:
         """Tell all tabs that the queue changed."""
         for listener in list(self._listeners):
             listener()
+
+
+def _kept(record: ObjectRecord, workspace: Path) -> bool:
+    """Whether somebody uploaded an object, cut it out or decided about it, and it is there."""
+    folder = Path(os.path.abspath(workspace))
+    if record.path.is_relative_to(folder):  # the rest there belongs to scenes
+        wanted = record.path.relative_to(folder).parts[:1] in (("uploads",), ("crops",))
+    else:
+        wanted = record.prompts > 0 or record.state != "todo"
+    return wanted and record.path.exists()
 
 
 def _stamp(path: Path) -> str:

@@ -92,6 +92,22 @@ def test_what_cannot_be_read_is_taken_off_the_queue_and_put_back(begin_app, tmp_
         app_state.queue.restore()
 
 
+def test_what_was_given_or_decided_is_there_after_a_restart(begin_app, tmp_path: Path) -> None:
+    good, other, new = (tmp_path / f"{name}.ply" for name in ("good", "other", "new"))
+    for path in (good, other, new):
+        GOOD.export(path)
+    app_state = begin_app(good, other)
+    decided, untouched = (r.id for r in app_state.queue.records())
+    app_state.store.append(decided, cmd.AddClick(Click((0, 0, 0), 1)), who="ann", expected_seq=0)
+    uploaded = app_state.add_upload("mine.ply", good.read_bytes())
+    app_state.close()
+    later = begin_app(new)
+    (first, *rest) = [r.id for r in later.queue.records()]
+    assert rest == [decided, uploaded] and first not in (decided, uploaded, untouched)
+    (tmp_path / "good.ply").unlink()
+    assert [r.id for r in begin_app(new).queue.records()] == [first, uploaded]
+
+
 def test_what_was_taken_off_stays_off_at_the_next_start(begin_app, tmp_path: Path) -> None:
     good, *bad = (tmp_path / f"{name}.ply" for name in ("good", "one", "two"))
     GOOD.export(good)
