@@ -23,6 +23,15 @@ CHROMIUM_FLAGS = (
 )
 COARSE = "/?fixedDpr=0.2"
 """viser draws a fifth of the pixels each way, places stay what they are: there is no GPU here."""
+FEWER_FRAMES = """(() => {
+  const frame = window.requestAnimationFrame.bind(window), cancelled = new Set();
+  window.requestAnimationFrame = (draw) => {
+    const id = setTimeout(() => frame((t) => cancelled.delete(id) || draw(t)), 70);
+    return id;
+  };
+  window.cancelAnimationFrame = (id) => { clearTimeout(id); cancelled.add(id); };
+})()"""
+"""viser draws as often as it can, which takes a whole core without a GPU."""
 PAGE_TIMEOUT = 300_000
 """Milliseconds that the page may take for anything; it draws in software on busy cores."""
 

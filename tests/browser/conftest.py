@@ -10,7 +10,14 @@ import numpy as np
 import pytest
 
 from tests.app.shared_workers import shared_workers
-from tests.browser.browsing import CHROMIUM_FLAGS, COARSE, PAGE_TIMEOUT, Tab, find_chromium
+from tests.browser.browsing import (
+    CHROMIUM_FLAGS,
+    COARSE,
+    FEWER_FRAMES,
+    PAGE_TIMEOUT,
+    Tab,
+    find_chromium,
+)
 from tests.browser.objects import write_cabinet
 
 
@@ -75,6 +82,7 @@ def open_tab(browser: Any) -> Iterator[Callable[..., Tab]]:
     ) -> Tab:
         contexts.append(browser.new_context(viewport={"width": width, "height": height}, **context))
         contexts[-1].set_default_timeout(PAGE_TIMEOUT)
+        contexts[-1].add_init_script(FEWER_FRAMES)
         page = contexts[-1].new_page()
         page.goto(f"{server.url}{COARSE}")
         return kind(page, server).ready()
