@@ -9,6 +9,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from model.core.errors import CommandError
+from model.core.rotations import affine
 from model.geometry.splitting import Plane
 from model.segmentation.prompts import BASE
 from sessions.checks import (
@@ -140,10 +141,7 @@ class ObjectFrame:
     def object_from_read(self) -> npt.NDArray[np.float64]:
         """(4, 4) from the source as it was read."""
         w, x, y, z = self.wxyz
-        out = np.eye(4)
-        out[:3, :3] = self.scale * Rotation.from_quat([x, y, z, w]).as_matrix()
-        out[:3, 3] = self.position
-        return out
+        return affine(self.scale * Rotation.from_quat([x, y, z, w]).as_matrix(), self.position)
 
     def then(self, matrix: npt.NDArray[np.float64]) -> ObjectFrame:
         """The frame after a further (4, 4) rotation, uniform scale and shift of the object."""

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-import platform
 from dataclasses import asdict, replace
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +13,7 @@ from app.cli.output import check_output, other_files_error
 from model.core.articulated_object import ArticulatedObject, Prediction, SegmentedObject, remarks_of
 from model.core.asset import Asset, UpAxis
 from model.core.files import write_json
+from model.core.installing import installed_versions
 from model.core.joint import Joint
 from model.core.part_names import category_remark
 from model.core.point_cloud import PointCloud
@@ -92,7 +91,7 @@ def predict(
     report["collision_from_source"] = list(physics.declared_shapes)
     progress(0.8, f"writing {out}")
     provenance = {"source": str(folder), "predictor": report["backend"], "seed": seed}
-    provenance["versions"] = versions()
+    provenance["versions"] = installed_versions("artiworld", "numpy", "scipy")
     (out / PREDICTION_JSON).unlink(missing_ok=True)  # of a failed run
     write_asset(
         obj, out.absolute(), provenance=provenance, physics=physics,
@@ -187,14 +186,3 @@ def _same_joint(predicted: dict[str, Any], joint: Joint | None) -> bool:
     return len(numbers) == len(have) and all(
         abs(a - b) < URDF_PRECISION for a, b in zip(numbers, have, strict=True)
     )
-
-
-def versions() -> dict[str, str]:
-    """Versions that a result depends on."""
-    out = {"python": platform.python_version()}
-    for name in ("artiworld", "numpy", "scipy"):
-        try:
-            out[name] = version(name)
-        except PackageNotFoundError:
-            continue
-    return out

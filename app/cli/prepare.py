@@ -10,6 +10,7 @@ import numpy as np
 from app.cli.output import check_output
 from model.core.files import write_json
 from model.core.progress import Progress, no_progress, scaled_progress
+from model.core.rotations import affine
 from model.geometry.prepare import Prepared, PrepareSettings, prepare
 from model.io.open_asset import open_asset
 from model.io.write.glb import mesh_to_glb
@@ -66,6 +67,5 @@ def prepare_files(
 
 def _from_file(found: Prepared, shift: tuple[float, float, float]) -> list[list[float]]:
     """(4, 4) object_from_source of the file's own numbers, row by row."""
-    taken = np.eye(4)
-    taken[:3, 3] = -np.asarray(shift)
+    taken = affine(shift=-np.asarray(shift))
     return (found.object_from_source @ taken).tolist()

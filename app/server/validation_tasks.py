@@ -6,12 +6,12 @@ import hashlib
 import json
 from contextlib import suppress
 from functools import cache
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from app.server.part_tasks import PartSource, articulated_object
 from model.core import codec
 from model.core.files import draft_of
+from model.core.installing import installed_versions
 from model.core.progress import Progress, no_progress
 from model.core.resources import static_assets
 from model.core.tree import KinematicTree
@@ -63,9 +63,6 @@ def validation_version(root: Path = PACKAGES) -> str:
         for path in sorted((root / "model" / package).rglob("*.py")):
             digest.update(f"{path.name}\0".encode() + path.read_bytes())
     digest.update((static_assets() / "physics" / "materials.json").read_bytes())
-    for name in ("artiworld", "mujoco", "numpy", "open3d", "scipy"):
-        try:
-            digest.update(f"{name} {version(name)}\0".encode())
-        except PackageNotFoundError:  # MuJoCo is an extra
-            digest.update(f"no {name}\0".encode())
+    versions = installed_versions("artiworld", "mujoco", "numpy", "open3d", "scipy")
+    digest.update(repr(versions).encode())
     return digest.hexdigest()

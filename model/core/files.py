@@ -1,15 +1,33 @@
-"""Files that are written completely or not at all, and the user's errors about them."""
+"""Files that are written completely or not at all, their names and the user's errors."""
 
 from __future__ import annotations
 
+import hashlib
+import itertools
 import json
 import secrets
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from model.core.errors import InputFileError
+
+
+def file_sha256(path: Path) -> str:
+    """SHA-256 of a file's bytes."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def free_name(name: str, taken: Container[str]) -> str:
+    """``name``, or with the first number from 2 on that isn't taken: ``door_2``."""
+    free = name
+    for number in itertools.count(2):
+        if free not in taken:
+            break
+        free = f"{name}_{number}"
+    return free
 
 
 @contextmanager

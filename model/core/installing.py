@@ -1,12 +1,15 @@
-"""The command that installs a missing package here; the shell's pip may be another one."""
+"""Installed packages, and the command that installs a missing one here."""
 
 from __future__ import annotations
 
 import os
+import platform
 import shlex
 import shutil
 import sys
+from contextlib import suppress
 from importlib import import_module
+from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 from model.core.errors import ConfigurationError
@@ -27,6 +30,15 @@ def install_command(*requirements: str) -> str:
         near = os.path.relpath(python)
         start = f"{shlex.quote(python if near.startswith(os.pardir) else near)} -m pip"
     return f"{start} install {' '.join(map(shlex.quote, requirements))}"
+
+
+def installed_versions(*packages: str) -> dict[str, str]:
+    """Versions of Python and of those of ``packages`` that are installed."""
+    out = {"python": platform.python_version()}
+    for package in packages:
+        with suppress(PackageNotFoundError):
+            out[package] = version(package)
+    return out
 
 
 def require(module: str, extra: str, what: str = "this") -> Any:

@@ -1,4 +1,4 @@
-"""Rotations as URDF and SDF write them: roll, pitch, yaw about fixed axes, radians."""
+"""Affine matrices, and rotations as URDF and SDF write them: roll, pitch, yaw, radians."""
 
 from __future__ import annotations
 
@@ -6,6 +6,18 @@ import math
 
 import numpy as np
 import numpy.typing as npt
+
+
+def affine(
+    linear: npt.ArrayLike | None = None, shift: npt.ArrayLike | None = None
+) -> npt.NDArray[np.float64]:
+    """(4, 4) of a (3, 3) linear map and a (3,) shift; the identity's where one is None."""
+    out = np.eye(4)
+    if linear is not None:
+        out[:3, :3] = linear
+    if shift is not None:
+        out[:3, 3] = shift
+    return out
 
 
 def rotation_from_rpy(rpy: npt.ArrayLike) -> npt.NDArray[np.float64]:

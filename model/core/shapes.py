@@ -9,6 +9,8 @@ from typing import Literal, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from model.core.rotations import affine
+
 FloatArray = npt.NDArray[np.float64]
 Kind = Literal["box", "cylinder", "sphere", "capsule"]
 
@@ -254,7 +256,8 @@ def moved_shape(shape: Shape, target_from_shape: FloatArray) -> Shape:
         assert made is not None
         return made
     scale = float(np.cbrt(np.linalg.det(linear)))
-    pose = np.eye(4)
-    pose[:3, :3] = linear / scale @ shape.object_from_shape[:3, :3]
-    pose[:3, 3] = linear @ shape.object_from_shape[:3, 3] + shift
+    pose = affine(
+        linear / scale @ shape.object_from_shape[:3, :3],
+        linear @ shape.object_from_shape[:3, 3] + shift,
+    )
     return Primitive(shape.kind, pose, tuple(scale * size for size in shape.sizes))

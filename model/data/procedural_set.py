@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from model.core.errors import ConfigurationError, InputFileError
-from model.core.rotations import rotation_from_rpy
+from model.core.rotations import affine, rotation_from_rpy
 from model.data.procedural.corruption import FAULTS, corrupted
 from model.data.procedural.generate import OBJ_FROM_OBJECT, family_names, make
 from model.data.procedural.grammar import transformed
@@ -70,8 +70,7 @@ class ProceduralSet:
             raise InputFileError(
                 object_id, "names no procedural object", "write <family>_<seed>_<index>"
             ) from None
-        turn = np.eye(4)
-        turn[:3, :3] = rotation_from_rpy((np.pi / 2, 0, -np.pi / 2)) @ OBJ_FROM_OBJECT
+        turn = affine(rotation_from_rpy((np.pi / 2, 0, -np.pi / 2)) @ OBJ_FROM_OBJECT)
         made = replace(made, object=transformed(made.object, turn))
         if self.fault:
             rng = np.random.default_rng([int(seed), int(index), 11])

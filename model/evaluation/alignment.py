@@ -22,6 +22,7 @@ from scipy.spatial import KDTree
 from model.core.articulated_object import ArticulatedObject, Part
 from model.core.joint import Joint
 from model.core.point_cloud import PointCloud
+from model.core.rotations import affine
 from model.core.tree import KinematicTree
 from model.evaluation.part_matching import sampled_parts
 from model.io.urdf.meshes import moved_mesh
@@ -100,8 +101,7 @@ class Similarity:
 
     def object(self, obj: ArticulatedObject) -> ArticulatedObject:
         """Transform an object: geometry, axes, origins and limits."""
-        matrix = np.eye(4)
-        matrix[:3, :3], matrix[:3, 3] = self.scale * self.rotation, self.shift
+        matrix = affine(self.scale * self.rotation, self.shift)
         parts = tuple(self._part(p, matrix) for p in obj.parts)
         return replace(obj, parts=parts, tree=self.tree(obj.tree))
 

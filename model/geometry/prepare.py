@@ -17,6 +17,7 @@ from model.core.asset import Asset
 from model.core.errors import ConfigurationError, GeometryError
 from model.core.joint import Joint
 from model.core.progress import Progress, no_progress, scaled_progress
+from model.core.rotations import affine
 from model.core.tree import KinematicTree
 from model.geometry.cleaning import KIND_NAMES, OBJECT, Kinds, classify
 from model.geometry.crop import crop
@@ -111,7 +112,7 @@ def propose(
     settings = settings or PrepareSettings()
     progress(0.0, "finding up")
     points, normals, face = _surface(asset)
-    found = _levelling(points, normals, settings.up)
+    found = _levelling(points, normals, settings.up, scaled_progress(progress, 0.0, 0.45))
     progress(0.45, "finding the object")
     rotation = _yaw_aligned(points, _rotation_to_z(np.array(found.up)))
     levelled = points @ rotation.T
@@ -231,9 +232,11 @@ def _face_kinds(
     return kinds
 
 
-def _levelling(centers: Array, normals: Array | None, up: Vector | None) -> Levelling:
+def _levelling(
+    centers: Array, normals: Array | None, up: Vector | None, progress: Progress
+) -> Levelling:
     if up is None:
-        return find_up(centers, normals)
+        return find_up(centers, normals, progress)
     x, y, z = (np.asarray(up, float) / np.linalg.norm(up)).tolist()
     return Levelling((x, y, z), 1.0, supporting_height(centers, normals, np.array([x, y, z])))
 
@@ -252,10 +255,7 @@ def _frame(
         a, b, metres = settings.length
         scale = metres / float(np.linalg.norm(np.subtract(a, b)))
     middle = np.array([*((low + high)[:2] / 2), bottom])
-    frame = np.eye(4)
-    frame[:3, :3] = scale * rotation
-    frame[:3, 3] = -scale * middle
-    return frame
+    return affine(scale * rotation, -scale * middle)
 
 
 def _rotation_to_z(up: Array) -> Array:

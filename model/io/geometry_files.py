@@ -17,8 +17,10 @@ import numpy.typing as npt
 
 from model.core.asset import Asset, Source, UpAxis
 from model.core.errors import ConfigurationError, InputFileError
+from model.core.files import file_sha256
 from model.core.part_names import named_parts
 from model.core.progress import Progress, no_progress
+from model.core.rotations import affine
 from model.io.formats.dae import read_dae
 from model.io.formats.e57 import read_e57
 from model.io.formats.gltf import read_gltf
@@ -86,9 +88,7 @@ def turned_up(up_axis: UpAxis) -> np.ndarray:
     """
     if up_axis not in _WORLD_FROM_SOURCE:
         raise ConfigurationError(f"up axis {up_axis!r} is none of {', '.join(_WORLD_FROM_SOURCE)}")
-    out = np.eye(4)
-    out[:3, :3] = _WORLD_FROM_SOURCE[up_axis]
-    return out
+    return affine(_WORLD_FROM_SOURCE[up_axis])
 
 
 def unknown_type(path: Path, suffixes: Sequence[str]) -> InputFileError:
@@ -165,10 +165,7 @@ def _named_parts(loaded: Loaded) -> tuple[npt.NDArray[np.int32] | None, tuple[st
 
 def file_digest(paths: Sequence[Path]) -> str:
     """SHA-256 of one file's bytes, or of the sorted digests of several files."""
-    digests = []
-    for path in dict.fromkeys(paths):
-        with path.open("rb") as file:
-            digests.append(hashlib.file_digest(file, "sha256").hexdigest())
+    digests = [file_sha256(path) for path in dict.fromkeys(paths)]
     if len(digests) == 1:
         return digests[0]
     return hashlib.sha256("\n".join(sorted(digests)).encode()).hexdigest()

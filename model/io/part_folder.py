@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from model.core.errors import InputFileError
+from model.core.files import free_name
 from model.io.formats.references import ReferenceRefused, resolve
 
 OBJECT_JSON = "object.json"
@@ -150,10 +151,7 @@ def _named(files: list[tuple[Path, str | None]]) -> tuple[PartEntry, ...]:
     out: list[PartEntry] = []
     taken: set[str] = set()
     for path, name in files:
-        stem = link = safe_link(path.stem)
-        number = 2
-        while link in taken:
-            link, number = f"{stem}_{number}", number + 1
+        link = free_name(safe_link(path.stem), taken)
         taken.add(link)
         out.append(PartEntry(path, link, name))
     return tuple(out)

@@ -15,6 +15,7 @@ from model.core.errors import ArtiworldError
 from model.core.inertial import Inertial
 from model.core.part_names import MOST_NAMED
 from model.core.point_cloud import PointCloud
+from model.core.rotations import affine
 from model.core.shapes import Shape, moved_shape
 from model.core.tree import KinematicTree
 from model.data.partnet_mobility import read_partnet_mobility
@@ -236,8 +237,7 @@ def _unshifted(asset: Asset) -> Asset:
     shift = np.asarray(asset.source.shift if asset.source is not None else (0.0, 0.0, 0.0))
     if not shift.any():
         return asset
-    back = np.eye(4)
-    back[:3, 3] = shift
+    back = affine(shift=shift)
     mesh = None if asset.mesh is None else moved_mesh(asset.mesh, back)
     cloud = asset.cloud
     if cloud is not None:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from model.core.errors import InputFileError
+from model.core.files import file_sha256
 from model.io.geometry_files import FOLDER_SUFFIXES
 from model.io.part_folder import is_part_folder
 from model.io.urdf.files import MOBILITY, URDF_SUFFIX
@@ -111,10 +112,7 @@ def asset_digest(path: Path) -> str:
     try:
         for file in files:
             name = file.name if file == path else file.relative_to(path).as_posix()
-            with file.open("rb") as data:
-                whole.update(
-                    f"{name}\0{hashlib.file_digest(data, 'sha256').hexdigest()}\n".encode()
-                )
+            whole.update(f"{name}\0{file_sha256(file)}\n".encode())
     except OSError as error:
         raise InputFileError(path, f"can't be read: {error.strerror}") from error
     return whole.hexdigest()

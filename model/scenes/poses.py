@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from model.core.rotations import rotation_from_rpy
+from model.core.rotations import affine, rotation_from_rpy
 from model.scenes.scene import FloatArray, SceneObjectError
 
 _SWAP = np.array([[1.0, 0, 0], [0, 0, 1.0], [0, 1.0, 0]])
@@ -15,11 +15,7 @@ _SWAP = np.array([[1.0, 0, 0], [0, 0, 1.0], [0, 1.0, 0]])
 
 def pose(position: FloatArray, rotation: FloatArray | None = None) -> FloatArray:
     """(4, 4) from (3,) metres and a (3, 3) rotation."""
-    out = np.eye(4)
-    if rotation is not None:
-        out[:3, :3] = rotation
-    out[:3, 3] = position
-    return out
+    return affine(rotation, position)
 
 
 def from_rpy(values: FloatArray) -> FloatArray:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from model.io.export.usd import FILE, FRICTION, NAME_KEY
+from model.io.export.usd import FILE, FRICTION, NAME_KEY, identifier
 from model.io.urdf.writer import xml_name
 from model.scenes.jobs import ASSETS
 from model.scenes.native_format import quaternion_wxyz
@@ -44,7 +44,7 @@ def write_scene_usd(name: str, stands: Sequence[Stand], out: Path, file: str) ->
     taken: set[str] = set()
     prims: dict[str, Any] = {}
     for stand in stands:
-        at = f"/World/{_identifier(stand.id, taken)}"
+        at = f"/World/{identifier(stand.id, taken)}"
         if stand.key is None:
             assert stand.box is not None
             made = geom.Cube.Define(stage, at)
@@ -69,16 +69,6 @@ def write_scene_usd(name: str, stands: Sequence[Stand], out: Path, file: str) ->
     del stage
     draft.replace(path)
     return path
-
-
-def _identifier(name: str, taken: set[str]) -> str:
-    plain = "".join(c if c.isascii() and c.isalnum() else "_" for c in name) or "_"
-    base = plain = f"_{plain}" if plain[0].isdigit() else plain
-    i = 2
-    while plain in taken:
-        plain, i = f"{base}_{i}", i + 1
-    taken.add(plain)
-    return plain
 
 
 def _stand(gf: Any, made: Any, world: FloatArray) -> None:

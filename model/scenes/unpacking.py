@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from model.core.errors import ArtiworldError
+from model.core.rotations import affine
 from model.io.formats.loaded import Loaded, join
 from model.io.part_folder import OBJECT_JSON
 from model.io.source_checks import cleaned, is_solid, to_cloud, to_mesh
@@ -51,8 +52,7 @@ def placed_frame(world: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]
     scale = np.linalg.norm(linear, axis=0)
     if scale.min() < 1e-9 or abs(np.linalg.det(linear / max(scale.max(), 1e-300))) < 1e-12:
         raise SceneObjectError(f"its scale {scale.tolist()} leaves nothing of it")
-    pose = np.eye(4)
-    pose[:3, 3] = world[:3, 3]
+    pose = affine(shift=world[:3, 3])
     turn = linear / scale
     if np.abs(turn @ turn.T - np.eye(3)).max() > _RIGID or np.linalg.det(turn) < 0:
         return pose, np.ones(3), linear.copy()

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from model.core.errors import InputFileError
+from model.core.files import free_name
 from model.io.formats.loaded import read_bytes
 from model.scenes.scene import FloatArray, SceneObject, SceneObjectError, SceneProblem
 
@@ -134,7 +135,7 @@ def collect(
             problems.append(SceneProblem(label, str(error)))
             continue
         if made.id in taken:
-            fresh = _free(made.id, taken)
+            fresh = free_name(made.id, taken)
             problems.append(
                 SceneProblem(made.id, f"the id is there twice; this one is now {fresh!r}", False)
             )
@@ -155,10 +156,3 @@ def _label(place: Place, entry: Any, name_of: Callable[[Any], str | None]) -> st
     except (AttributeError, KeyError, TypeError):
         name = None
     return name or " ".join(str(p) for p in place)
-
-
-def _free(id: str, taken: set[str]) -> str:
-    i = 2
-    while f"{id}_{i}" in taken:
-        i += 1
-    return f"{id}_{i}"

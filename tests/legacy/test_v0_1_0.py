@@ -376,6 +376,8 @@ class InlineWorker:
                 job._end("failed", error=error)
         return job
 
+    def begin_to_close(self) -> None: ...
+
     def close(self) -> None: ...
 
 

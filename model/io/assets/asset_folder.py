@@ -26,22 +26,20 @@ was worked out.
 
 from __future__ import annotations
 
-import contextlib
-import hashlib
 import json
-import platform
 import secrets
 import shutil
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 from model.core.articulated_object import ArticulatedObject, remarks_of
 from model.core.asset import Asset
 from model.core.errors import GeometryError, InputFileError
+from model.core.files import file_sha256
+from model.core.installing import installed_versions
 from model.core.progress import Progress, no_progress
 from model.io.assets.reader import (
     DECLARED,
@@ -248,8 +246,8 @@ def _write_texts(
         "original": None if original is None else _sums(original),
         "give_way": [j.name for j in obj.tree.joints if j.give_way],
         DECLARED: declared_entry(obj, () if physics is None else physics.declared_shapes),
-        "files": {p.relative_to(folder).as_posix(): _sha256(p) for p in files},
-        "versions": _versions(),
+        "files": {p.relative_to(folder).as_posix(): file_sha256(p) for p in files},
+        "versions": installed_versions("artiworld", "numpy", "scipy", "open3d", "trimesh"),
     }
     _write_json(folder / PROVENANCE, {"asset": entry})
 
@@ -272,19 +270,6 @@ def _sums(original: Asset) -> dict[str, Any]:
 def _write_json(path: Path, data: Any) -> None:
     text = json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False)
     path.write_bytes((text + "\n").encode("utf-8", "backslashreplace"))  # half a surrogate: \ud800
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def _versions() -> dict[str, str]:
-    out = {"python": platform.python_version()}
-    for package in ("artiworld", "numpy", "scipy", "open3d", "trimesh"):
-        with contextlib.suppress(metadata.PackageNotFoundError):
-            out[package] = metadata.version(package)
-    return out
 
 
 def _take_place(fresh: Path, folder: Path) -> None:

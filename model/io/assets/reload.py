@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from model.core.articulated_object import ArticulatedObject
 from model.core.errors import ArtiworldError
+from model.core.rotations import affine
 from model.io.assets.reader import TREE, URDF, load_object, read_provenance
 from model.io.tree_json import tree_json_problems
 from model.io.urdf.writer import link_origins
@@ -97,8 +98,7 @@ def object_from_links(obj: ArticulatedObject, q: dict[str, float]) -> Poses:
     out: Poses = {}
     origins = link_origins(obj.tree)
     for link, posed_from_rest in obj.pose(q).items():
-        rest_from_link = np.eye(4)
-        rest_from_link[:3, 3] = origins[link]
+        rest_from_link = affine(shift=origins[link])
         out[link] = posed_from_rest @ rest_from_link
     return out
 

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import contextlib
-import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
-from importlib import metadata
 from pathlib import Path, PurePath
 from typing import Any
 
-from model.core.files import write_json
+from model.core.files import file_sha256, write_json
+from model.core.installing import installed_versions
 from model.io.assets.reader import PROVENANCE, read_provenance
 
 ABOUT = "artiworld.json"
@@ -64,10 +62,7 @@ def write_scene_about(
     Raises:
         InputFileError: as :func:`write_about`.
     """
-    sha256 = None
-    if source.is_file():
-        with source.open("rb") as data:
-            sha256 = hashlib.file_digest(data, "sha256").hexdigest()
+    sha256 = file_sha256(source) if source.is_file() else None
     entries = {k: about_asset(folder / k) | {"objects": list(ids)} for k, ids in assets.items()}
     said = {
         "format": "scene",
@@ -108,9 +103,7 @@ def about_asset(asset: Path) -> dict[str, Any]:
 
 
 def _written() -> dict[str, Any]:
-    version = None
-    with contextlib.suppress(metadata.PackageNotFoundError):
-        version = metadata.version("artiworld")
+    version = installed_versions("artiworld").get("artiworld")
     return {"exported": datetime.now(UTC).isoformat(timespec="seconds"), "artiworld": version}
 
 

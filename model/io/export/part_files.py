@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from model.core.articulated_object import ArticulatedObject
+from model.core.files import free_name
 from model.core.mesh import Mesh
 from model.core.progress import Progress, no_progress
 from model.io.assets.reader import MESHES
@@ -40,12 +41,10 @@ def file_stems(links: Sequence[str]) -> dict[str, str]:
     out: dict[str, str] = {}
     taken: set[str] = set()
     for link in links:
-        base = stem = re.sub(r"[^A-Za-z0-9_-]+", "_", link).strip("_") or "part"
-        i = 2
-        while stem.lower() in taken:
-            stem, i = f"{base}_{i}", i + 1
-        taken.add(stem.lower())
-        out[link] = stem
+        base = re.sub(r"[^A-Za-z0-9_-]+", "_", link).strip("_") or "part"
+        free = free_name(base.lower(), taken)
+        taken.add(free)
+        out[link] = base + free[len(base) :]
     return out
 
 

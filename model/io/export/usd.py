@@ -19,6 +19,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from model.core.articulated_object import ArticulatedObject
+from model.core.files import free_name
 from model.core.inertial import Inertial
 from model.core.installing import require
 from model.core.joint import Joint, Mimic
@@ -39,6 +40,14 @@ NAME_KEY = "artiworld:name"
 
 FloatArray = npt.NDArray[np.float64]
 _ROUGHNESS = 0.6  # default of materials without a value
+
+
+def identifier(name: str, taken: set[str]) -> str:
+    """A USD identifier like ``name``, which is added to those ``taken``."""
+    plain = "".join(c if c.isascii() and c.isalnum() else "_" for c in name) or "_"
+    free = free_name(f"_{plain}" if plain[0].isdigit() else plain, taken)
+    taken.add(free)
+    return free
 
 
 class UsdExporter:
@@ -103,14 +112,7 @@ class _Writer:
         return (path, *dict.fromkeys(self.files))
 
     def _identifier(self, scope: str, name: str) -> str:
-        plain = "".join(c if c.isascii() and c.isalnum() else "_" for c in name) or "_"
-        plain = f"_{plain}" if plain[0].isdigit() else plain
-        taken = self.names.setdefault(scope, {"joints", "Looks"})
-        base, i = plain, 2
-        while plain in taken:
-            plain, i = f"{base}_{i}", i + 1
-        taken.add(plain)
-        return plain
+        return identifier(name, self.names.setdefault(scope, {"joints", "Looks"}))
 
     # Links
 

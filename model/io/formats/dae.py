@@ -12,6 +12,7 @@ import numpy as np
 from model.core.errors import InputFileError
 from model.core.installing import require
 from model.core.mesh import Material
+from model.core.rotations import affine
 from model.io.formats.loaded import DEFAULT_MAX_BYTES, Loaded, check_indices, join, read_bytes
 
 _WORLD_FROM_UP = {
@@ -39,8 +40,7 @@ def read_dae(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
     try:
         passed_over = [collada.common.DaeUnsupportedError, collada.common.DaeBrokenRefError]
         file = collada.Collada(io.BytesIO(data), ignore=passed_over)
-        up = np.eye(4)
-        up[:3, :3] = _WORLD_FROM_UP[str(file.assetInfo.upaxis or "Y_UP")]
+        up = affine(_WORLD_FROM_UP[str(file.assetInfo.upaxis or "Y_UP")])
         up[:3, :3] *= float(file.assetInfo.unitmeter or 1.0)
         for bound in file.scene.objects("geometry") if file.scene is not None else ():
             for primitive in bound.primitives():

@@ -20,6 +20,7 @@ from model.core.inertial import Inertial, inertial_problems
 from model.core.installing import require
 from model.core.joint import DeclaredDynamics, Joint, Mimic
 from model.core.mesh import Mesh
+from model.core.rotations import affine
 from model.core.tree import KinematicTree
 from model.io.formats.loaded import DEFAULT_MAX_BYTES
 from model.io.geometry_files import SUFFIXES
@@ -325,7 +326,7 @@ class _Reader:
         model, data = self.model, self.data
         kind = int(model.geom_type[g])
         link = self.links[model.geom_bodyid[g]]
-        pose = _pose(data.geom_xpos[g], data.geom_xmat[g].reshape(3, 3))
+        pose = affine(data.geom_xmat[g].reshape(3, 3), data.geom_xpos[g])
         if kind <= _FIELD or kind > _MESH:
             what = {_PLANE: "a plane", _FIELD: "a height field"}.get(kind, "of an unknown kind")
             self.notes.append(f"a geom of body {link!r} is {what}; it was left out")
@@ -353,10 +354,9 @@ class _Reader:
             return UrdfVisual(link, None, pose, mesh=mesh, material=material)
         # MuJoCo has moved the mesh to its own centre of mass and main axes.
         said = self.spec.mesh(name)
-        middle = _pose(model.mesh_pos[number], _turn(model.mesh_quat[number]))
-        shift = np.eye(4)
-        shift[:3, 3] = -np.asarray(said.refpos)
-        turn = _pose((0, 0, 0), _turn(said.refquat).T)
+        middle = affine(_turn(model.mesh_quat[number]), model.mesh_pos[number])
+        shift = affine(shift=-np.asarray(said.refpos))
+        turn = affine(_turn(said.refquat).T)
         scale = np.diag([*np.asarray(said.scale, np.float64), 1.0])
         whole = pose @ np.linalg.inv(middle) @ scale @ turn @ shift
         return UrdfVisual(link, None, whole, file, material=material)
@@ -391,12 +391,6 @@ class _Reader:
             if not inertial_problems({"": own}):
                 out[self.links[body]] = own
         return out
-
-
-def _pose(position: Any, rotation: Any) -> FloatArray:
-    out = np.eye(4)
-    out[:3, :3], out[:3, 3] = rotation, position
-    return out
 
 
 def _turn(quaternion: Any) -> FloatArray:

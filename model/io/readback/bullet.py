@@ -16,6 +16,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from model.core.articulated_object import ArticulatedObject
+from model.core.rotations import affine
 from model.io.assets.reload import Poses, object_from_links
 from model.io.readback.poses import pose_problems
 
@@ -128,7 +129,4 @@ def _poses(bullet: Any, body: int, client: int, index: dict[str, int], root: str
 
 
 def _frame(place: Any, turn: Any) -> FloatArray:
-    out = np.eye(4)
-    out[:3, :3] = Rotation.from_quat(turn).as_matrix()
-    out[:3, 3] = place
-    return out
+    return affine(Rotation.from_quat(turn).as_matrix(), place)

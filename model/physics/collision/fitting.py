@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from model.core.rotations import affine
 from model.core.shapes import Hull, Kind, Primitive
 
 BOX = 0.97
@@ -122,6 +123,5 @@ def _capsule(hull: Hull, axis: FloatArray) -> Primitive | None:
 def _placed(
     kind: Kind, rotation: FloatArray, center: FloatArray, sizes: tuple[float, ...]
 ) -> Primitive:
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = rotation, center
+    pose = affine(rotation, center)
     return Primitive(kind, pose, tuple(float(s) for s in sizes))

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from model.core.errors import InputFileError
+from model.core.rotations import affine
 from model.io.formats.gltf import Gltf, consistent, joined, node_matrix, open_gltf
 from model.io.formats.loaded import Loaded
 from model.io.geometry_files import turned_up
@@ -146,8 +147,7 @@ def _pieces_of(
     def pieces() -> list[tuple[str | None, Loaded]]:
         nodes = gltf.tree["nodes"]
         _, _, rest = placed_frame(_UP @ (parent @ _matrix(nodes[index])) @ _UP.T)
-        start = np.eye(4)
-        start[:3, :3] = rest @ _UP[:3, :3]
+        start = affine(rest @ _UP[:3, :3])
         out: list[tuple[str | None, Loaded]] = []
         stack = [(index, start)]
         while stack:

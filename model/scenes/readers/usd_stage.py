@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from model.core.errors import InputFileError
+from model.core.rotations import affine
 from model.io.formats.loaded import Loaded
 from model.io.formats.usd import SHAPES, USD_SUFFIXES, UsdStage
 from model.scenes.readers.lisdf import readable
@@ -128,8 +129,7 @@ class _Stage(UsdStage):
         def pieces() -> list[tuple[str | None, Loaded]]:
             world = self.world(prim)
             _, _, rest = placed_frame(world)
-            start = np.eye(4)
-            start[:3, :3] = rest
+            start = affine(rest)
             back = start @ np.linalg.inv(world)
             into = self.turn.copy()
             into[:3, :3] *= self.unit
