@@ -63,9 +63,9 @@ class Preparing:
     def look(self) -> None:
         """Make a proposal for an object that was just opened."""
         if self.untouched and self._obj.document.left_out is None:
-            self.propose()
+            self.propose(priority=-1)  # after what the first click needs
 
-    def propose(self, up: Vector | None = None, *, anew: bool = False) -> None:
+    def propose(self, up: Vector | None = None, *, anew: bool = False, priority: int = 4) -> None:
         """Make a proposal for the present asset, unless it is there or being made.
 
         Args:
@@ -82,7 +82,7 @@ class Preparing:
         self._asset, self.proposal = asset, None
         job = obj.services.workers.geometry.submit(
             prepare_tasks.propose, asset.folder, asset.element, up,
-            on_progress=obj.jobs.progress("prepare"), priority=4, preempted_by=CLICKS,
+            on_progress=obj.jobs.progress("prepare"), priority=priority, preempted_by=CLICKS,
         )  # fmt: skip
 
         def keep(proposal: ScanProposal) -> None:

@@ -18,6 +18,7 @@ import numpy.typing as npt
 from scipy.spatial import ConvexHull, KDTree, QhullError
 
 from model.core.errors import GeometryError
+from model.core.progress import Progress, no_progress
 from model.core.resources import static_assets
 
 Array = npt.NDArray[np.float64]
@@ -47,7 +48,8 @@ class Levelling:
         support: height along ``up`` of the surface that the object stands on, in the source's
             unit; None where none reaches beyond the object.
         alternatives: other directions, the likelier first.
-        askew: whether the main faces are neither level nor upright as the scan lies.
+        askew: whether a main face is neither level nor upright as the scan lies, and none of the
+            directions is along z.
     """
 
     up: tuple[float, float, float]
@@ -62,17 +64,22 @@ class Levelling:
         return float(np.arccos(np.clip(self.up[2], -1, 1)))
 
 
-def find_up(points: npt.NDArray[np.floating], normals: Array | None = None) -> Levelling:
+def find_up(
+    points: npt.NDArray[np.floating],
+    normals: Array | None = None,
+    progress: Progress = no_progress,
+) -> Levelling:
     """The likeliest up direction of a scan.
 
     Args:
         points: (N, 3) in any unit.
         normals: (N, 3) of the points where they are known, either way round.
+        progress: called between the steps.
 
     Raises:
         GeometryError: for fewer than four finite points.
     """
-    found = candidates_of(points, normals)
+    found = candidates_of(points, normals, progress)
     features = np.array([c.described.features for c in found])
     weights = _weights()
     scores = (features - weights.mean) / weights.scale @ weights.weight
@@ -80,13 +87,13 @@ def find_up(points: npt.NDArray[np.floating], normals: Array | None = None) -> L
     odds /= odds.sum()
     order = np.argsort(-odds)
     best = found[order[0]]
-    off = [np.arccos(min(abs(float(c.up[2])), 1.0)) for c in found[:4:2]]
+    off = np.arccos([min(abs(float(c.up[2])), 1.0) for c in found[::2]])
     return Levelling(
         _vector(best.refined),
         float(odds[order[0]]),
         best.height,
         tuple(_vector(found[k].up) for k in order[1:4]),
-        any(_SQUARE < angle < np.pi / 2 - _SQUARE for angle in off),
+        bool((off > _SQUARE).all() and (off[:2] < np.pi / 2 - _SQUARE).any()),
     )
 
 
@@ -107,12 +114,16 @@ class Candidate:
 
 
 def candidates_of(
-    points: npt.NDArray[np.floating], normals: Array | None = None
+    points: npt.NDArray[np.floating],
+    normals: Array | None = None,
+    progress: Progress = no_progress,
 ) -> list[Candidate]:
     """The directions that may be up; arguments and errors as of :func:`find_up`."""
     sample, facing = _sampled(np.asarray(points, np.float64), normals)
     out: list[Candidate] = []
+    progress(0.5, "finding up")
     for up in _candidates(sample, facing):
+        progress(0.7, "finding up")
         described = describe(sample, facing, up)
         refined = _refined(sample, facing, up, described)
         height = None

@@ -141,3 +141,12 @@ def test_heights_far_from_the_usual_ones_are_told() -> None:
     assert odd is not None and (odd.low, odd.high) == (1.5, 1.9) and 1.5 < odd.proposed < 1.9
     assert unusual_height("refrigerator", 1.7) is None
     assert unusual_height("Sculpture", 40.0) is None and unusual_height(None, 1.0) is None
+
+
+def test_kinds_box_and_confidence_mark_elements() -> None:
+    points = np.array([[0.0, 0, 0], [2, 0, 0], [0, 0, 0], [0, 0, 0]])
+    kinds = np.array([0, 0, SUPPORT, 0], np.int8)
+    confidence = np.array([0.9, 0.9, 0.9, 0.1], np.float32)
+    marks = Marks((SUPPORT,), ((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0)), 0.5)
+    assert marks.of(points, kinds, confidence).tolist() == [False, True, True, True]
+    assert not Marks().of(points, kinds, confidence).any()
