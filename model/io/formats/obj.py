@@ -69,7 +69,7 @@ def read_obj(
     if not lines.f:
         return Loaded(vertices, colors=colors)
     corner_v, corner_t, sizes = _faces(path, lines, len(vertices))
-    triangles, polygon = triangulate(corner_v, sizes, vertices)
+    triangles, polygon = triangulate(path, corner_v, sizes, vertices)
     used_material = np.asarray(lines.material, np.int64)[polygon]
     warnings: list[str] = []
     materials, face_material = _materials(path, lines, used_material, files, warnings)

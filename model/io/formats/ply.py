@@ -218,7 +218,7 @@ def _faces(path: Path, face: Table, points: Array) -> tuple[Array, Array, Array]
         none = np.zeros((0, 3), np.int64)
         return none, np.zeros(0, np.int64), none
     check_indices(path, corners[:, None], len(points))
-    triangles, polygon = triangulate(corners, lists.sizes, points)
+    triangles, polygon = triangulate(path, corners, lists.sizes, points)
     return corners[triangles], polygon, triangles
 
 

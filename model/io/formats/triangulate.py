@@ -2,22 +2,30 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
+import mapbox_earcut
 import numpy as np
 import numpy.typing as npt
 
+from model.core.errors import InputFileError
+
 Array = npt.NDArray[Any]
 
-_MOST_TESTS = 150_000  # of ears in one file, some seconds; beyond, polygons stay fans
+MOST_CORNERS = 10_000
+"""Of a concave face: half a second where it is well-formed; one that crosses itself takes more."""
+MOST_SQUARES = 1e9
+"""Sum over the concave faces of a file of their corners squared: some seconds."""
 
 
 def triangulate(
-    corners: Array, sizes: Array, points: Array
+    path: Path, corners: Array, sizes: Array, points: Array
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
     """Triangles of many polygons.
 
     Args:
+        path: the file, for messages.
         corners: (C,) position of each corner in ``points``, polygon after polygon.
         sizes: (P,) corners of each polygon; those under 3 give nothing.
         points: (V, 3).
@@ -25,6 +33,9 @@ def triangulate(
     Returns:
         ``(T, 3)`` indices into ``corners`` (not into points) and ``(T,)`` polygon of each
         triangle, in the polygons' order. Convex polygons become fans, others are ear-clipped.
+
+    Raises:
+        InputFileError: for concave faces with absurdly many corners.
     """
     sizes = np.asarray(sizes, np.int64)
     starts = np.cumsum(sizes) - sizes
@@ -42,14 +53,29 @@ def triangulate(
     at, corner = np.searchsorted(polygon, four), starts[four]
     out[at] = np.stack([corner + 1, corner + 2, corner + 3], axis=1)
     out[at + 1] = np.stack([corner + 1, corner + 3, corner], axis=1)
-    budget = _MOST_TESTS
-    for p in bad[sizes[bad] > 4]:
+    clipped = bad[sizes[bad] > 4]
+    _check_budget(path, sizes[clipped])
+    kept = np.ones(len(out), bool)
+    for p in clipped:
         loop = starts[p] + np.arange(int(sizes[p]))
-        ears, budget = _ear_clip(points[corners[loop]], budget)
+        ears = _ear_cut(points[corners[loop]])
         if ears is not None:
             at = int(np.searchsorted(polygon, p))
             out[at : at + len(ears)] = loop[ears]
-    return out, polygon
+            kept[at + len(ears) : at + int(sizes[p]) - 2] = False
+    return (out, polygon) if kept.all() else (out[kept], polygon[kept])
+
+
+def _check_budget(path: Path, sizes: Array) -> None:
+    """Refuse concave faces that may take minutes: no object has such."""
+    largest = int(sizes.max(initial=0))
+    if largest > MOST_CORNERS or float((sizes.astype(np.float64) ** 2).sum()) > MOST_SQUARES:
+        raise InputFileError(
+            path,
+            f"{len(sizes):,} concave face{'s'[: len(sizes) != 1]} with up to {largest:,} "
+            "corners can take minutes to triangulate",
+            "triangulate them in a modelling program",
+        )
 
 
 def _concave(out: Array, polygon: Array, sizes: Array, corners: Array, points: Array) -> Array:
@@ -65,47 +91,20 @@ def _concave(out: Array, polygon: Array, sizes: Array, corners: Array, points: A
     return np.unique(polygon[many[against]])
 
 
-def _ear_clip(loop: Array, budget: int) -> tuple[Array | None, int]:
-    """(n-2, 3) triangles of one planar polygon (n, 3), or None where no ear is found.
+def _ear_cut(loop: Array) -> Array | None:
+    """(T, 3) triangles of one planar polygon (n, 3), turned like it; None where it crosses itself.
 
-    Stops after ``budget`` tests, and returns how many are left, so that no file takes for ever.
+    Corners on a straight line may be left out, so that T ≤ n - 2.
     """
     p = loop.astype(np.float64) - loop.mean(axis=0)
     normal = np.cross(p, np.roll(p, -1, axis=0)).sum(axis=0)
-    drop = int(np.argmax(np.abs(normal)))
-    flat = np.delete(p, drop, axis=1)
-    sign = np.sign(normal[drop]) * (-1.0 if drop == 1 else 1.0)
-    left = list(range(len(flat)))
-    out = []
-    while len(left) > 3:
-        for i in range(len(left)):
-            if budget <= 0:
-                return None, 0
-            budget -= 1
-            a, b, c = left[i - 1], left[i], left[(i + 1) % len(left)]
-            if _turn(flat[a], flat[b], flat[c]) * sign <= 0:
-                continue
-            others = flat[[k for k in left if k not in (a, b, c)]]
-            if _inside(flat[[a, b, c]], others, sign).any():
-                continue
-            out.append((a, b, c))
-            left.pop(i)
-            break
-        else:
-            return None, budget
-    return np.array([*out, tuple(left)]), budget
-
-
-def _turn(a: Array, b: Array, c: Array) -> float:
-    return float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
-
-
-def _inside(triangle: Array, points: Array, sign: float) -> Array:
-    out = np.ones(len(points), bool)
-    for i in range(3):
-        a, b = triangle[i], triangle[(i + 1) % 3]
-        out &= (
-            sign * ((b[0] - a[0]) * (points[:, 1] - a[1]) - (b[1] - a[1]) * (points[:, 0] - a[0]))
-            > 0
-        )
-    return out
+    flat = np.ascontiguousarray(np.delete(p, int(np.argmax(np.abs(normal))), axis=1))
+    ends = np.array([len(flat)], np.uint32)
+    ears = mapbox_earcut.triangulate_float64(flat, ends).reshape(-1, 3).astype(np.int64)
+    t = p[ears]
+    areas = np.cross(t[:, 1] - t[:, 0], t[:, 2] - t[:, 0]) @ normal
+    whole = float(normal @ normal)
+    if not abs(np.abs(areas).sum() - whole) <= 1e-3 * whole:
+        return None
+    ears[areas < 0] = ears[areas < 0][:, ::-1]
+    return ears

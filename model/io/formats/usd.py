@@ -121,7 +121,7 @@ class UsdStage:
                 self.path, f"{prim.GetPath()}: its faces and points don't fit together"
             )
         check_indices(self.path, corners[:, None], len(points))
-        triangles, _ = triangulate(corners, sizes, points)
+        triangles, _ = triangulate(self.path, corners, sizes, points)
         faces = corners[triangles]
         if mesh.GetOrientationAttr().Get() == "leftHanded":
             faces = faces[:, ::-1]
