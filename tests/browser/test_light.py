@@ -38,6 +38,7 @@ def test_without_a_gpu_it_is_plain_until_taken_back_and_that_is_kept(
     wait_until(lambda: lit(False), "lit by its surroundings")
     page.reload()
     wait_until(lambda: len(tab.server.apps) == 1 and tab.app.drawing.drawn, "the page again")
+    tab.wait_node("/scan")
     wait_until(lambda: lit(False), "lit by its surroundings again")
     tab.field("Simple lighting").check()
     wait_until(lambda: lit(True), "lit plainly again")
