@@ -97,6 +97,8 @@ def test_up_by_floor_and_size_by_length(start: Any, open_tab: Any, tmp_path: Pat
         lambda: getattr(tab.object.preparing.current, "up", None) is not None,
         "levelled by the floor",
     )
+    tab.camera_at_rest()  # it flies to the new front
+    tab.page.wait_for_timeout(800)
     tab.key("m")
     wait_until(lambda: tab.app.pointing.armed == "length", "a length is asked for")
     for place in ((-0.6, -0.6), (0.6, -0.6)):

@@ -25,7 +25,7 @@ from app.viewer.words.common import warning
 from model.core.errors import CommandError
 from model.geometry.cleaning import CLUTTER, OUTLIER, SUPPORT
 from model.geometry.prepare import standing
-from model.geometry.units import UNITS, odd_size, unusual_height
+from model.geometry.units import UNITS, OddSize, odd_size, unusual_height
 from sessions import commands as cmd
 from sessions.document import Document
 
@@ -132,7 +132,7 @@ class PrepareStep:
             return False
         if obj.document.left_out is not None:
             return False
-        odd = odd_size(asset.bounds, asset.unit_scale)
+        odd = _odd_size(obj)
         kinds = {} if may_be_a_room(asset.bounds) else preparing.noticed()
         return bool(preparing.tilt or preparing.doubtful or kinds or odd)
 
@@ -148,22 +148,21 @@ class PrepareStep:
 
     def question(self, obj: OpenObject) -> str | None:
         """What was noticed, for the annotate step; None where nothing was."""
-        if not self.noticed(obj) or obj.asset is None:
+        if not self.noticed(obj):
             return None
-        odd = odd_size(obj.asset.bounds, obj.asset.unit_scale)
+        odd = _odd_size(obj)
         lines = [words.bold(odd.question)] if odd else []
-        return " ".join([*lines, *self._found_lines(obj)])
+        kinds = obj.preparing.noticed()
+        lines += [*self._orientation(obj), *([words.also(kinds)] if kinds else [])]
+        return " ".join(lines)
 
-    def _found_lines(self, obj: OpenObject) -> list[str]:
+    def _orientation(self, obj: OpenObject) -> list[str]:
+        """How the scan seems to lie, where it isn't upright."""
         found, preparing = obj.preparing.current, obj.preparing
-        lines = []
         if found is not None and preparing.tilt:
             level = found.levelling
-            lines.append(words.tilted(level.tilt, level.up, level.confidence))
-        elif preparing.doubtful:
-            lines.append(words.DOUBTFUL)
-        kinds = preparing.noticed()
-        return [*lines, words.also(kinds)] if kinds else lines
+            return [words.tilted(level.tilt, level.up, level.confidence)]
+        return [words.DOUBTFUL] if preparing.doubtful else []
 
     # --- what is offered
 
@@ -211,33 +210,40 @@ class PrepareStep:
         """Level and clean as shown, then annotate; where nothing is offered, just go there."""
         tab = self._tab
         obj = tab.selection.need_object()
+        odd = _odd_size(obj)
+        metres = None if odd is None or odd.unit is None else UNITS[odd.unit]
         frame, marks = self._frame(obj), self._marked(obj)
-        unit = None if obj.asset is None else odd_size(obj.asset.bounds, obj.asset.unit_scale)
-        metres = None if unit is None or unit.unit is None else UNITS[unit.unit]
 
         def done() -> None:
             tab.act(lambda: tab.selection.set_step("Annotate"))
 
         if np.array_equal(frame, np.eye(4)) and marks == Marks() and metres is None:
             done()
-            return
-        found = obj.preparing.current
-        tilt = 0.0 if found is None or np.array_equal(frame, np.eye(4)) else found.levelling.tilt
-        more = marks.box is not None or marks.confidence > 0
-        text = words.applied(tilt, marks.kinds, more)
-        obj.preparing.apply(frame, marks, text, tab.user, done, metres=metres)
+        else:
+            self._prepare(obj, frame, marks, done, metres)
 
     def remove_marked(self) -> None:
         """Remove what is grey; the object stays as it lies."""
-        tab = self._tab
-        obj = tab.selection.need_object()
+        obj = self._tab.selection.need_object()
         marks = self._marked(obj)
         if marks == Marks():
-            tab.notify(words.NOTHING_MARKED, "", "gray")
-            return
-        more = marks.box is not None or marks.confidence > 0
-        text = words.applied(0.0, marks.kinds, more)
-        obj.preparing.apply(np.eye(4), marks, text, tab.user, lambda: None)
+            self._tab.notify(words.NOTHING_MARKED, "", "gray")
+        else:
+            self._prepare(obj, np.eye(4), marks, lambda: None)
+
+    def _prepare(
+        self,
+        obj: OpenObject,
+        frame: Array,
+        marks: Marks,
+        done: Callable[[], None],
+        metres: float | None = None,
+    ) -> None:
+        found = obj.preparing.current
+        still = found is None or np.array_equal(frame, np.eye(4))
+        tilt = 0.0 if still or found is None else found.levelling.tilt
+        text = words.applied(tilt, marks.kinds, marks.box is not None or marks.confidence > 0)
+        obj.preparing.apply(frame, marks, text, self._tab.user, done, metres=metres)
 
     def _clean(self, action: str) -> None:
         if action == words.REMOVE_ACTIONS[0]:
@@ -451,18 +457,18 @@ class PrepareStep:
         if found is None:
             return [words.SEARCHING if "prepare" in obj.busy else words.NOT_FOUND]
         lines = [] if not (doc.prompts or doc.tree) else [words.DISCARDS]
-        odd = None if obj.asset is None else odd_size(obj.asset.bounds, obj.asset.unit_scale)
+        odd = _odd_size(obj)
         if odd is not None:
             lines.append(words.bold(odd.question))
         if found.up not in (None, UPRIGHT):
             lines.append(words.GIVEN)
-        elif obj.preparing.doubtful:
-            lines.append(words.DOUBTFUL)
-        elif obj.preparing.tilt:
-            level = found.levelling
-            lines.append(words.tilted(level.tilt, level.up, level.confidence))
+        lines += self._orientation(obj)
         does = words.enter(self._levels(obj), marks != Marks())
         return [*lines, does] if lines or does else [words.UPRIGHT]
+
+
+def _odd_size(obj: OpenObject) -> OddSize | None:
+    return None if obj.asset is None else odd_size(obj.asset.bounds, obj.asset.unit_scale)
 
 
 def _moved(points: npt.NDArray[np.floating], matrix: Array) -> Array:
