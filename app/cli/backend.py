@@ -26,9 +26,8 @@ def serve_backend(options: BackendCommand) -> int:
     _check(options)
     name = options.predictor
     try:
-        import uvicorn  # an extra
-
-        from app.server.backend_server import Backend, BackendSettings
+        from app.server.backend_server import Backend, BackendSettings  # imports an extra
+        from app.server.http_limits import limited_server
     except ImportError as error:
         raise ConfigurationError(
             f"a backend needs {error.name}: {install_command('artiworld[backend]')}"
@@ -52,11 +51,7 @@ def serve_backend(options: BackendCommand) -> int:
         listener = socket.create_server(address[:2], family=family, backlog=128)
         address = url(options.host, listener.getsockname()[1])
         print(f"ArtiWorld backend is ready: {address} (predictor {name})", flush=True)
-        config = uvicorn.Config(
-            Backend(settings, workers).application(), log_level="warning", access_log=False,
-            server_header=False, timeout_graceful_shutdown=3,
-        )  # fmt: skip
-        uvicorn.Server(config).run(sockets=[listener])
+        limited_server(Backend(settings, workers).application()).run(sockets=[listener])
     finally:
         for worker in workers:
             worker.close()

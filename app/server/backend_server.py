@@ -37,6 +37,8 @@ HEARTBEAT_SECONDS = 1.0
 """Period of lines to a waiting client; also how soon a client that left is noticed."""
 BODY_SECONDS = 60.0
 """Longest pause in the middle of a request."""
+REQUEST_SECONDS = 600.0
+"""Longest time for a whole request."""
 
 
 @dataclass(frozen=True)
@@ -163,11 +165,12 @@ class Backend:
         out = bytearray()
         stream = request.stream()
         try:
-            while not (declared.isdigit() and int(declared) > limit):
-                async with asyncio.timeout(BODY_SECONDS):
-                    out += await anext(stream)
-                if len(out) > limit:
-                    break
+            async with asyncio.timeout(REQUEST_SECONDS):
+                while not (declared.isdigit() and int(declared) > limit):
+                    async with asyncio.timeout(BODY_SECONDS):
+                        out += await anext(stream)
+                    if len(out) > limit:
+                        break
             raise _Refused(413, f"the request is larger than {limit / 1e6:g} MB")
         except StopAsyncIteration:
             return bytes(out)

@@ -28,7 +28,7 @@ from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
 from app.server.login import Login, login_page
-from app.server.network import check_address, is_loopback
+from app.server.network import MAX_SOCKETS, OncePerMinute, check_address, is_loopback
 from app.server.page import Page
 from app.server.upload_guard import UploadGuard
 from model.core.errors import ConfigurationError
@@ -142,6 +142,15 @@ def guarded_server(
     return server
 
 
+class _LimitedConnection(ServerConnection):
+    """Drops a connection beyond the limit; those without a complete request count, too."""
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        super().connection_made(transport)
+        if len(self.server.handlers) > MAX_SOCKETS:
+            self.transport.abort()
+
+
 def _no_tunnel(*_: object, **__: object) -> None:
     raise ConfigurationError("sharing through a public tunnel is switched off")
 
@@ -154,6 +163,7 @@ def _wrapped_serve(guard: _Guard) -> Iterator[None]:
     def serve(handler: Any, host: str, port: int, *, process_request: Any, **settings: Any) -> Any:
         guard.wrapped = True
         settings["max_size"] = MAX_MESSAGE_BYTES
+        settings["create_connection"] = _LimitedConnection
         return real(
             guard.limited(handler),
             host,
@@ -188,6 +198,8 @@ class _Guard:
 
     def __post_init__(self) -> None:
         _log.addFilter(_is_worth_logging)
+        for log in (_log, logging.getLogger("asyncio")):
+            log.addFilter(OncePerMinute())
         self._trusted = {_netloc(urlsplit(origin).netloc) for origin in self.allowed_origins}
 
     def limited(self, handler: Callable[[ServerConnection], Any]) -> Callable[..., Any]:

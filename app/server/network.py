@@ -1,11 +1,13 @@
-"""Addresses to listen at."""
+"""Addresses to listen at, and limits on who connects."""
 
 from __future__ import annotations
 
 import errno
 import ipaddress
+import logging
 import os
 import socket
+import time
 
 from model.core.errors import ConfigurationError
 
@@ -77,3 +79,27 @@ def free_port(host: str) -> int:
     raise ConfigurationError(
         f"ports {PORTS[0]} to {PORTS[-1]} are all in use; choose another with --port"
     )
+
+
+MAX_SOCKETS = 256
+"""Most connections at a time, those without a complete request included; a process may have 1024
+open files by default."""
+
+
+class OncePerMinute(logging.Filter):
+    """Lets each kind of message through once a minute: visitors must not fill the log."""
+
+    def __init__(self, seconds: float = 60.0) -> None:
+        super().__init__()
+        self._seconds = seconds
+        self._last: dict[str, float] = {}
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Whether to log a record."""
+        now, kind = time.monotonic(), str(record.msg)[:80]
+        if now - self._last.get(kind, -self._seconds) < self._seconds:
+            return False
+        if len(self._last) > 1000:
+            self._last.clear()
+        self._last[kind] = now
+        return True
