@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import hashlib
 import io
+import lzma
 import os
 import re
 import shutil
 import stat
+import struct
 import zipfile
+import zlib
 from pathlib import Path, PurePosixPath
 
 from model.core.errors import InputFileError
@@ -22,6 +25,9 @@ MAX_RATIO = 200
 _RATIO_FROM = 50_000_000
 """Unpacked bytes up to which any ratio is allowed."""
 _BLOCK = 1 << 20
+DAMAGED = (zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error, NotImplementedError,
+           RuntimeError, EOFError, ValueError, OverflowError, MemoryError)  # fmt: skip
+"""What zipfile raises where a zip is damaged."""
 _BESIDE = (".mtl", ".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".bin", ".urdf",
            ".mjcf", ".msh", ".json", ".txt", ".csv", ".xml", ".md")  # fmt: skip
 
@@ -68,8 +74,10 @@ def _unpacked(target: Path, name: str, content: bytes, max_bytes: int) -> Path:
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             _extract(archive, part, name, len(content), max_bytes)
-    except (zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError, ValueError) as error:
+    except (*DAMAGED, OSError) as error:
         shutil.rmtree(part, ignore_errors=True)
+        if isinstance(error, OSError) and error.errno is not None:
+            raise  # such as a full disk; a damaged bz2 stream has no number
         raise InputFileError(
             name, f"is not a readable zip ({error})", "pack it again, without a password"
         ) from error
@@ -92,7 +100,10 @@ def _extract(archive: zipfile.ZipFile, target: Path, name: str, size: int, max_b
         if path is None or path.suffix.lower() not in (*SUFFIXES, *_BESIDE):
             continue  # such as resource forks, thumbnails, programs
         place = target / path
-        place.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            place.parent.mkdir(parents=True, exist_ok=True)
+        except (FileExistsError, NotADirectoryError):
+            raise InputFileError(name, f"holds a file above {path}", "pack it again") from None
         if place.exists():
             raise InputFileError(name, f"holds {path} twice", "pack it again")
         # The sizes that a zip declares may be wrong, so the written bytes are counted.

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
+import random
 import stat
 import zipfile
 from pathlib import Path
@@ -88,6 +90,8 @@ def lying() -> bytes:
         (zipped(("a.obj", OBJ))[:-30], "not a readable zip"),
         (b"PK\x03\x04 not really", "not a readable zip"),
         (lying(), "not a readable zip"),
+        (zipped(("a.obj", OBJ), ("a.obj/b.obj", OBJ)), "a file above a.obj/b.obj"),
+        (zipped(("a.obj/b.obj", OBJ), ("a.obj", OBJ)), "a.obj twice"),
     ],
 )
 def test_hostile_zips_are_refused_and_leave_nothing(
@@ -96,3 +100,15 @@ def test_hostile_zips_are_refused_and_leave_nothing(
     with pytest.raises(InputFileError, match=told):
         keep_upload(tmp_path / "uploads", "some.zip", content, ROOM)
     assert not [p for p in tmp_path.rglob("*") if p.is_file()]
+
+
+@pytest.mark.parametrize("packing", [zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
+def test_a_damaged_zip_is_called_damaged(tmp_path: Path, packing: int) -> None:
+    whole = zipped(("a.obj", OBJ * 50), ("b.obj", OBJ[::-1] * 50), packing=packing)
+    rng = random.Random(packing)
+    for number in range(300):
+        mutated = bytearray(whole)
+        for _ in range(rng.randint(1, 8)):
+            mutated[rng.randrange(len(mutated))] = rng.randrange(256)
+        with contextlib.suppress(InputFileError):
+            keep_upload(tmp_path / str(number), "some.zip", bytes(mutated), ROOM)
