@@ -23,8 +23,8 @@ PROGRAM = Path(sys.executable).with_name("artiworld")
 def artiworld(*words: object) -> subprocess.CompletedProcess[str]:
     """Run a command in this process and return its exit code and what it printed."""
     with _redirected(1, "stdout") as out, _redirected(2, "stderr") as err:
-        code = main([str(word) for word in words])
-    return subprocess.CompletedProcess(list(words), code, "".join(out), "".join(err))
+        code = main(arguments := [str(word) for word in words])
+    return subprocess.CompletedProcess(arguments, code, "".join(out), "".join(err))
 
 
 def artiworld_process(*words: object) -> subprocess.CompletedProcess[str]:

@@ -34,7 +34,7 @@ def test_the_program_answers_in_json_and_as_a_table(tmp_path):
 
 
 def test_a_workspace_that_cant_be_is_wrong_and_code_1(tmp_path, monkeypatch, capfd):
-    monkeypatch.setattr(doctor, "_torch", lambda: doctor.Check("gpu", "fine", "not asked"))
+    monkeypatch.setattr(doctor, "check_torch", lambda: doctor.Check("gpu", "fine", "not asked"))
     (tmp_path / "file").write_text("x")
     assert main(["doctor", "--workspace", str(tmp_path / "file" / "w")]) == 1
     out = capfd.readouterr().out
