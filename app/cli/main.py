@@ -40,7 +40,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except ArtiworldError as error:
         if debug:
             traceback.print_exc()
-        print(f"artiworld: {' '.join(str(error).split())}", file=sys.stderr)
+        print(f"artiworld: {_printable(str(error))}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         return 130
@@ -139,13 +139,18 @@ class _Version(argparse.Action):
         parser.exit()
 
 
+def _printable(text: str) -> str:
+    """The text in one line; escape characters of file names must not steer the terminal."""
+    return "".join(c if c.isprintable() else "\ufffd" for c in " ".join(text.split()))
+
+
 def _our_fault(error: Exception, debug: bool) -> int:
     if debug:
         traceback.print_exception(error)
         return 1
     where = write_crash(error)
     kind = "" if type(error) is RuntimeError else f"{type(error).__name__}: "
-    message = " ".join(str(error).split())[:300]
+    message = _printable(str(error))[:300]
     print(f"artiworld: {kind}{message} (details: {where})", file=sys.stderr)
     return 1
 

@@ -38,6 +38,8 @@ VISER_VERSION = "1.1.1"
 MAX_MESSAGE_BYTES = 16 * 2**20
 """Largest websocket message from a browser; uploads come in parts of 0.5 MB."""
 MAX_CONNECTIONS = 64
+MAX_PATH = 2000
+"""Characters; file systems refuse names that are much longer."""
 APP_POLICY = (
     "default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval' blob: data:; "
     "style-src 'self' 'unsafe-inline'; img-src 'self' blob: data:; font-src 'self' data:; "
@@ -219,6 +221,8 @@ class _Guard:
         async def process_request(
             connection: ServerConnection, request: Request
         ) -> Response | None:
+            if len(request.path) > MAX_PATH:
+                return _text(HTTPStatus.REQUEST_URI_TOO_LONG, "the address is too long")
             path = unquote(request.path.partition("?")[0])
             if path == "/healthz":
                 return _text(HTTPStatus.OK, json.dumps({"status": "ok"}), "application/json")

@@ -8,6 +8,7 @@ import threading
 from collections.abc import Callable, Hashable
 from typing import Any, Generic, Literal, TypeVar
 
+from model.core.errors import ArtiworldError
 from model.core.progress import Cancelled
 
 T = TypeVar("T")
@@ -26,6 +27,10 @@ class JobFailed(RuntimeError):
     def __init__(self, message: str, details: str = "") -> None:
         self.details = details
         super().__init__(message)
+
+
+class OutOfTimeError(ArtiworldError):
+    """A job took longer than it may."""
 
 
 class Job(Generic[T]):
@@ -47,6 +52,7 @@ class Job(Generic[T]):
         key: Hashable,
         preempted_by: int | None = None,
         works_on: Hashable = None,
+        most_seconds: float | None = None,
     ) -> None:
         self.name = name
         self.state: JobState = "queued"
@@ -68,6 +74,8 @@ class Job(Generic[T]):
         self._callbacks: list[Callable[[Job[T]], object]] = []
         self._lock = threading.Lock()
         self._kill_at: float | None = None
+        self._most_seconds = most_seconds
+        self._out_of_time = False
 
     @property
     def done(self) -> bool:

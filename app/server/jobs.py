@@ -20,7 +20,7 @@ from multiprocessing.connection import wait
 from typing import Any, TypeVar
 
 from app.server.child_process import Child, death, error_of, finish
-from app.server.job import Job, JobFailed
+from app.server.job import Job, JobFailed, OutOfTimeError
 from app.server.worker import pack, receive, send, unpack
 
 T = TypeVar("T")
@@ -81,6 +81,7 @@ class WorkerProcess:
         key: Hashable = None,
         preempted_by: int | None = None,
         works_on: Hashable = None,
+        most_seconds: float | None = None,
         **kwargs: Any,
     ) -> Job[T]:
         """Queue ``function(*args, **kwargs)``.
@@ -96,13 +97,15 @@ class WorkerProcess:
                 none. It starts again where the child dies of one of them.
             works_on: the data that it makes or needs: a job never runs between the steps of
                 another one that works on the same data.
+            most_seconds: the child is killed, and the job fails, where it takes longer.
         """
         name = getattr(function, "__name__", repr(function))
         number = next(self._numbers)
         call = (function, args, kwargs)
         job: Job[T] = Job(
-            self._cancel, number, name, call, on_progress, key, preempted_by, works_on
-        )
+            self._cancel, number, name, call, on_progress, key, preempted_by, works_on,
+            most_seconds,
+        )  # fmt: skip
         replaced: Job[Any] | None = None
         with self._lock:
             if self._closing:
@@ -156,8 +159,9 @@ class WorkerProcess:
 
     def _cancel(self, job: Job[Any]) -> None:
         with self._lock:
-            if job.done or job._kill_at is not None:
+            if job.done or (job._kill_at is not None and not job._out_of_time):
                 return
+            job._out_of_time = False
             queued = job.state == "queued"
             if queued:
                 self._remove(job)
@@ -221,7 +225,8 @@ class WorkerProcess:
             return self._queue[0][2] if self._queue else None
         levels = [
             job._preempted_by for job in self._running
-            if job._preempted_by is not None and job._begun and job._kill_at is None
+            if job._preempted_by is not None and job._begun
+            and (job._kill_at is None or job._out_of_time)
         ]  # fmt: skip
         if len(levels) < len(self._running):
             return None
@@ -279,13 +284,15 @@ class WorkerProcess:
             return
         elif kind == "begun":
             job._begun = True
+            if job._most_seconds is not None and job._kill_at is None:
+                job._kill_at, job._out_of_time = time.monotonic() + job._most_seconds, True
         elif kind == "progress":
             job._progressed(*unpack(chunks))
         else:
             self._running.remove(job)
             finish(job, chunks)
             active = self._active
-            if active is not None and active._kill_at is not None:
+            if active is not None and active._kill_at is not None and not active._out_of_time:
                 # It couldn't notice while it was preempted.
                 active._kill_at = time.monotonic() + CANCEL_SECONDS
 
@@ -303,7 +310,10 @@ class WorkerProcess:
         for other in running:
             if other is not job:
                 self._requeue(other)
-        if job is not None and job._kill_at is not None:
+        if job is not None and job._out_of_time and (job._kill_at or 0.0) <= time.monotonic():
+            text = f"{job.name} took more than {job._most_seconds:g} s and was ended"
+            job._end("failed", error=OutOfTimeError(text))
+        elif job is not None and job._kill_at is not None and not job._out_of_time:
             job._end("cancelled")
         elif job is not None:
             _log.warning("worker %s: %s while running %s", self.name, why, job.name)
@@ -318,9 +328,9 @@ class WorkerProcess:
         """Queue a job again whose child died of another one, where it is still wanted."""
         with self._lock:
             newer = job._key is not None and job._key in self._of_key
-            wanted = job._kill_at is None and not newer
+            wanted = (job._kill_at is None or job._out_of_time) and not newer
             if wanted:
-                job.state, job._begun = "queued", False
+                job.state, job._begun, job._kill_at = "queued", False, None
                 self._enqueue(job)
         if not wanted:
             job._end("cancelled")
@@ -343,7 +353,7 @@ class WorkerProcess:
             self._died(child)
             return
         for job in self._running:
-            if job._kill_at is None or job._number in child.cancelled:
+            if job._kill_at is None or job._out_of_time or job._number in child.cancelled:
                 continue
             child.cancelled.add(job._number)
             try:

@@ -34,8 +34,13 @@ class Observable:
             if listener in self._listeners:
                 self._listeners.remove(listener)
                 self._notices.remove(notice)
+                if not self._listeners:
+                    self.left()
 
         return stop
+
+    def left(self) -> None:
+        """The last tab shows something else."""
 
     def changed(self) -> None:
         """Have all tabs redraw."""

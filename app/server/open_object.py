@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from app.server import display_tasks, part_tasks, picking_tasks
 from app.server.display_tasks import OpenedAsset, PartPayload
+from app.server.job import OutOfTimeError
 from app.server.jobs import CLICKS, EDITS, Job, JobFailed
 from app.server.object_context import ObjectContext
 from app.server.preparing import Preparing
@@ -33,6 +34,11 @@ from sessions.store import ObjectRecord, PendingAcceptance
 INTERRUPTED = "Its server ended, or another one still works on it. Press Y to accept it"
 
 
+READ_SECONDS = 600.0
+"""Longest reading of a file; scans of 50 million points take one minute."""
+READ_CANCELLED = "Reading it was cancelled"
+
+
 class OpenObject(ObjectContext):
     """One object as all its tabs see it: asset, session, labels, running jobs.
 
@@ -49,7 +55,7 @@ class OpenObject(ObjectContext):
         super().__init__(record, services)
         self._in_scene = in_scene
         self.problem: str | None = None
-        self._worker_died = False
+        self._worker_died = self._left = False
         self.backend_away = False
         self.payloads: dict[str, list[PartPayload]] = {}
         self._frame: tuple[Any, ...] | None = None
@@ -115,6 +121,11 @@ class OpenObject(ObjectContext):
         """Whether a tab shows it, a job works on it, or it waits to be accepted."""
         return self.is_shown or bool(self.jobs) or self.validation.acceptance_waits
 
+    def left(self) -> None:
+        """Stop reading: nobody waits for it."""
+        self._left = True
+        self.jobs.cancel("open")
+
     def release(self) -> None:
         """Drop what can be computed again; the decisions are on disk."""
         self._unsubscribe()
@@ -147,20 +158,19 @@ class OpenObject(ObjectContext):
             self.asset = None
             self.segmenting.forget()
             self.payloads.clear()
-            job = self.services.workers.geometry.submit(
+            job = self.services.workers.reading.submit(
                 display_tasks.open_asset,
                 Path(self.record.path),
                 self.services.workspace,
                 self.read_options,
                 on_progress=self.jobs.progress("open"),
-                priority=5,
-                preempted_by=CLICKS,
+                most_seconds=READ_SECONDS,
             )
             self.start("open", job, self._opened)
 
     def reopen(self) -> None:
         """Read it for a tab that opens it, also where the worker died when it was read last."""
-        self.ensure_open(again=self._worker_died)
+        self.ensure_open(again=self._worker_died or self._left)
 
     def try_again(self) -> None:
         """Read it again after a failure."""
@@ -276,11 +286,19 @@ class OpenObject(ObjectContext):
         error = self.jobs.deliver(what, job, keep)
         if what == "save" and not self.services.workers.closing:
             self.services.acceptances.end(self.record.id)
-        if isinstance(error, BackendError):
+        if isinstance(error, OutOfTimeError):
+            minutes = READ_SECONDS / 60
+            self._failed(what, f"Reading took more than {minutes:g} minutes: simplify the file")
+        elif isinstance(error, BackendError):
             self.backend_away = True
             self._failed(what, f"{error}. Press “Predict on this machine”")
         elif isinstance(error, ArtiworldError):
             self._failed(what, str(error))
+        elif what == "open" and newest and error is not None:
+            self.problem = READ_CANCELLED
+            if self._left and self.is_shown:  # a tab came back meanwhile
+                self._left = False
+                self.ensure_open(again=True)
         elif error is not None and what in ("predict", "save"):
             self.notify("Cancelled", "Nothing was changed", "gray")
         asked = what in ("segment", "labels") and error is None  # it would only fail again

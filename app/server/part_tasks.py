@@ -11,6 +11,7 @@ import numpy as np
 
 from app.server.tasks import arrays_of, asset_of
 from model.core.articulated_object import ArticulatedObject, Part, Prediction, SegmentedObject
+from model.core.errors import ConfigurationError, KinematicsError
 from model.core.inertial import Inertial
 from model.core.joint import Joint
 from model.core.lru_cache import LruCache
@@ -107,4 +108,25 @@ def predict(
     """Predict the kinematic tree of the parts."""
     progress(0.02, "Cutting out the parts")
     segmented = segmented_object(source)
-    return load_predictor(predictor).predict(segmented, locked=locked, seed=seed, progress=progress)
+    found: object = load_predictor(predictor).predict(
+        segmented, locked=locked, seed=seed, progress=progress
+    )
+    return checked(predictor, segmented, found)
+
+
+def checked(predictor: str, segmented: SegmentedObject, found: object) -> Prediction:
+    """Return a plug-in's answer, without its tree where that doesn't fit the parts.
+
+    Raises:
+        ConfigurationError: where it is no prediction.
+    """
+    if not isinstance(found, Prediction):
+        kind = type(found).__name__
+        raise ConfigurationError(f"predictor {predictor!r} gave a {kind} instead of a Prediction")
+    if found.tree is None:
+        return found
+    try:
+        ArticulatedObject(segmented.name, segmented.parts, found.tree)
+    except KinematicsError as error:
+        return replace(found, tree=None, problems=(*found.problems, *error.problems))
+    return found

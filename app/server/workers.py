@@ -6,10 +6,11 @@ from app.server.jobs import WorkerProcess
 
 
 class Workers:
-    """The four worker processes.
+    """The worker processes.
 
     Attributes:
-        geometry: reads files, cuts parts, picks points.
+        reading: reads files, which may take long or end it, so nobody's clicks wait for it.
+        geometry: cuts parts, picks points.
         segmentation: encodes assets and answers clicks.
         prediction: predicts joints and validates them.
         saving: writes accepted assets.
@@ -17,6 +18,7 @@ class Workers:
     """
 
     def __init__(self) -> None:
+        self.reading = WorkerProcess("reading")
         self.geometry = WorkerProcess("geometry")
         self.segmentation = WorkerProcess("segmentation")
         self.prediction = WorkerProcess("prediction")
@@ -26,7 +28,7 @@ class Workers:
     def close(self) -> None:
         """End the processes."""
         self.closing = True
-        workers = (self.geometry, self.segmentation, self.prediction, self.saving)
+        workers = (self.reading, self.geometry, self.segmentation, self.prediction, self.saving)
         for worker in workers:
             worker.begin_to_close()
         for worker in workers:

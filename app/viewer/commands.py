@@ -26,7 +26,7 @@ from app.viewer.words.annotate import TOOL_ROWS
 from sessions import commands as cmd
 from sessions.review import RejectReason
 
-_CANCELLED = ("predict", "save", "segment", "room", "tool", "prepare")
+_CANCELLED = ("open", "predict", "save", "segment", "room", "tool", "prepare")
 _VIEW_KEYS: Final[dict[int, View]] = {1: "front", 3: "side", 7: "top"}
 """As in Blender."""
 

@@ -123,3 +123,7 @@ def hold_the_interpreter(started: str) -> None:
     """Ignore cancels and messages, as a library's long call does."""
     Path(started).touch()
     ctypes.PyDLL(None).sleep(1000)  # with the interpreter's lock
+
+
+def reads_for_ever(*_: object, **__: object) -> None:
+    time.sleep(1000)

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from app.server.job import OutOfTimeError
 from app.server.jobs import CANCEL_SECONDS, Job, JobFailed, WorkerProcess
 from model.core.errors import InputFileError, KinematicsError
 from model.core.progress import Cancelled
@@ -318,3 +319,17 @@ def test_a_job_begins_anew_where_the_child_died_of_one_that_came_between(worker)
     with pytest.raises(JobFailed, match="kill_myself"):
         worker.submit(functions.kill_myself, priority=9).result(60)
     assert long.result(30) == 20
+
+
+def test_a_job_that_takes_too_long_is_ended(worker):
+    before = worker.pid
+    late = worker.submit(functions.deaf, 60, most_seconds=0.3)
+    after = worker.submit(functions.echo, 3)
+    with pytest.raises(OutOfTimeError, match=r"deaf took more than 0\.3 s"):
+        late.result(120)
+    assert after.result(120) == 3 and worker.pid != before
+    stopped = worker.submit(functions.steps, 1000, 0.05, most_seconds=60)
+    wait_until(lambda: stopped.state == "running")
+    stopped.cancel()
+    with pytest.raises(Cancelled):
+        stopped.result(120)

@@ -14,17 +14,17 @@ import pytest
 import trimesh
 
 from app.server import app_state as workbench
-from app.server import display_tasks
+from app.server import display_tasks, picking_tasks
 from app.server.app_state import AppState
 from app.server.config import ServeConfig
 from app.server.drafts import AssetDrafts
-from app.server.open_object import OpenObject
+from app.server.open_object import READ_CANCELLED, OpenObject
 from model.core.errors import CommandError
 from model.segmentation.prompts import Click
 from sessions import commands as cmd
 from sessions.live import LiveSession
 from sessions.store import Store
-from tests.app.job_functions import killed_while_opening
+from tests.app.job_functions import killed_while_opening, reads_for_ever
 from tests.builders import wait_until
 
 GOOD = trimesh.creation.box((1, 0.5, 0.7))
@@ -238,3 +238,35 @@ def test_who_waits_for_a_draft_hears_how_far_it_is() -> None:
     assert heard == [print]  # what is looked at next doesn't stop it
     drafts.finish(source, "other joints", print)  # type: ignore[arg-type]
     assert heard == [print, "cancelled"]
+
+
+@pytest.mark.parametrize("by", ["a button", "leaving"])
+def test_a_read_without_end_holds_nobody_up_and_can_be_ended(
+    by: str, begin_app, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    paths = [tmp_path / f"{name}.ply" for name in ("worst", "good")]
+    for path in paths:
+        GOOD.export(path)
+    app_state = begin_app(*paths)
+    worst, good = (r.id for r in app_state.queue.records())
+    clicked = settled(app_state, good)
+    with monkeypatch.context() as patched:
+        patched.setattr(display_tasks, "open_asset", reads_for_ever)
+        obj = app_state.object(worst)
+    leave = obj.watch(lambda: None, lambda *_: None)
+    workers, asset = app_state.workers, clicked.asset
+    assert asset is not None
+    ray = (asset.folder, (0.1, 0.1, 5.0), (0.0, 0.0, -1.0))
+    assert workers.geometry.submit(picking_tasks.pick, *ray).result(60) is not None
+    assert "open" in obj.jobs and workers.reading.pid != workers.geometry.pid
+    if by == "a button":
+        obj.jobs.cancel("open")
+    else:
+        leave()
+    wait_until(lambda: obj.problem, "it is cancelled")
+    assert obj.problem == READ_CANCELLED and not app_state.queue.unreadable
+    if by == "a button":
+        obj.try_again()
+    else:
+        app_state.object(worst)
+    wait_until(lambda: obj.asset, "it opens")

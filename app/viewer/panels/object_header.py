@@ -85,7 +85,7 @@ class ObjectHeader:
         put(self._steps, "options", labels)
         put(self._play, "visible", doc.tree is not None and selection.step not in AT_REST)
         jobs = dict(obj.busy)  # they end while this is drawn
-        stoppable = {"predict", "save", "room"} & set(jobs)
+        stoppable = {"open", "predict", "save", "room"} & set(jobs)
         if selection.step == "Prepare":
             stoppable |= {"prepare"} & set(jobs)
         if jobs.get("tool", (0.0, ""))[0]:  # only long tools report progress
