@@ -47,7 +47,7 @@ def test_a_refusal_speaks_the_unit_that_is_shown() -> None:
 
 
 def test_an_edited_joint_is_called_so() -> None:
-    assert "confidence 22 %" in tree_text(TREE, document(), [])
+    assert "confidence 22\u00a0%" in tree_text(TREE, document(), [])
     said = tree_text(TREE, document(replace(DOOR, upper=1.0)), [])
     assert "confidence" not in said
     assert "edited" in said
@@ -106,8 +106,8 @@ def test_the_joints_of_one_part_are_told_apart() -> None:
     said = tree_text(tree, doc, [])
     assert "helper" not in said
     assert said.splitlines()[1:3] == [
-        f"  - **{first}** prismatic 0 to 100 mm · confidence 71 %",
-        f"    - **{second}** continuous · confidence 71 %",
+        f"  - **{first}** prismatic 0 to 100 mm · confidence 71\u00a0%",
+        f"    - **{second}** continuous · confidence 71\u00a0%",
     ]
     cloud = tuple(Part(p.link, cloud=POINTS, name=p.name) for p in parts)
     obj = ArticulatedObject("chair", cloud, tree)
@@ -129,4 +129,4 @@ def test_of_many_joints_those_of_lowest_confidence_are_shown() -> None:
     doc = Document(tree=tree, prediction=Prediction(tree, confidence=sure))
     shown = [name for name, _, _ in least_confident(doc, joint_lines(doc))]
     assert shown == [f"j{i}" for i in (*range(1, 11), 14, 15)]
-    assert joint_lines(doc)[14][1] == "part 15 · unlimited · 40 %"
+    assert joint_lines(doc)[14][1] == "part 15 · unlimited · 40\u00a0%"

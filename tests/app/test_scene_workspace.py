@@ -510,8 +510,8 @@ def test_a_helper_is_told_as_the_part_that_it_moves() -> None:
         prediction=Prediction(tree, confidence={"link_1": 0.9}),
     )  # fmt: skip
     assert [(name, line) for name, line, _ in joint_lines(doc)] == [
-        ("lift", "seat 1: lift · prismatic · 0 to 80 mm · 90 %"),
-        ("turn", "seat 1: swivel · unlimited · 90 %"),
+        ("lift", "seat 1: lift · prismatic · 0 to 80 mm · 90\u00a0%"),
+        ("turn", "seat 1: swivel · unlimited · 90\u00a0%"),
     ]
 
 

@@ -94,7 +94,7 @@ def pose(name: str, unit: str) -> str:
 
 def confidence(share: float) -> str:
     """Confidence of a prediction, 0..1."""
-    return f"{100 * share:.0f} %"
+    return f"{100 * share:.0f}\u00a0%"  # never alone on the next line
 
 
 span = Message("{lower} to {upper}")

@@ -31,7 +31,7 @@ KINDS_HINT: Final = "Support: table, floor and walls. What is checked is grey: E
 
 def tilted(tilt: float, up: tuple[float, float, float], confidence: float) -> str:
     """Where up seems to be: radians of tilt, the direction, 0..1."""
-    sure = f"({100 * confidence:.0f} %)"
+    sure = f"(confidence {100 * confidence:.0f}\u00a0%)"
     axis = int(np.abs(up).argmax())
     if abs(up[axis]) > np.cos(np.radians(3)):
         return f"**{'−' if up[axis] < 0 else ''}{'XYZ'[axis]} is up in this file** {sure}."
