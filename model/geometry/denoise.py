@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import KDTree
 
-NEIGHBORS, NOISE_NEIGHBORS = 40, 12
+NEIGHBORS, NOISE_NEIGHBORS = 16, 12
 NOISY = 0.32
 """Noise level above which points are as far from their surface as from each other. Simulated depth
 cameras give up to 0.29, reconstructions from many views 0.33 and more."""

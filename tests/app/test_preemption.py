@@ -20,6 +20,7 @@ from model.core.resources import static_assets
 from model.segmentation.prompts import Click
 from sessions import commands as cmd
 from sessions.store import Store
+from sessions.tool_commands import SOURCE_FRAME
 from tests.app.test_open_objects import settled
 from tests.builders import wait_until
 
@@ -96,7 +97,7 @@ def test_all_parts_is_asked_for_below_everything_and_encodes_first() -> None:
     obj = SimpleNamespace(
         need_asset=lambda: SimpleNamespace(folder="folder"),
         document=SimpleNamespace(prompts=(), parts=(), tree=None, up_axis=None, unit_scale=1.0,
-                                 left_out=None, face_cuts=()),
+                                 left_out=None, face_cuts=(), frame=SOURCE_FRAME),
         services=SimpleNamespace(
             workers=SimpleNamespace(segmentation=SimpleNamespace(submit=submit)), workspace=None,
             config=SimpleNamespace(segmenter="default")),

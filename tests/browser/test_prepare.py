@@ -97,15 +97,15 @@ def test_up_by_floor_and_size_by_length(start: Any, open_tab: Any, tmp_path: Pat
         lambda: getattr(tab.object.preparing.current, "up", None) is not None,
         "levelled by the floor",
     )
-    tab.camera_at_rest()  # it flies to the new front
-    tab.page.wait_for_timeout(800)
+    tab.page.wait_for_timeout(3000)  # it sets out for the new front
+    tab.camera_at_rest()
     tab.key("m")
     wait_until(lambda: tab.app.pointing.armed == "length", "a length is asked for")
-    for place in ((-0.6, -0.6), (0.6, -0.6)):
+    for place in ((-0.5, 0.5), (0.5, 0.5)):
         tab.click3d(corner(*place))
         tab.page.wait_for_timeout(300)
     tab.page.get_by_text("Length [m]").first.wait_for(timeout=60_000)
-    tab.field("Length [m]").fill("1.2")
+    tab.field("Length [m]").fill("1.0")
     tab.page.wait_for_timeout(300)
     tab.button("Set").click()
     wait_until(lambda: tab.document.frame.scale != 1.0, "scaled")

@@ -90,10 +90,10 @@ def test_buttons_of_a_real_remote(shared_data: Path) -> None:
     """The knobs and buttons of a PartNet-Mobility object, 24 to 200 points of 100k each."""
     item = real_object(shared_data, "101352", "all")
     session = DefaultSegmenter().encode(item.asset)
-    parts = [part for part in item.parts if part in small_parts(item.labels)][:3]
-    assert len(parts) == 3
+    parts = [part for part in item.parts if part in small_parts(item.labels)]
+    assert len(parts) >= 3
     close, plain = (played(s, item.labels, parts) for s in (session, without(session)))
-    assert np.mean(close) > 0.8 and np.mean(close) > np.mean(plain) + 0.1
+    assert np.mean(close) > 0.75 and np.mean(close) > np.mean(plain) + 0.1
 
 
 def test_small_parts_of_a_real_mesh(shared_data: Path) -> None:
