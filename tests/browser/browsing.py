@@ -215,5 +215,14 @@ class SceneTab(Tab):
         page.wait_for_timeout(400)
         return self
 
+    def saved(self) -> Any:
+        """What was saved; presses *Save scene* again while it is refused, with a message, because
+        parts are still being cut."""
+        workspace = self.scene_workspace
+        if workspace.document.saved is None and "save" not in workspace.jobs:
+            self.button("Save scene").click()
+            self.page.wait_for_timeout(2000)
+        return workspace.document.saved
+
     def status(self, id: str) -> str:
         return self.scene_workspace.status(self.scene_workspace.items[id])

@@ -126,8 +126,7 @@ def test_open_choose_work_in_place_accept_and_save(
     tab.wait_seen()
     tab.button("Accept (Y)").first.click()
     wait_until(lambda: tab.status("cabinet 1") == "accepted", "accepted")
-    tab.button("Save scene").click()
-    saved = wait_until(lambda: tab.scene_workspace.document.saved, "saved")
+    saved = wait_until(tab.saved, "saved")
     assert (Path(saved.folder) / "scene.xml").is_file()
 
 
