@@ -32,10 +32,17 @@ def started() -> Iterator[list[subprocess.Popen[str]]]:
         run.stdout.close()
 
 
+def heard() -> None:
+    """Signals that whoever runs the tests ignores, as nohup does, would be ignored here as well."""
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_DFL)
+
+
 def start(words: list[str], started: list[subprocess.Popen[str]]) -> subprocess.Popen[str]:
     run = subprocess.Popen(
-        words, start_new_session=True, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
-    )
+        words, start_new_session=True, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+        preexec_fn=heard,
+    )  # fmt: skip
     started.append(run)
     return run
 
