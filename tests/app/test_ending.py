@@ -41,7 +41,7 @@ def heard() -> None:
 def start(words: list[str], started: list[subprocess.Popen[str]]) -> subprocess.Popen[str]:
     run = subprocess.Popen(
         words, start_new_session=True, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-        preexec_fn=heard,
+        preexec_fn=heard,  # noqa: PLW1509 - it only sets signals
     )  # fmt: skip
     started.append(run)
     return run
