@@ -58,7 +58,7 @@ class MaterialFiles:
         """The same grey material for the same name."""
         return self._plain.setdefault(name, Material(name or "material"))
 
-    def library_names(self, text: str, folder: Path) -> list[str]:
+    def mtl_names(self, text: str, folder: Path) -> list[str]:
         """The files that the words of a ``mtllib`` line name: one, whose name may hold spaces, or
         several."""
         words = text.split()

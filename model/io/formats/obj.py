@@ -234,7 +234,7 @@ def _materials(
     """The materials that faces use, and each face's."""
     known: dict[str, Material] = {}
     for library in lines.libraries:
-        for each in files.library_names(library, path.parent):
+        for each in files.mtl_names(library, path.parent):
             for name, material in files.read(each, path, warnings).items():
                 known.setdefault(name, material)
     kept, face_material = np.unique(used, return_inverse=True)
