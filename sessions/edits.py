@@ -50,7 +50,7 @@ from sessions.document import (
 from sessions.review import Action, Role, transition
 from sessions.scene_commands import DecideObjects, PickOut, SetArticulable
 from sessions.tool_commands import ApplyTool, CropOut, CutFaces, LeaveOut, Placed
-from sessions.tree_edits import path_to_root, replace_joint, reroot, with_fixed, without_link
+from sessions.tree_edits import replace_joint, with_fixed, without_link
 
 
 @dataclass(frozen=True)
@@ -406,8 +406,8 @@ def _edit_tree(
         return _lock(document, tree, command)
     locked = document.locked
     if isinstance(command, SetRoot):
-        after = reroot(tree, command.link)
-        turned = path_to_root(tree, command.link)
+        after = tree.rerooted(command.link)
+        turned = tree.path_to_root(command.link)
         parents = {tree.joint_of[c].parent for c in turned if c in locked}
         locked = (locked - frozenset(turned)) | parents
     else:

@@ -35,30 +35,6 @@ def _renamed(follower: Joint, old: Joint, new: Joint) -> Joint:
     return replace(follower, mimic=replace(follower.mimic, joint=new.name))
 
 
-def reroot(tree: KinematicTree, link: str) -> KinematicTree:
-    """Return the same mechanism with ``link`` as its root.
-
-    The joints on the path to it are reversed; at the same q all links keep their relative poses.
-
-    Raises:
-        KinematicsError: where there is no such link.
-    """
-    if link not in tree.links:
-        raise KinematicsError([f"no link {link!r}; there are {', '.join(tree.links)}"])
-    turned = path_to_root(tree, link)
-    joints = tuple(_turned(j) if j.child in turned else j for j in tree.joints)
-    return replace(tree, joints=joints)
-
-
-def path_to_root(tree: KinematicTree, link: str) -> tuple[str, ...]:
-    """Return ``link`` and its ancestors, without the root."""
-    out: list[str] = []
-    while link in tree.joint_of:
-        out.append(link)
-        link = tree.joint_of[link].parent
-    return tuple(out)
-
-
 def with_fixed(tree: KinematicTree, link: str) -> KinematicTree:
     """Return the tree with one more ``link``, fixed to the root."""
     name = f"fixed_{link}"
@@ -90,12 +66,6 @@ def without_link(tree: KinematicTree, link: str) -> KinematicTree | None:
         for j in joints
     ]
     return KinematicTree(tuple(n for n in tree.links if n != link), tuple(joints))
-
-
-def _turned(joint: Joint) -> Joint:
-    # The parent moves against the child by the inverse motion: the axis flips, q and limits stay.
-    x, y, z = (-v if v else 0.0 for v in joint.axis)
-    return replace(joint, parent=joint.child, child=joint.parent, axis=(x, y, z))
 
 
 def _no_joint(tree: KinematicTree, child: str) -> str:

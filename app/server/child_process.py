@@ -10,7 +10,7 @@ import sys
 from multiprocessing.connection import Connection
 from typing import Any
 
-from app.server.ending import held_back
+from app.server.ending import signals_blocked
 from app.server.job import Job, JobFailed
 from app.server.worker import pack, send, unpack
 from model.core.errors import ArtiworldError
@@ -41,7 +41,7 @@ class Child:
             f"import sys; sys.path[:] = {paths!r}; from app.server.worker import main; "
             f"main({descriptor}, {os.getpid()}, {name!r})"
         )
-        with held_back():
+        with signals_blocked():
             self.process = subprocess.Popen(
                 [sys.executable, "-P", "-c", code],
                 pass_fds=[descriptor],

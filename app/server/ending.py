@@ -61,7 +61,7 @@ class EndSignals:
 
 
 @contextmanager
-def held_back() -> Iterator[None]:
+def signals_blocked() -> Iterator[None]:
     """Block the signals in this thread, and in a process that it starts until that lets them in."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
     try:
@@ -70,7 +70,7 @@ def held_back() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def leave_to_parent() -> None:
+def ignore_end_signals() -> None:
     """Have the signals do nothing in this process, whose parent ends it."""
     for number in SIGNALS:  # ignored ones would be inherited
         signal.signal(number, lambda *_: None)

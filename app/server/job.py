@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import queue
 import threading
 from collections.abc import Callable, Hashable
@@ -75,7 +76,12 @@ class Job(Generic[T]):
         self._lock = threading.Lock()
         self._kill_at: float | None = None
         self._most_seconds = most_seconds
-        self._out_of_time = False
+        self._deadline = math.inf
+
+    @property
+    def _ends_at(self) -> float:
+        """When the child is killed: after a cancellation that it ignored, or out of time."""
+        return min(self._deadline, math.inf if self._kill_at is None else self._kill_at)
 
     @property
     def done(self) -> bool:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import heapq
 import itertools
 import logging
+import math
 import multiprocessing
 import os
 import threading
@@ -159,9 +160,8 @@ class WorkerProcess:
 
     def _cancel(self, job: Job[Any]) -> None:
         with self._lock:
-            if job.done or (job._kill_at is not None and not job._out_of_time):
+            if job.done or job._kill_at is not None:
                 return
-            job._out_of_time = False
             queued = job.state == "queued"
             if queued:
                 self._remove(job)
@@ -209,9 +209,8 @@ class WorkerProcess:
         active = self._active
         if active is None:
             return None
-        if active._kill_at is None:
-            return 1.0  # a child may die while a grandchild keeps the pipe open
-        return max(0.0, min(1.0, active._kill_at - time.monotonic()))
+        # Not longer: a child may die while a grandchild keeps the pipe open.
+        return max(0.0, min(1.0, active._ends_at - time.monotonic()))
 
     @property
     def _active(self) -> Job[Any] | None:
@@ -225,8 +224,7 @@ class WorkerProcess:
             return self._queue[0][2] if self._queue else None
         levels = [
             job._preempted_by for job in self._running
-            if job._preempted_by is not None and job._begun
-            and (job._kill_at is None or job._out_of_time)
+            if job._preempted_by is not None and job._begun and job._kill_at is None
         ]  # fmt: skip
         if len(levels) < len(self._running):
             return None
@@ -284,15 +282,15 @@ class WorkerProcess:
             return
         elif kind == "begun":
             job._begun = True
-            if job._most_seconds is not None and job._kill_at is None:
-                job._kill_at, job._out_of_time = time.monotonic() + job._most_seconds, True
+            if job._most_seconds is not None:
+                job._deadline = time.monotonic() + job._most_seconds
         elif kind == "progress":
             job._progressed(*unpack(chunks))
         else:
             self._running.remove(job)
             finish(job, chunks)
             active = self._active
-            if active is not None and active._kill_at is not None and not active._out_of_time:
+            if active is not None and active._kill_at is not None:
                 # It couldn't notice while it was preempted.
                 active._kill_at = time.monotonic() + CANCEL_SECONDS
 
@@ -310,11 +308,11 @@ class WorkerProcess:
         for other in running:
             if other is not job:
                 self._requeue(other)
-        if job is not None and job._out_of_time and (job._kill_at or 0.0) <= time.monotonic():
+        if job is not None and job._kill_at is not None:
+            job._end("cancelled")
+        elif job is not None and job._deadline <= time.monotonic():
             text = f"{job.name} took more than {job._most_seconds:g} s and was ended"
             job._end("failed", error=OutOfTimeError(text))
-        elif job is not None and job._kill_at is not None and not job._out_of_time:
-            job._end("cancelled")
         elif job is not None:
             _log.warning("worker %s: %s while running %s", self.name, why, job.name)
             text = f"{job.name}: the worker process {why}; it has been started again"
@@ -328,9 +326,9 @@ class WorkerProcess:
         """Queue a job again whose child died of another one, where it is still wanted."""
         with self._lock:
             newer = job._key is not None and job._key in self._of_key
-            wanted = (job._kill_at is None or job._out_of_time) and not newer
+            wanted = job._kill_at is None and not newer
             if wanted:
-                job.state, job._begun, job._kill_at = "queued", False, None
+                job.state, job._begun, job._deadline = "queued", False, math.inf
                 self._enqueue(job)
         if not wanted:
             job._end("cancelled")
@@ -349,11 +347,11 @@ class WorkerProcess:
         active, child = self._active, self._child
         if active is None or child is None:
             return
-        if active._kill_at is not None and time.monotonic() >= active._kill_at:
+        if time.monotonic() >= active._ends_at:
             self._died(child)
             return
         for job in self._running:
-            if job._kill_at is None or job._out_of_time or job._number in child.cancelled:
+            if job._kill_at is None or job._number in child.cancelled:
                 continue
             child.cancelled.add(job._number)
             try:

@@ -55,7 +55,7 @@ class OpenObject(ObjectContext):
         super().__init__(record, services)
         self._in_scene = in_scene
         self.problem: str | None = None
-        self._worker_died = self._left = False
+        self._worker_died = self._reading_stopped = False
         self.backend_away = False
         self.payloads: dict[str, list[PartPayload]] = {}
         self._frame: tuple[Any, ...] | None = None
@@ -123,7 +123,7 @@ class OpenObject(ObjectContext):
 
     def left(self) -> None:
         """Stop reading: nobody waits for it."""
-        self._left = True
+        self._reading_stopped = True
         self.jobs.cancel("open")
 
     def release(self) -> None:
@@ -170,7 +170,7 @@ class OpenObject(ObjectContext):
 
     def reopen(self) -> None:
         """Read it for a tab that opens it, also where the worker died when it was read last."""
-        self.ensure_open(again=self._worker_died or self._left)
+        self.ensure_open(again=self._worker_died or self._reading_stopped)
 
     def try_again(self) -> None:
         """Read it again after a failure."""
@@ -194,7 +194,7 @@ class OpenObject(ObjectContext):
         self.services.workers.geometry.submit(picking_tasks.prepare_picking, asset.folder)
         self.segmenting.prepare()
         if self.in_scene is None and asset.source_labels is None:
-            self.preparing.look()
+            self.preparing.propose_on_opening()
         self._state_changed()
 
     # --- jobs that the state asks for
@@ -296,8 +296,8 @@ class OpenObject(ObjectContext):
             self._failed(what, str(error))
         elif what == "open" and newest and error is not None:
             self.problem = READ_CANCELLED
-            if self._left and self.is_shown:  # a tab came back meanwhile
-                self._left = False
+            if self._reading_stopped and self.is_shown:  # a tab came back meanwhile
+                self._reading_stopped = False
                 self.ensure_open(again=True)
         elif error is not None and what in ("predict", "save"):
             self.notify("Cancelled", "Nothing was changed", "gray")

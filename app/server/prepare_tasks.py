@@ -127,7 +127,7 @@ def propose(
 
 
 def marked_elements(
-    folder: Path, workspace: Path, up: Vector | None, marks: Marks, left_out: str | None,
+    workspace: Path, left_out: str | None, folder: Path, up: Vector | None, marks: Marks,
     progress: Progress = no_progress,
 ) -> Removal:  # fmt: skip
     """What is marked of an open scan, with what is left out already, to be left out.
@@ -145,19 +145,18 @@ def marked_elements(
     return removal(workspace, asset, gone, left_out)
 
 
-def chosen_elements(folder: Path, workspace: Path, chosen: str, left_out: str | None) -> Removal:
+def chosen_elements(workspace: Path, left_out: str | None, folder: Path, chosen: str) -> Removal:
     """Stored elements of an open scan, with what is left out already, to be left out."""
     gone = arrays_of(workspace).get(chosen)
     return removal(workspace, asset_of(folder), gone, left_out)
 
 
 def restored_elements(
-    path: Path, workspace: Path, options: ReadOptions, camera: Camera,
+    workspace: Path, left_out: str, path: Path, options: ReadOptions, camera: Camera,
     stroke: Stroke | tuple[Any, Any],
 ) -> Removal | None:  # fmt: skip
     """What stays left out once what a stroke or a box covers is brought back; None: nothing."""
-    assert options.left_out is not None
-    gone = arrays_of(workspace).get(options.left_out)
+    gone = arrays_of(workspace).get(left_out)
     picker = Picker(removed_of(path, workspace, options))
     if isinstance(stroke, Stroke):
         back = picker.select_stroke(camera, stroke)

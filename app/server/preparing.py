@@ -60,7 +60,7 @@ class Preparing:
         doc = self._obj.document
         return not doc.prompts and doc.tree is None and doc.placement is None
 
-    def look(self) -> None:
+    def propose_on_opening(self) -> None:
         """Make a proposal for an object that was just opened."""
         if self.untouched and self._obj.document.left_out is None:
             self.propose(priority=-1)  # after what the first click needs
@@ -201,10 +201,7 @@ class Preparing:
             obj.do(self._command(matrix, leave_out, what, metres), who)
             done()
 
-        self._job(
-            keep, obj.services.workers.geometry, prepare_tasks.marked_elements, asset.folder,
-            obj.services.workspace, found.up, marks, self._left_out,
-        )  # fmt: skip
+        self._job(keep, prepare_tasks.marked_elements, asset.folder, found.up, marks)
 
     def _command(
         self, matrix: Array, leave_out: LeaveOut | None, what: str, metres: float | None = None
@@ -227,10 +224,7 @@ class Preparing:
         def keep(removal: Removal) -> None:
             obj.do(cmd.LeaveOut(removal.elements, removal.count, what), who)
 
-        self._job(
-            keep, obj.services.workers.geometry, prepare_tasks.chosen_elements, folder,
-            obj.services.workspace, chosen, self._left_out,
-        )  # fmt: skip
+        self._job(keep, prepare_tasks.chosen_elements, folder, chosen)
 
     def restore(self, camera: Camera, stroke: Stroke | tuple[Any, Any], who: str) -> None:
         """Bring back what a stroke or a box covers of what is left out."""
@@ -246,26 +240,16 @@ class Preparing:
             obj.do(command, who)
 
         self._job(
-            keep, obj.services.workers.geometry, prepare_tasks.restored_elements, asset.path,
-            obj.services.workspace, obj.read_options, camera, stroke,
-        )  # fmt: skip
+            keep, prepare_tasks.restored_elements, asset.path, obj.read_options, camera, stroke
+        )
 
-    @property
-    def _left_out(self) -> str | None:
-        left = self._obj.document.left_out
-        return None if left is None else left.elements
-
-    def _job(
-        self, keep: Callable[[Any], None], worker: Any, task: Callable[..., Any], *arguments: Any
-    ) -> None:
-        obj = self._obj
+    def _job(self, keep: Callable[[Any], None], task: Callable[..., Any], *arguments: Any) -> None:
+        obj, left = self._obj, self._obj.document.left_out
         if obj.document.face_cuts:
             raise CommandError("faces were split by a cut: undo it first")
-        progress = (
-            {}
-            if task is not prepare_tasks.marked_elements
-            else {"on_progress": obj.jobs.progress("room")}
-        )
-        job = worker.submit(task, *arguments, **progress, priority=6, preempted_by=CLICKS)
+        job = obj.services.workers.geometry.submit(
+            task, obj.services.workspace, None if left is None else left.elements, *arguments,
+            on_progress=obj.jobs.progress("room"), priority=6, preempted_by=CLICKS,
+        )  # fmt: skip
         obj.start("room", job, keep)
         obj.changed()

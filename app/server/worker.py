@@ -20,7 +20,7 @@ from collections.abc import Callable
 from multiprocessing.connection import Connection
 from typing import Any
 
-from app.server.ending import leave_to_parent
+from app.server.ending import ignore_end_signals
 from model.core.errors import ArtiworldError
 from model.core.progress import Cancelled
 from model.core.threads import die_with_parent
@@ -197,6 +197,6 @@ def main(descriptor: int, parent: int, name: str) -> None:
     """Run the child until the pipe closes."""
     die_with_parent(parent)
     faulthandler.enable()
-    leave_to_parent()
+    ignore_end_signals()
     threading.current_thread().name = name
     _Worker(Connection(descriptor)).run()

@@ -262,7 +262,7 @@ class ClientApp:
             self.drawing.clear()
             self.pointing.set_page_state()
             return
-        self.prepare.follow(obj)
+        self.prepare.show_if_tilted(obj)
         self._header.draw(obj, self.prepare.noticed(obj))
         self._follow_prediction(obj)
         self.drawing.draw(obj, touch=self.annotate.tools.touch)

@@ -85,6 +85,29 @@ class KinematicTree:
         joints = tuple(joint if j.child == joint.child else j for j in self.joints)
         return replace(self, joints=joints)
 
+    def path_to_root(self, link: str) -> tuple[str, ...]:
+        """``link`` and its ancestors, without the root."""
+        out: list[str] = []
+        while link in self.joint_of:
+            out.append(link)
+            link = self.joint_of[link].parent
+        return tuple(out)
+
+    def rerooted(self, link: str) -> KinematicTree:
+        """The same mechanism with ``link`` as its root.
+
+        The joints on the path to it are reversed; at the same q all links keep their relative
+        poses.
+
+        Raises:
+            KinematicsError: where there is no such link.
+        """
+        if link not in self.links:
+            raise KinematicsError([f"no link {link!r}; there are {', '.join(self.links)}"])
+        turned = self.path_to_root(link)
+        joints = tuple(_reversed(j) if j.child in turned else j for j in self.joints)
+        return replace(self, joints=joints)
+
     def renamed(self, names: Mapping[str, str]) -> KinematicTree:
         """The tree with its links renamed, old → new; links that aren't named stay."""
         joints = tuple(
@@ -159,6 +182,12 @@ def moving_chain(tree: KinematicTree, link: str, holds: Callable[[str], bool]) -
             break
         chain.insert(0, joint.parent)
     return tuple(chain)
+
+
+def _reversed(joint: Joint) -> Joint:
+    # The parent moves against the child by the inverse motion: the axis flips, q and limits stay.
+    x, y, z = (-v if v else 0.0 for v in joint.axis)
+    return replace(joint, parent=joint.child, child=joint.parent, axis=(x, y, z))
 
 
 def tree_problems(links: tuple[str, ...], joints: tuple[Joint, ...]) -> list[str]:

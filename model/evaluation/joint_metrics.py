@@ -39,7 +39,7 @@ from model.core.joint import Joint
 from model.core.tree import KinematicTree
 from model.evaluation.executability import Execution
 from model.evaluation.part_matching import PartMatch
-from model.evaluation.tree_metrics import chain, parents, path, rerooted, tree_edits
+from model.evaluation.tree_metrics import chain, parents, path, tree_edits
 
 ABSENT = ("missing", "unparseable")
 """Types of a missing joint, and of one that couldn't be read."""
@@ -192,8 +192,8 @@ def score_object(
     limits = limits or UsableLimits()
     parts = frozenset(p.link for p in truth.parts)
     above = parents(truth.tree, parts)
-    if predicted is not None and _equal_base(truth, predicted.root):
-        predicted = rerooted(predicted, truth.tree.root)
+    if predicted is not None and _equal_base(truth, predicted):
+        predicted = predicted.rerooted(truth.tree.root)
     below = {} if predicted is None else parents(predicted, parts)
     diagonal = _diagonal(truth, parts)
     joints: list[JointScore] = []
@@ -229,12 +229,13 @@ def score_object(
     )
 
 
-def _equal_base(truth: ArticulatedObject, root: str) -> bool:
-    """Whether the part ``root`` could be the base as well as the true one."""
+def _equal_base(truth: ArticulatedObject, predicted: KinematicTree) -> bool:
+    """Whether another part is the predicted base that could be it as well as the true one."""
     sides = {p.link: np.ptp(p.bounds, axis=0) for p in truth.parts}
-    if root == truth.tree.root or not {root, truth.tree.root} <= sides.keys():
+    bases = (predicted.root, truth.tree.root)
+    if bases[0] == bases[1] or not {*bases} <= sides.keys() & {*predicted.links}:
         return False
-    mine, own = (float(s @ np.roll(s, 1)) for s in (sides[root], sides[truth.tree.root]))
+    mine, own = (float(sides[base] @ np.roll(sides[base], 1)) for base in bases)
     return mine >= EQUAL_BASE * own
 
 

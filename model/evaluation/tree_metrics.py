@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import replace
 
 from model.core.joint import Joint
 from model.core.tree import KinematicTree
@@ -30,20 +29,6 @@ def path(tree: KinematicTree, part: str, parts: Collection[str]) -> tuple[str, t
 def parents(tree: KinematicTree, parts: Collection[str]) -> dict[str, str]:
     """Part → the next part above it, "" at the root; helper links are passed over."""
     return {p: path(tree, p, parts)[0] for p in parts if p in tree.links}
-
-
-def rerooted(tree: KinematicTree, root: str) -> KinematicTree:
-    """The same mechanism seen from another of its links: the joints between both roots are turned
-    round, so that all parts move against each other as before. Unchanged for unknown links."""
-    if root not in tree.links:
-        return tree
-    turned: dict[str, Joint] = {}
-    link = root
-    while (joint := tree.joint_of.get(link)) is not None:
-        axis = tuple(-v if v else 0.0 for v in joint.axis)
-        turned[joint.name] = replace(joint, parent=link, child=joint.parent, axis=axis)
-        link = joint.parent
-    return replace(tree, joints=tuple(turned.get(j.name, j) for j in tree.joints))
 
 
 def tree_edits(truth: Mapping[str, str], predicted: Mapping[str, str], *, extra: int = 0) -> int:

@@ -25,7 +25,7 @@ USUAL_HEIGHTS: dict[str, tuple[float, float]] = {
     "toaster": (0.17, 0.25), "toilet": (0.7, 0.9), "trashcan": (0.3, 1.1),
     "washingmachine": (0.8, 0.9),
 }  # fmt: skip
-"""Category → metres of usual outer heights, from retailers' tables."""
+"""Category → metres of usual outer heights, roughly: they only raise a question."""
 _UNUSUAL = 1.4
 """Factor beyond the usual range that is asked about: small refrigerators exist."""
 

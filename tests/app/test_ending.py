@@ -32,8 +32,8 @@ def started() -> Iterator[list[subprocess.Popen[str]]]:
         run.stdout.close()
 
 
-def heard() -> None:
-    """Signals that whoever runs the tests ignores, as nohup does, would be ignored here as well."""
+def hear_signals() -> None:
+    """Listen to signals that the tests themselves may ignore, as under nohup."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_DFL)
 
@@ -41,7 +41,7 @@ def heard() -> None:
 def start(words: list[str], started: list[subprocess.Popen[str]]) -> subprocess.Popen[str]:
     run = subprocess.Popen(
         words, start_new_session=True, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-        preexec_fn=heard,  # noqa: PLW1509 - it only sets signals
+        preexec_fn=hear_signals,  # noqa: PLW1509 - it only sets signals
     )  # fmt: skip
     started.append(run)
     return run

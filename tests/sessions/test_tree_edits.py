@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from model.core.errors import KinematicsError
 from model.core.joint import Joint, Mimic
 from model.core.tree import KinematicTree
-from sessions.tree_edits import path_to_root, replace_joint, reroot, without_link
+from sessions.tree_edits import replace_joint, without_link
 
 unit = st.floats(-1, 1, allow_nan=False)
 
@@ -46,7 +46,7 @@ def trees(draw) -> KinematicTree:
 def test_rooting_elsewhere_keeps_all_relative_poses(tree, data):
     link = data.draw(st.sampled_from(tree.links))
     q = {j.name: data.draw(unit) for j in tree.joints if j.moves}
-    other = reroot(tree, link)
+    other = tree.rerooted(link)
     assert other.root == link
     before, after = tree.pose(q), other.pose(q)
     for name in tree.links:
@@ -61,7 +61,7 @@ def test_rooting_elsewhere_keeps_all_relative_poses(tree, data):
 @given(trees(), st.data())
 def test_rooting_there_and_back_changes_nothing(tree, data):
     link = data.draw(st.sampled_from(tree.links))
-    back = reroot(reroot(tree, link), tree.root)
+    back = tree.rerooted(link).rerooted(tree.root)
     assert back.links == tree.links
     for a, b in zip(back.joints, tree.joints, strict=True):
         assert a == b
@@ -125,9 +125,9 @@ def test_a_leader_that_stops_moving_is_refused(cabinet):
 
 def test_an_unknown_root_is_refused(cabinet):
     with pytest.raises(KinematicsError, match="no link 'door'"):
-        reroot(cabinet, "door")
+        cabinet.rerooted("door")
 
 
 def test_the_way_up(cabinet):
-    assert path_to_root(cabinet, "link_2") == ("link_2", "link_1")
-    assert path_to_root(cabinet, "link_0") == ()
+    assert cabinet.path_to_root("link_2") == ("link_2", "link_1")
+    assert cabinet.path_to_root("link_0") == ()

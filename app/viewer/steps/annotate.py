@@ -145,7 +145,7 @@ class AnnotateStep:
         wide = obj.asset is not None and may_be_a_room(obj.asset.bounds)
         room = wide and not self._tab.in_scene and doc.placement is None
         whole = room and doc.left_out is None and not doc.prompts
-        noticed = self._prepare.question(obj)
+        noticed = self._prepare.notice(obj)
         put(self._to_prepare, "visible", noticed is not None)
         mine = [p for p in doc.prompts if p.part == selection.part]
         put(self._room, "label", words.EXCLUDE_ROOM if whole else words.EXTRACT)

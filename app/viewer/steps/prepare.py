@@ -136,7 +136,7 @@ class PrepareStep:
         kinds = {} if may_be_a_room(asset.bounds) else preparing.noticed()
         return bool(preparing.tilt or preparing.doubtful or kinds or odd)
 
-    def follow(self, obj: OpenObject) -> None:
+    def show_if_tilted(self, obj: OpenObject) -> None:
         """Show the step at once for a scan that is tilted, unless it is being worked on."""
         tilted = obj.preparing.tilt and self.noticed(obj)
         selection = self._tab.selection
@@ -146,7 +146,7 @@ class PrepareStep:
         if selection.step == "Annotate" and not selection.picking:
             selection.set_step("Prepare")
 
-    def question(self, obj: OpenObject) -> str | None:
+    def notice(self, obj: OpenObject) -> str | None:
         """What was noticed, for the annotate step; None where nothing was."""
         if not self.noticed(obj):
             return None
@@ -384,7 +384,7 @@ class PrepareStep:
             self._shown_for = None
             return
         obj.preparing.propose_for_step()
-        self._follow_marks(obj)
+        self._mark_by_default(obj)
         found = obj.preparing.current
         frame, marks = self._frame(obj), self._marked(obj)
         now = (id(obj.asset), id(found), frame.tobytes(), marks, self._handle, self._length,
@@ -405,7 +405,7 @@ class PrepareStep:
             removed=True, handle=self._handle,
         )  # fmt: skip
 
-    def _follow_marks(self, obj: OpenObject) -> None:
+    def _mark_by_default(self, obj: OpenObject) -> None:
         """Mark what a raw scan has beside the object, and nothing in a clean one."""
         found, preparing, raw = obj.preparing.current, obj.preparing, obj.document.left_out is None
         now = (obj.record.id, raw, None if found is None else found.up, found is None)
