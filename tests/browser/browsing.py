@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import time
 from typing import Any
 
 import numpy as np
 
+from app.server.pointer_messages import set_page_state
 from tests.builders import wait_until
 
 CHROMIUM_FLAGS = (
@@ -46,6 +48,35 @@ _PROJECT = """(p) => {
 }"""
 
 
+_FRAMES = """(count) => new Promise((done) => {
+  const next = () => count-- > 0 ? requestAnimationFrame(next) : done();
+  next();
+})"""
+_RESTING = """(frames) => new Promise((done) => {
+  const m = window.__viserMutable, cam = m.camera;
+  let before = "", still = 0;
+  const look = () => {
+    const box = m.canvas.getBoundingClientRect();
+    const now = [...cam.position, ...cam.quaternion, ...cam.projectionMatrix.elements,
+      box.left, box.width, box.height].join();
+    still = now === before ? still + 1 : 0;
+    before = now;
+    if (still < frames) return requestAnimationFrame(look);
+    const eye = cam.position.clone(), root = m.nodeRefFromName[""];
+    done((root ? eye.applyMatrix4(root.matrixWorld.clone().invert()) : eye).toArray());
+  };
+  look();
+})"""
+"""Where the camera is once it and the picture's place stay the same for some frames."""
+
+
+def page_at_rest(page: Any) -> Any:
+    """(3,) where the page has the camera once all that the server sent with it was drawn."""
+    page.wait_for_selector("canvas", state="attached")
+    page.wait_for_function("() => window.__viserPointer?.hasSceneClickFilter()")
+    return np.array(page.evaluate(_RESTING, 4))
+
+
 def find_chromium() -> str | None:
     """Where a Chromium is, or None."""
     names = ("chromium", "chromium-browser", "google-chrome")
@@ -78,18 +109,23 @@ class Tab:
 
     def ready(self) -> Tab:
         """Wait for the object's picture and for clicks to be heard."""
-        page = self.page
-        page.wait_for_selector("canvas", state="attached")
-        page.wait_for_function("() => window.__viserSceneTree && window.__viserMutable")
         wait_until(lambda: self.server.apps, "the server sees the tab")
-        wait_until(
-            lambda: self.object is not None and self.object.asset is not None,
-            "the object is open",
-        )
+        wait_until(lambda: self.app.drawing.drawn, "the object's picture is sent")
         self.wait_node("/scan")
-        page.wait_for_function("() => window.__viserPointer.hasSceneClickFilter()")
-        page.wait_for_timeout(400)
+        self.camera_at_rest()
         return self
+
+    @property
+    def places(self) -> int:
+        """How many of the places that were asked for are marked in the picture."""
+        handle = self.app.tab.client.scene.get_handle_by_name
+        return sum(handle(f"/place/{k}") is not None for k in range(3))
+
+    def click_places(self, *places: Any) -> None:
+        """Click on 3D points that were asked for, one after the other."""
+        for k, place in enumerate(places):
+            wait_until(lambda k=k: self.places == k, "the earlier places are taken")
+            self.click3d(place)
 
     def wait_node(self, name: str) -> None:
         self.page.wait_for_function(
@@ -97,15 +133,34 @@ class Tab:
             arg=name,
         )
 
+    def drawn(self) -> None:
+        """Wait until the page shows what came of all that was done so far."""
+        tab, asked = self.app.tab, []
+        tab.act(lambda: asked.append(tab.drawings))  # after what was asked for before
+        wait_until(lambda: asked, "earlier actions")
+
+        def sent() -> bool:
+            tab.invalidate()
+            return tab.drawings > asked[0] + 1  # one that may have begun before, and one more
+
+        wait_until(sent, "the newest state is sent")
+        set_page_state(tab.client, drawings=asked[0])
+        self.page.wait_for_function("(n) => window.__artiworld?.get().drawings === n", arg=asked[0])
+        self.frames(2)
+
+    def frames(self, count: int) -> None:
+        """Wait until the page has drawn some frames."""
+        self.page.evaluate(_FRAMES, count)
+
     def camera_at_rest(self) -> Any:
-        """Where the camera is once it has come to rest; a new object is flown to."""
-        view, still = self.app.tab.client.camera, 0
-        last = np.asarray(view.position)
-        while still < 3:
-            self.page.wait_for_timeout(200)
-            now = np.asarray(view.position)
-            still, last = (still + 1 if (now == last).all() else 0), now
-        return last
+        """(3,) where the camera is once the page has it where the server does, and it rests."""
+        view = self.app.tab.client.camera
+
+        def rests() -> bool:
+            return np.allclose(page_at_rest(self.page), view.position, atol=1e-3)
+
+        wait_until(rests, "the camera rests")
+        return np.asarray(view.position)
 
     def pixel(self, point: Any) -> tuple[float, float]:
         """Where a 3D point is on the page."""
@@ -186,12 +241,11 @@ class Tab:
 
     def step(self, name: str) -> None:
         """Annotate, Joints or Review."""
-        for label in (name, f"● {name}"):
-            if self.button(label).count():
-                self.button(label).first.click()
-                break
+        # The dot of a step that asks for a look comes and goes.
+        label = re.compile(rf"^(● )?{re.escape(name)}$")
+        self.page.get_by_role("button", name=label).first.click()
         wait_until(lambda: self.selection.step == name, f"the {name} step")
-        self.page.wait_for_timeout(200)
+        self.drawn()
 
 
 class SceneTab(Tab):
@@ -206,23 +260,18 @@ class SceneTab(Tab):
         return self.server.app_state.scene
 
     def ready(self) -> SceneTab:
-        page = self.page
-        page.wait_for_selector("canvas", state="attached")
         wait_until(lambda: self.server.apps, "the server sees the tab")
         wait_until(lambda: self.scene_workspace.scene is not None, "the scene is read")
         self.wait_node("/world/ground")
-        page.wait_for_function("() => window.__viserPointer.hasSceneClickFilter()")
-        page.wait_for_timeout(400)
+        self.camera_at_rest()
         return self
 
-    def saved(self) -> Any:
-        """What was saved; presses *Save scene* again while it is refused, with a message, because
-        parts are still being cut."""
+    def save(self) -> Any:
+        """Save the scene once the parts of its objects are cut; what was saved."""
         workspace = self.scene_workspace
-        if workspace.document.saved is None and "save" not in workspace.jobs:
-            self.button("Save scene").click()
-            self.page.wait_for_timeout(2000)
-        return workspace.document.saved
+        wait_until(lambda: all(w.drawn is not None for w in workspace.wanted()), "its parts")
+        self.button("Save scene").click()
+        return wait_until(lambda: workspace.document.saved, "saved")
 
     def status(self, id: str) -> str:
         return self.scene_workspace.status(self.scene_workspace.items[id])
