@@ -15,6 +15,8 @@ from model.io.part_folder import is_part_folder
 from model.io.urdf.files import MOBILITY, URDF_SUFFIX
 
 _URDF_NAMES = (MOBILITY, "object.urdf")
+_FOLDERS_MODEL = "raw_model"
+"""What 3D-FUTURE calls the mesh in the folder of each model."""
 
 
 @dataclass(frozen=True)
@@ -24,7 +26,8 @@ class AssetIndex:
     Attributes:
         folders: that were searched.
         by_id: id in lower case → file or folder. An asset's ids are its name, its name without
-            suffix and its path below the searched folder, with and without suffix.
+            suffix and its path below the searched folder, with and without suffix; a 3D-FUTURE
+            model's is its folder.
         ambiguous: ids that several assets have; the first in the order of ``folders`` counts.
     """
 
@@ -98,6 +101,9 @@ def _ids(root: Path, path: Path) -> set[str]:
     out = {path.name, inside.as_posix()}
     if path.is_file():
         out |= {path.stem, inside.with_suffix("").as_posix()}
+    if path.stem == _FOLDERS_MODEL and path.parent != root:
+        out |= {path.parent.name, inside.parent.as_posix()}
+        out -= {path.name, path.stem}  # what all are called, so that none stands for another
     return {id.lower() for id in out}
 
 

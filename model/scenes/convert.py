@@ -22,7 +22,7 @@ import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -56,7 +56,7 @@ from model.scenes.outcome import Outcome
 from model.scenes.protocol import ArticulableFinder, ObjectDescription
 from model.scenes.ray_map import ray_map
 from model.scenes.results import write_results
-from model.scenes.scene import FloatArray, Scene, SceneObjectError
+from model.scenes.scene import FloatArray, Scene, SceneObject, SceneObjectError
 from model.scenes.unpacking import Unpacked
 
 WRITTEN = 4
@@ -197,7 +197,8 @@ def decide(
     inside = inside or Unpacked()
     truths: dict[Path, bool | None] = {}
     out: list[Outcome] = []
-    for obj, decision in zip(scene.objects, finder.find(descriptions(scene)), strict=True):
+    objects = [_filled(obj, assets) for obj in scene.objects]
+    for obj, decision in zip(objects, finder.find(descriptions(scene)), strict=True):
         outcome = Outcome(obj, decision)
         if obj.box is not None:
             outcome.state, outcome.reason = PLAIN, "a plain box without an asset"
@@ -215,6 +216,13 @@ def decide(
                 outcome.truth = truths[outcome.path]
         out.append(outcome)
     return out
+
+
+def _filled(obj: SceneObject, assets: AssetIndex) -> SceneObject:
+    """A box whose asset is there is that asset, stretched to it."""
+    if obj.box is None or obj.asset is None or assets.find(obj.asset) is None:
+        return obj
+    return replace(obj, box=None)
 
 
 def _moves(path: Path) -> bool | None:

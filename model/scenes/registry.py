@@ -30,6 +30,7 @@ SCENE_READERS = Registry[SceneReader](
         "mesatask": "model.scenes.readers.mesatask:MesaTaskReader",
         "internscenes": "model.scenes.readers.internscenes:InternScenesReader",
         "optiscene": "model.scenes.readers.optiscene:OptiSceneReader",
+        "physcene": "model.scenes.readers.physcene:PhySceneReader",
         "gltf": "model.scenes.readers.gltf_scene:GltfSceneReader",
         "usd": "model.scenes.readers.usd_stage:UsdStageReader",
         "scan": "model.scenes.readers.scan_room:ScanRoomReader",

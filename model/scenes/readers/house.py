@@ -161,6 +161,11 @@ def _points(value: Any, what: str) -> FloatArray:
     return np.array([numbers(v, 3, f"a corner of its {what}") for v in value])[:, [0, 2, 1]]
 
 
+def box_solid(low: FloatArray, size: FloatArray, color: tuple[int, int, int]) -> Loaded:
+    """The axis-parallel box from (3,) ``low`` of (3,) ``size``, in one colour."""
+    return _solid(low + _BOX * size, _BOX_FACES, color)
+
+
 def _solid(vertices: FloatArray, faces: Any, color: tuple[int, int, int]) -> Loaded:
     colors = np.tile(np.array([*color, 255], np.uint8), (len(vertices), 1))
     return Loaded(vertices, faces, colors=colors)

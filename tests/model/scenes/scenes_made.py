@@ -130,6 +130,16 @@ def optiscene(objects: list[dict] | None = None) -> str:
     return f"Place {json.dumps([asked])}.\n{design}\n{json.dumps(answer)}\nDone."
 
 
+def physcene(entries: list[dict] | None = None) -> dict:
+    x, y, z = POSITION
+    cabinet = {
+        "path": "3D-FUTURE-model/cab/raw_model.obj", "scale": 1.0, "size": [0.62, 0.8, 0.5],
+        "label": "Cabinet", "query_label": "cabinet", "query_size": [0.31, 0.4, 0.25],
+        "theta": YAW, "position": [x, z, -y], "centroid": [0.0, 0.0, 0.0],
+    }  # fmt: skip
+    return {"ThreedFront": {"cab": [cabinet] if entries is None else entries}, "GPN": {}}
+
+
 def world_pose(scale: float = 1.0) -> np.ndarray:
     """(4, 4) of the cabinet in every scene."""
     out = np.eye(4)

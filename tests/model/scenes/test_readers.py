@@ -27,6 +27,7 @@ WHOLE = {
     "mesatask": ("layout.json", made.mesatask()),
     "internscenes": ("layout.json", made.internscenes()),
     "optiscene": ("cabinet.txt", made.optiscene()),
+    "physcene": ("room.json", made.physcene()),
     "gltf": ("cabinet.glb", made.write_gltf),
     "usd": ("cabinet.usda", made.write_usd),
 }
