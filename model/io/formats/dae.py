@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,8 @@ _WORLD_FROM_UP = {
     "Y_UP": [[1, 0, 0], [0, 0, -1], [0, 1, 0]],
     "Z_UP": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
 }
+_ABSURD = re.compile(rb"<(?:\w+:)?p\b[^<>]*>[^<]*?(?<![\w.])(-?\d{10,})(?![\w.])")
+"""An index of a face that no file of a mesh has."""
 
 
 def read_dae(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
@@ -35,6 +38,10 @@ def read_dae(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
     data = read_bytes(path, max_bytes)
     if b"<!DOCTYPE" in data[:4096] or b"<!ENTITY" in data:
         raise InputFileError(path, "declares XML entities, which are not read", "export it again")
+    absurd = _ABSURD.search(data)
+    if absurd is not None:  # pycollada would wrap it
+        vertex = absurd[1][:40].decode()
+        raise InputFileError(path, f"a face uses vertex {vertex}", "the file is damaged")
     pieces: list[tuple[str, Loaded]] = []
     textured = False
     try:
@@ -68,7 +75,9 @@ def read_dae(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
     if not pieces:
         raise InputFileError(path, "has no triangles in its scene", "export the object again")
     whole = join([p for _, p in pieces])
-    remarks = ("textures of COLLADA files are not read",) if textured else ()
+    remarks = ["textures of COLLADA files are not read"] if textured else []
+    if len(file.controllers):
+        remarks.append(f"not read: {len(file.controllers)} skins and morphs")
     names = tuple((name, len(p.faces)) for name, p in pieces if len(p.faces))
     return replace(whole, pieces=names, warnings=(*whole.warnings, *remarks))
 

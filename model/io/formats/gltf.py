@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -28,11 +29,14 @@ _UNREADABLE = {
     "KHR_draco_mesh_compression": "Draco compression",
     "EXT_meshopt_compression": "meshopt compression",
 }
-_READ = (
-    "EXT_mesh_gpu_instancing", "KHR_mesh_quantization", "KHR_texture_transform", "KHR_materials_",
-    "KHR_lights_punctual", "KHR_xmp", "KHR_animation_pointer", "EXT_texture_webp",
-)  # fmt: skip
-"""Beginnings of the required extensions that are read, or that change no shape."""
+_READ = {
+    "EXT_mesh_gpu_instancing", "KHR_mesh_quantization", "KHR_texture_transform",
+    "KHR_lights_punctual", "KHR_xmp", "KHR_xmp_json_ld", "KHR_animation_pointer",
+    "EXT_texture_webp",
+}  # fmt: skip
+"""Extensions that are read, or that change no shape."""
+_LOOKS = "KHR_materials_"
+"""Begins the names of extensions that change no shape."""
 _MAX_NODES = 200_000
 
 
@@ -60,23 +64,32 @@ def open_gltf(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Gltf:
         raise InputFileError(
             path, f"is glTF version {version or 'unknown'!r}", "glTF 2.0 is read; export it again"
         )
-    for extension in tree.get("extensionsRequired") or ():
-        if extension in _UNREADABLE:
+    for extension in _listed(tree, "extensionsRequired"):
+        if isinstance(extension, str) and extension in _UNREADABLE:
             raise InputFileError(
                 path,
                 f"uses {_UNREADABLE[extension]} ({extension})",
                 "export it without compression",
             )
-        if not str(extension).startswith(_READ):
+        if not _is_read(extension):
             raise InputFileError(
                 path, f"needs the extension {extension!r}, which is not read", "export it without"
             )
-    views = tree.get("bufferViews")
-    for view in views if isinstance(views, list) else ():
+    for view in _listed(tree, "bufferViews"):
         for extension in set(as_dict(as_dict(view).get("extensions"))) & set(_UNREADABLE):
             what = f"uses {_UNREADABLE[extension]} ({extension})"
             raise InputFileError(path, what, "export it without compression")
     return Gltf(path, tree, binary, max_bytes)
+
+
+def _listed(tree: Json, key: str) -> list[Any]:
+    """The list in an entry; empty for anything else."""
+    value = tree.get(key)
+    return value if isinstance(value, list) else []
+
+
+def _is_read(extension: Any) -> bool:
+    return str(extension) in _READ or str(extension).startswith(_LOOKS)
 
 
 @contextmanager
@@ -153,6 +166,10 @@ class Gltf:
     def warnings(self) -> tuple[str, ...]:
         """Warnings about features of the meshes that were left out."""
         warnings = list(dict.fromkeys(self._materials.warnings))
+        used = _listed(self.tree, "extensionsUsed")
+        unread = sorted({str(e)[:60] for e in used if not _is_read(e)})
+        if unread:
+            warnings.append(f"not read: extensions {', '.join(unread[:5])}")
         if self._passed_over:
             warnings.append(f"{self._passed_over} pieces of lines are left out")
         if self._materials.left:
@@ -166,12 +183,12 @@ class Gltf:
         corners = visited = 0
         stack: list[tuple[int, Array, int]] = [(n, np.eye(4), 0) for n in self.roots()]
         nodes = self.tree.get("nodes") or []
-        self._check_tree(nodes)
+        self.check_tree()
         while stack:
             index, parent, depth = stack.pop()
             node = nodes[index]
             visited += 1
-            if depth > len(nodes) or visited > _MAX_NODES:
+            if depth > len(nodes) or visited > len(nodes):  # a root that is a child, too
                 raise InputFileError(self.path, "its nodes form a cycle", "export it again")
             world = parent @ node_matrix(node)
             if "mesh" in node:
@@ -207,8 +224,12 @@ class Gltf:
         own = self.mesh(node["mesh"], node.get("weights"), node.get("skin"))
         return own, [np.eye(4)] if "skin" in node else self._instances(node, world)
 
-    def _check_tree(self, nodes: list[Json]) -> None:
+    def check_tree(self) -> None:
         """Refuse nodes with two parents: their content could be repeated exponentially."""
+        nodes = self.tree.get("nodes") or []
+        if len(nodes) > _MAX_NODES:
+            what = f"has {len(nodes):,} nodes"
+            raise InputFileError(self.path, what, f"{_MAX_NODES:,} are the most; join its meshes")
         seen: set[int] = set()
         for node in nodes:
             for child in node.get("children") or ():
@@ -251,7 +272,7 @@ class Gltf:
 
     def _global_transforms(self) -> dict[int, Array]:
         nodes = self.tree.get("nodes") or []
-        self._check_tree(nodes)
+        self.check_tree()
         children = {c for n in nodes for c in n.get("children") or ()}
         stack = [(i, np.eye(4)) for i in range(len(nodes)) if i not in children]
         out: dict[int, Array] = {}

@@ -206,22 +206,34 @@ def colors_from(values: Array) -> npt.NDArray[np.uint8]:
     return out
 
 
-def check_indices(path: Path, faces: Array, count: int) -> None:
-    """Raise where ``faces`` index a vertex that isn't there.
+def check_indices(
+    path: Path, faces: Array, count: int, *, sizes: Array | None = None,
+    written: Array | None = None, what: str = "vertex",
+) -> None:  # fmt: skip
+    """Raise where ``faces`` index a vertex, or ``what`` else, that isn't there.
+
+    Args:
+        faces: (F, 3) numbers from 0; or (C,) of all corners, with their ``sizes``. Floats as text
+            files have them: what is no integer of 64 bits is refused as it is.
+        sizes: (F,) corners of each face.
+        written: (C,) what the file says for each corner; by default ``faces``.
 
     Raises:
-        InputFileError: with the first bad face.
+        InputFileError: with the first bad corner, as the file has it.
     """
-    if not len(faces):
+    flat = faces.reshape(-1)
+    bad = ~((flat >= 0) & (flat < count))  # NaN, too
+    if not bad.any():
         return
-    low, high = int(faces.min()), int(faces.max())
-    if low < 0 or high >= count:
-        row = int(((faces < 0) | (faces >= count)).any(axis=1).argmax())
-        raise InputFileError(
-            path,
-            f"face {row} uses vertex {low if low < 0 else high} of {count} vertices",
-            "the file is damaged; export it again",
-        )
+    at = int(bad.argmax())
+    ends = np.arange(len(faces)) * 3 + 3 if sizes is None else np.cumsum(sizes)
+    face = int(np.searchsorted(ends, at, side="right"))
+    value = (flat if written is None else written)[at]
+    shown = f"{int(value)}" if abs(value) < 2**63 else f"{value:g}"
+    raise InputFileError(
+        path, f"face {face} uses {what} {shown} of {count}",
+        "the file is damaged; export it again",
+    )  # fmt: skip
 
 
 def numbers(path: Path, text: str, what: str) -> npt.NDArray[np.float64]:

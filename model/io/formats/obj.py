@@ -78,7 +78,10 @@ def read_obj(
     textured = any(m.pictured for m in materials)
     if textured and lines.vt and (uv_index >= 0).any():
         uv = _uv(path, lines.vt)
-        check_indices(path, uv_index[uv_index >= 0][:, None], len(uv))
+        check_indices(
+            path, np.maximum(corner_t, 0), len(uv), sizes=sizes, written=corner_t + 1,
+            what="texture coordinate",
+        )  # fmt: skip
         moves = files.uv_transforms(materials)
         own = np.repeat(face_material, 3) if moves is not None else np.zeros(len(flat), np.int64)
         key = (corner_v[flat] * (len(uv) + 1) + uv_index + 1) * len(materials) + own
@@ -214,14 +217,14 @@ def _absolute(
     path: Path, lines: _Lines, sizes: Array, table: Array, vertex_count: int
 ) -> tuple[Array, Array, Array]:
     """Indices from 0; negative ones count back from where the face stands."""
-    if not (np.abs(table) < 2**53).all() or (table != np.rint(table)).any():
+    if not np.isfinite(table).all() or (table != np.rint(table)).any():
         raise InputFileError(path, "a face has an index that is no whole number")
-    index = table.astype(np.int64)
+    index = np.clip(table, -(2**53), 2**53).astype(np.int64)
     v = index[:, 0]
     if (v < 0).any():
         v = np.where(v < 0, v + np.repeat(lines.v_before, sizes) + 1, v)
     v = v - 1
-    check_indices(path, v[:, None], vertex_count)
+    check_indices(path, v, vertex_count, sizes=sizes, written=table[:, 0])
     t = index[:, 1] if index.shape[1] > 1 else np.zeros(len(index), np.int64)
     if (t < 0).any():
         t = np.where(t < 0, np.maximum(t + np.repeat(lines.vt_before, sizes) + 1, 0), t)

@@ -8,7 +8,7 @@ sizes and drops triangle strips; both keep indices out of range. plyfile is unde
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -59,16 +59,21 @@ def read_ply(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
 
 
 def read_ply_columns(
-    path: Path, extra: tuple[str, ...], max_bytes: int = DEFAULT_MAX_BYTES
+    path: Path,
+    extra: tuple[str, ...],
+    max_bytes: int = DEFAULT_MAX_BYTES,
+    element: Literal["vertex", "face"] = "vertex",
 ) -> tuple[Loaded, dict[str, Array]]:
-    """As :func:`read_ply`, with further properties of the vertices.
+    """As :func:`read_ply`, with further properties of the vertices or faces.
 
     Args:
         extra: names in lower case.
+        element: whose.
 
     Returns:
-        What was read, and (V,) values by name of those that are there. Where the file's texture
-        coordinates or face colours made new vertices, there are none.
+        What was read, and (V,) or (F,) values by name of those that are there. Where the file's
+        texture coordinates or face colours made new vertices, or not all faces are triangles,
+        there are none.
 
     Raises:
         InputFileError: where it is no PLY, truncated, or inconsistent.
@@ -84,11 +89,10 @@ def read_ply_columns(
     if "vertex" not in tables:
         raise InputFileError(path, "no vertices in it", "a mesh or a point cloud has vertices")
     loaded = _assemble(path, tables, comments)
-    columns = {k.lower(): v for k, v in tables["vertex"].items() if k.lower() in extra}
-    fits = {
-        k: v for k, v in columns.items()
-        if isinstance(v, np.ndarray) and len(v) == len(loaded.vertices)
-    }  # fmt: skip
+    table = tables.get(element, {})
+    count = len(loaded.vertices if element == "vertex" else loaded.faces)
+    columns = {k.lower(): v for k, v in table.items() if k.lower() in extra}
+    fits = {k: v for k, v in columns.items() if isinstance(v, np.ndarray) and len(v) == count}
     return loaded, fits
 
 
@@ -212,12 +216,11 @@ def _face_lists(face: Table) -> Ragged:
 def _faces(path: Path, face: Table, points: Array) -> tuple[Array, Array, Array]:
     """(F, 3) vertices, (F,) row of the face element, (F, 3) corner in its list."""
     lists = _face_lists(face)
-    with np.errstate(invalid="ignore"):
-        corners = lists.values.astype(np.int64)
-    if not len(corners):
+    if not len(lists.values):
         none = np.zeros((0, 3), np.int64)
         return none, np.zeros(0, np.int64), none
-    check_indices(path, corners[:, None], len(points))
+    check_indices(path, lists.values, len(points), sizes=lists.sizes)
+    corners = lists.values.astype(np.int64)
     triangles, polygon = triangulate(path, corners, lists.sizes, points)
     return corners[triangles], polygon, triangles
 
@@ -255,8 +258,9 @@ def _confidence(table: Table) -> Array | None:
 def _strips(path: Path, table: Table, count: int) -> Array:
     """(F, 3) triangles of triangle strips, whose parts -1 divides (Stanford's range scans)."""
     lists = _face_lists(table)
-    with np.errstate(invalid="ignore"):
-        order = lists.values.astype(np.int64)
+    order = np.maximum(lists.values, -1)
+    check_indices(path, np.maximum(order, 0), count, sizes=lists.sizes)
+    order = order.astype(np.int64)
     ends = np.cumsum(lists.sizes)
     out: list[Array] = []
     for strip in np.split(order, ends[:-1]) if len(order) else ():
@@ -267,7 +271,6 @@ def _strips(path: Path, table: Table, count: int) -> Array:
                 faces[1::2] = faces[1::2, ::-1]
                 out.append(faces)
     faces = np.concatenate(out) if out else np.zeros((0, 3), np.int64)
-    check_indices(path, faces, count)
     repeats = (faces == np.roll(faces, 1, axis=1)).any(axis=1)  # they turn a strip around
     return faces[~repeats]
 

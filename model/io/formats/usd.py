@@ -6,6 +6,7 @@ preview surface has is kept; textures are not. What is invisible or a guide is p
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -52,8 +53,11 @@ def read_usd(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
     into = stage.turn.copy()
     into[:3, :3] *= stage.unit
     found: list[tuple[str, Loaded]] = []
+    unread: Counter[str] = Counter()
     for prim in stage.prims():
         kind = prim.GetTypeName()
+        if stage.is_unread(prim):
+            unread[str(kind)] += 1
         if kind == "Mesh" or kind in SHAPES:
             made = stage.mesh_of(prim) if kind == "Mesh" else stage.primitive_of(prim, kind)
             found.append((str(prim.GetName()), made.moved(stage.world(prim) @ into)))
@@ -61,7 +65,8 @@ def read_usd(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
         raise InputFileError(path, "there is no mesh on its stage", "export its objects")
     whole = join([made for _, made in found])
     named = tuple((name, len(made.faces)) for name, made in found if len(made.faces))
-    return replace(whole, pieces=named)
+    remarks = [f"not read: {kind} ({n})" for kind, n in unread.items()]
+    return replace(whole, pieces=named, warnings=(*whole.warnings, *remarks))
 
 
 class UsdStage:
@@ -104,6 +109,15 @@ class UsdStage:
                 continue
             yield prim
 
+    def is_unread(self, prim: Any) -> bool:
+        """Whether a prim draws something that isn't read: copies, curves, points, a skeleton's."""
+        if prim.GetTypeName() in ("Mesh", *SHAPES):
+            return False
+        return (
+            prim.IsA(self.geom.Gprim) or prim.IsA(self.geom.PointInstancer)
+            or prim.GetTypeName() == "SkelRoot"
+        )  # fmt: skip
+
     def world(self, prim: Any) -> FloatArray:
         """(4, 4) world_from_prim in metres, +z up, of points in metres, +z up."""
         out = np.asarray(self.places.GetLocalToWorldTransform(prim), np.float64).T
@@ -120,7 +134,7 @@ class UsdStage:
             raise InputFileError(
                 self.path, f"{prim.GetPath()}: its faces and points don't fit together"
             )
-        check_indices(self.path, corners[:, None], len(points))
+        check_indices(self.path, corners, len(points), sizes=sizes)
         triangles, _ = triangulate(self.path, corners, sizes, points)
         faces = corners[triangles]
         if mesh.GetOrientationAttr().Get() == "leftHanded":

@@ -154,6 +154,8 @@ class _Reader:
 
     def _compiled(self, mujoco: Any) -> tuple[Any, Any, Any]:
         try:
+            if self.source.flat:
+                self._check_flat(mujoco)
             spec = mujoco.MjSpec.from_string(self.source.text, assets=self.source.assets)
             spec.compiler.boundmass = max(spec.compiler.boundmass, LEAST_MASS)
             spec.compiler.boundinertia = max(spec.compiler.boundinertia, LEAST_MASS**1.5)
@@ -165,6 +167,18 @@ class _Reader:
         data = mujoco.MjData(model)
         mujoco.mj_kinematics(model, data)
         return spec, model, data
+
+    def _check_flat(self, mujoco: Any) -> None:
+        """Let MuJoCo compare what frames hold with its schema.
+
+        Raises:
+            ValueError: for elements and attributes that it doesn't know.
+        """
+        try:
+            mujoco.MjSpec.from_string(self.source.flat, assets=self.source.assets)
+        except ValueError as error:
+            if "Schema violation" in str(error):
+                raise
 
     def _check(self) -> None:
         """Refuse values so large or small that sums overflow or vanish."""

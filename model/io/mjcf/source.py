@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import re
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,6 +19,7 @@ from model.core.errors import InputFileError
 from model.core.joint import Mimic
 from model.io.formats.loaded import DEFAULT_MAX_BYTES, read_bytes
 from model.io.formats.references import ReferenceRefused, resolve
+from model.io.mjcf.schema import ASSETS, DEFAULTS, KEPT, LOST, MJCF, ROOTS, WORLD
 from model.io.xml_file import MAX_BYTES, parse
 
 if TYPE_CHECKING:
@@ -27,25 +29,18 @@ MJCF_SUFFIXES = (".xml", ".mjcf")
 MOST_BODIES = 5000
 """More are no object; as for a URDF's links."""
 MOST_GEOMS = 20_000
+MOST_CELLS = 100_000_000
+"""Of a height field: 400 MB in MuJoCo, a square kilometre by the decimetre."""
 MOST_FILES = 100
 """Included ones."""
 DEEPEST = 200
 """Nested elements; MuJoCo's parser calls itself for each level."""
 PART_NAME = "part_name_"
 """Begins the names of the ``<custom><text>`` entries in which exports say what a link is called."""
-_ROOTS = ("mujoco", "mujocoinclude")
 _HEAD = 1 << 16
 _BEGINS = re.compile(rb"(?:\xef\xbb\xbf)?(?:\s|<\?.*?\?>|<!--.*?-->)*<mujoco[\s>/]", re.DOTALL)
 _NAMED = re.compile(r"""\b(file|meshdir|assetdir|texturedir)\s*=\s*["']([^"'<>]{1,1000})["']""")
-_KEPT = ("compiler", "default", "asset", "worldbody")
-_WORLD = ("body", "joint", "freejoint", "geom", "inertial", "frame", "replicate")
-_DEFAULTS = ("default", "joint", "geom", "mesh", "material")
-_ASSETS = ("mesh", "texture", "material", "hfield")
 _TEXTS = ("name", "class", "childclass", "mesh", "material", "texture", "hfield", "file", "model")
-_LOST = {
-    "actuator": "actuators", "tendon": "tendons", "composite": "composite bodies",
-    "flexcomp": "soft bodies", "deformable": "soft bodies",
-}  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +57,8 @@ class MjcfSource:
         part_names: body → what it is in people's words.
         files: that were included.
         notes: what was passed over, for people.
+        flat: ``text`` without frames, whose content MuJoCo 4.0 doesn't compare with its schema;
+            "" where there are none.
     """
 
     name: str
@@ -73,6 +70,7 @@ class MjcfSource:
     part_names: dict[str, str] = field(default_factory=dict)
     files: tuple[Path, ...] = ()
     notes: tuple[str, ...] = ()
+    flat: str = ""
 
 
 def is_mjcf(path: Path) -> bool:
@@ -138,29 +136,31 @@ class _Source:
         self.home: dict[Element, Path] = {}  # of elements that an included file brought
 
     def read(self) -> MjcfSource:
-        top = parse(self.path, _ROOTS[:1], "an MJCF")
+        top = parse(self.path, ROOTS[:1], "an MJCF")
         self._expand(top)
         self._check(top)
         said = _said(top)
         mimics = self._mimics(top)
-        lost = dict.fromkeys(_LOST[e.tag] for e in top.iter() if e.tag in _LOST and len(e) + len(
+        lost = dict.fromkeys(LOST[e.tag] for e in top.iter() if e.tag in LOST and len(e) + len(
             e.attrib))  # fmt: skip
         if lost:
             self.notes.append(f"not kept: {', '.join(lost)}")
-        kept = [e for e in top if e.tag in _KEPT]
+        self.notes += MJCF.unread(top)
+        kept = [e for e in top if e.tag in KEPT]
         top[:] = kept
         folders = self._folders(kept)
         for element in kept:
-            allowed = {"worldbody": _WORLD, "default": _DEFAULTS, "asset": _ASSETS}
+            allowed = {"worldbody": WORLD, "default": DEFAULTS, "asset": ASSETS}
             _prune(element, allowed.get(element.tag, ()))
         source = MjcfSource(top.get("model") or self.path.stem, "", mimics=mimics, part_names=said)
+        self.pictured = {e.get("texture") for e in top.iter() if e.tag in ("material", "layer")}
         for element in (e for section in kept if section.tag == "asset" for e in section):
             self._asset(element, folders, source)
         self._count(kept)
         text = ET.tostring(top, encoding="unicode")
         return MjcfSource(
             source.name, text, source.assets, source.meshes, source.textures, mimics, said,
-            tuple(self.files), tuple(self.notes),
+            tuple(self.files), tuple(self.notes), _without_frames(top),
         )  # fmt: skip
 
     # -- includes --------------------------------------------------------------------------------
@@ -188,7 +188,7 @@ class _Source:
                         self.path, f"includes more than {MOST_FILES} files or 64 MiB",
                         "a file can't include itself",
                     )  # fmt: skip
-                brought = parse(file, _ROOTS, "what an MJCF includes")
+                brought = parse(file, ROOTS, "what an MJCF includes")
                 self.home |= dict.fromkeys(brought.iter(), file.parent)
                 parent[i : i + 1] = list(brought)
                 ahead.append(parent)
@@ -280,9 +280,8 @@ class _Source:
         if element.tag == "texture":
             self._texture(element, name, folders["texture"], source)
             return
-        if element.tag == "hfield" and name is not None:  # its size isn't used
-            element.attrib = {"name": element.get("name") or Path(name).stem, "nrow": "2",
-                              "ncol": "2", "size": element.get("size", "1 1 1 1")}  # fmt: skip
+        if element.tag == "hfield":
+            self._height_field(element, name, folders["mesh"])
         if element.tag != "mesh" or name is None:
             return
         mesh = element.get("name") or Path(name.replace("\\", "/")).stem
@@ -298,14 +297,29 @@ class _Source:
         source.meshes[mesh] = file
         element.attrib |= {"name": mesh, "file": key}
 
+    def _height_field(self, element: Element, name: str | None, folders: list[str]) -> None:
+        """Shrink a height field, as it is left out; refuse one that MuJoCo couldn't hold."""
+        sides = [_whole(element.get(key, "0")) for key in ("nrow", "ncol")]
+        own = element.get("name") or Path(name or "").stem
+        if name is not None and not name.lower().endswith(".png"):
+            file = self._found(name, folders, self.home.get(element), f"hfield {own!r}:")
+            with suppress(OSError), file.open("rb") as data:
+                sides = [max(int.from_bytes(data.read(4), "little", signed=True), 0) for _ in sides]
+        if math.prod(sides) > MOST_CELLS:
+            what = f"the height field {own!r} has {sides[0]:,} x {sides[1]:,} cells"
+            raise InputFileError(self.path, what, f"{MOST_CELLS:,} are the most")
+        element.attrib = {
+            "name": own, "nrow": "2", "ncol": "2", "size": element.get("size", "1 1 1 1"),
+        }  # fmt: skip
+
     def _texture(
         self, element: Element, name: str | None, folders: list[str], source: MjcfSource
     ) -> None:
         """Replace a texture by a plain one: MuJoCo would read pixels that aren't needed."""
-        if name is None and element.get("builtin", "none") != "none":
-            return
         stem = Path((name or "").replace("\\", "/")).stem
         own = element.get("name") or stem or f"texture_{len(source.textures)}"
+        if name is None and own in self.pictured:
+            self.notes.append(f"not kept: the built-in texture {own!r}")
         if name is not None:
             home = self.home.get(element)
             source.textures[own] = self._found(name, folders, home, f"texture {own!r}:")
@@ -320,8 +334,7 @@ class _Source:
         while ahead:
             element, times = ahead.pop()
             if element.tag == "replicate":
-                text = element.get("count", "1")
-                times *= max(int(text), 1) if text.strip().isdecimal() else 1
+                times *= max(_whole(element.get("count", "1")), 1)
             if element.tag in found:
                 found[element.tag] += times
             ahead += ((child, times) for child in element)
@@ -338,6 +351,11 @@ def _said(top: Element) -> dict[str, str]:
     return {n.removeprefix(PART_NAME): said for n, said in texts if n.startswith(PART_NAME)}
 
 
+def _whole(text: str) -> int:
+    """A whole number; 0 for anything else, which MuJoCo refuses."""
+    return int(text) if text.strip().isdecimal() and len(text) < 20 else 0
+
+
 def _finite(text: str) -> bool:
     """Whether ``text`` holds no NaN and no infinity where it is made of numbers."""
     for word in text.split():
@@ -347,6 +365,24 @@ def _finite(text: str) -> bool:
         except ValueError:
             return True
     return True
+
+
+def _without_frames(top: Element) -> str:
+    """The text with what frames hold in their places, "" where there are none; ``top`` is used
+    up."""
+    frames = ("frame", "replicate")
+    if not any(element.tag in frames for element in top.iter()):
+        return ""
+    for parent in list(top.iter()):
+        children, ahead = [], [*reversed(parent)]
+        while ahead:
+            child = ahead.pop()
+            if child.tag in frames:
+                ahead += reversed(child)
+            else:
+                children.append(child)
+        parent[:] = children
+    return ET.tostring(top, encoding="unicode")
 
 
 def _prune(top: Element, allowed: tuple[str, ...]) -> None:

@@ -26,7 +26,7 @@ from model.io.urdf.collision import DeclaredCollision, repeats
 from model.io.urdf.declared_physics import read_declared_physics
 from model.io.urdf.files import package_root, resolve_mesh
 from model.io.urdf.model import UrdfModel, renamed_helpers
-from model.io.urdf.unread import unread
+from model.io.urdf.schema import URDF
 from model.io.urdf.visual import UrdfVisual
 from model.io.xml_file import parse
 
@@ -132,7 +132,7 @@ class _Reader:
         joints = [j for e in robot.findall("joint") if (j := self._joint(e, locals_)) is not None]
         joints = [self._followed(j, joints) for j in joints]
         geometry = self._geometry(robot)
-        self.notes += unread(robot)
+        self.notes += URDF.unread(robot)
         self.problems += tree_problems(tuple(links), tuple(joints))
         self._raise()
         object_from_link = _compose(KinematicTree(tuple(links), tuple(joints)), locals_)

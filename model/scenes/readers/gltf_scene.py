@@ -98,6 +98,7 @@ def _objects(gltf: Gltf) -> list[tuple[Place, tuple[dict[str, Any], FloatArray]]
 
 def _with_geometry(gltf: Gltf, nodes: list[dict[str, Any]]) -> set[int]:
     """Nodes with a mesh on them or below."""
+    gltf.check_tree()
     order: list[int] = []
     stack = list(gltf.roots())
     while stack:

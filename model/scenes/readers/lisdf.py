@@ -15,13 +15,45 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from model.core.errors import InputFileError
+from model.io.xml_schema import XmlSchema
 from model.scenes.poses import from_rpy, pose, rotation_from_quaternion
-from model.scenes.scene import FloatArray, Scene, SceneObject, SceneObjectError, upright
+from model.scenes.scene import (
+    FloatArray,
+    Scene,
+    SceneObject,
+    SceneObjectError,
+    SceneProblem,
+    upright,
+)
 from model.scenes.values import collect, numbers, read_text, shown
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
 
+SDF = XmlSchema.of(
+    (
+        ("sdf", "world", "version"),
+        ("world", "include model frame", "name"),
+        ("include", "name uri pose static scale", "name"),
+        ("model", "pose static link", "name canonical_link"),
+        ("frame", "pose", "name attached_to"),
+        ("link", "pose collision visual", "name"),
+        ("collision", "pose geometry", "name"),
+        ("visual", "pose geometry", "name"),
+        ("geometry", "box", ""),
+        ("box", "size", ""),
+        ("pose", "", "relative_to degrees rotation_format"),
+        *((leaf, "", "") for leaf in ("name", "uri", "static", "scale", "size")),
+    ),
+    # Simulation and looks.
+    "physics plugin scene gui gravity magnetic_field atmosphere spherical_coordinates audio wind "
+    "light sensor material surface inertial laser_retro max_contacts cast_shadows transparency "
+    "visibility_flags meta layer enable_wind self_collide kinematic velocity_decay "
+    "allow_auto_disable",
+    repeated="world include model frame link collision visual",
+    choices="geometry",
+)
+"""The elements and attributes of a world that are read."""
 _GENERIC = frozenset({"models", "urdf", "robots", "meshes", "assets", "", ".", ".."})
 
 
@@ -47,7 +79,20 @@ class LisdfReader:
             for i, element in enumerate(world.findall(tag))
         ]
         objects, problems = collect(entries, partial(_object, _frames(world)), _name)
-        return Scene(world.get("name") or path.stem, path, self.name, objects, problems)
+        name = world.get("name") or path.stem
+        problems += tuple(SceneProblem(name, note, False) for note in _notes(root, world))
+        return Scene(name, path, self.name, objects, problems)
+
+
+def _notes(root: Element, world: Element) -> list[str]:
+    """Remarks about what is in the file and not in the scene."""
+    out = SDF.unread(root)
+    if len(root.findall("world")) > 1:
+        out.append(f"only the first of {len(root.findall('world'))} worlds is read")
+    several = [m for m in world.findall("model") if len(m.findall("link")) > 1]
+    if several:
+        out.append(f"only the first box is read of {len(several)} models with several links")
+    return out
 
 
 def parse_xml(path: Path) -> Element:

@@ -44,8 +44,8 @@ class UsdStageReader:
         make = partial(_object, stage)
         objects, problems = collect(entries, make, lambda p: str(p.GetName()))
         problems += tuple(
-            SceneProblem(str(p.GetPath()), "point instancers are not read")
-            for p in stage.prims() if p.GetTypeName() == "PointInstancer"
+            SceneProblem(str(p.GetPath()), f"prims of type {p.GetTypeName()} are not read")
+            for p in stage.prims() if stage.is_unread(p)
         )  # fmt: skip
         frame = SceneFrame(stage.up, stage.unit)
         return Scene(path.stem, path, self.name, objects, problems, frame)
