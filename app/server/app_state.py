@@ -9,6 +9,7 @@ from pathlib import Path
 
 from app.server.config import ServeConfig
 from app.server.drafts import AssetDrafts
+from app.server.leftovers import WorkspaceLease
 from app.server.object_queue import ObjectQueue
 from app.server.open_object import OpenObject
 from app.server.pending_acceptances import PendingAcceptances
@@ -36,6 +37,7 @@ class AppState:
 
     def __init__(self, config: ServeConfig, store: Store, paths: list[Path]) -> None:
         self.config, self.store = config, store
+        self._lease = WorkspaceLease(store.workspace)
         self.hub = SessionHub(store)
         self.workers = Workers()
         self.acceptances = PendingAcceptances(
@@ -157,3 +159,4 @@ class AppState:
         if self.scene is not None:
             self.scene.close()
         self.workers.close()
+        self._lease.close()

@@ -27,6 +27,7 @@ from websockets.asyncio.server import ServerConnection
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
+from app.server.camera_guard import attach_camera_guard
 from app.server.login import Login, login_page
 from app.server.network import MAX_SOCKETS, OncePerMinute, check_address, is_loopback
 from app.server.page import Page
@@ -139,6 +140,7 @@ def guarded_server(
     uploads = UploadGuard(max_upload_bytes)
     uploads.attach(endpoint)
     endpoint.on_client_connect(uploads.attach_client)
+    endpoint.on_client_connect(attach_camera_guard)
     endpoint.on_client_disconnect(uploads.forget)
     guard.ready = True
     return server

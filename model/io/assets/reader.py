@@ -24,16 +24,19 @@ MIN_CLOUD = 4
 """Points below which readers take a file for damaged; such a part comes back as its mesh alone."""
 DECLARED = "told"
 """Entry of ``provenance.json`` that names what the source told of masses, joints and shapes."""
+COMPLETED = "completed"
+"""Entry of ``provenance.json`` that names what was made up of the parts' meshes."""
 
 _LOG = logging.getLogger(__name__)
 
 
-_OLD = ".old"
+OLD = ".old"
+"""Ends the name of a backup; see :func:`old_name`."""
 
 
 def old_name(fresh: Path) -> Path:
     """The backup of an asset while ``fresh``, the folder written beside it, replaces it."""
-    return fresh.with_name(fresh.name + _OLD)
+    return fresh.with_name(fresh.name + OLD)
 
 
 def recover(folder: Path) -> None:
@@ -44,7 +47,7 @@ def recover(folder: Path) -> None:
     try:
         waiting = [
             p for p in folder.parent.iterdir()
-            if p.name.startswith(start) and p.name.endswith(_OLD) and (p / PROVENANCE).is_file()
+            if p.name.startswith(start) and p.name.endswith(OLD) and (p / PROVENANCE).is_file()
         ]  # fmt: skip
         if waiting:
             max(waiting, key=lambda p: p.stat().st_mtime).rename(folder)
@@ -84,6 +87,8 @@ def load_object(asset: str | Path, progress: Progress = no_progress) -> Articula
     kept = read_provenance(path)["asset"]
     entries = {entry["link"]: entry for entry in kept.get("parts", [])}
     remarks = remarks_in(kept)
+    made = kept.get(COMPLETED)
+    made_up = made if isinstance(made, dict) else {}
     parts: list[Part] = []
     for part in obj.parts:
         entry = entries.get(part.link, {})
@@ -91,7 +96,10 @@ def load_object(asset: str | Path, progress: Progress = no_progress) -> Articula
         if entry.get("cloud") and entry.get("points", 0) >= MIN_CLOUD:
             cloud = read_geometry_file(path / entry["cloud"], up_axis="z").cloud
         said = (*remarks, *part.remarks)
-        parts.append(replace(part, cloud=cloud, name=entry.get("name"), remarks=said))
+        words = () if cloud is None else tuple(map(str, made_up.get(part.link, ())))
+        parts.append(
+            replace(part, cloud=cloud, name=entry.get("name"), remarks=said, completed=words)
+        )
     gives_way = kept.get("give_way")
     names = gives_way if isinstance(gives_way, list) else []
     joints = tuple(replace(j, give_way=j.name in names) for j in obj.tree.joints)

@@ -1,0 +1,68 @@
+"""What killed processes left half-written in a workspace, removed when nobody else may be writing.
+
+Each server holds a shared lock on the workspace as long as it runs. One that gets it alone, because
+no other server runs, removes the unfinished files first.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import logging
+import shutil
+from contextlib import suppress
+from pathlib import Path
+
+from model.io.assets.reader import OLD, recover
+
+log = logging.getLogger(__name__)
+LOCK = ".lock"
+_UNFINISHED = (
+    "arrays/*/.*.part", "drafts/.*", "uploads/*/.*.part", "cache/.*", "cache/*/.*", "collision/.*",
+    "scenes/.*", "crops/.*", "assets/.*",
+)  # fmt: skip
+"""Where writers keep what isn't whole yet: beside its place, with a dot in front of the name."""
+
+
+class WorkspaceLease:
+    """A server's share of a workspace, until it is closed or its process ends.
+
+    Args:
+        workspace: the folder, which is there.
+    """
+
+    def __init__(self, workspace: Path) -> None:
+        self._file = (workspace / LOCK).open("ab")
+        try:
+            with suppress(BlockingIOError):
+                fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                remove_leftovers(workspace)
+            fcntl.flock(self._file, fcntl.LOCK_SH)
+        except OSError as error:  # a file system without locks: nothing is removed
+            log.info("%s can't be locked (%s)", workspace, error.strerror)
+
+    def close(self) -> None:
+        """Give it back."""
+        self._file.close()
+
+
+def remove_leftovers(workspace: Path) -> list[Path]:
+    """Remove what is unfinished, and put back assets whose replacement was cut off.
+
+    Only for a workspace in which nobody writes.
+
+    Returns:
+        What was removed.
+    """
+    found = [path for pattern in _UNFINISHED for path in workspace.glob(pattern)]
+    for path in found:
+        if path.name.endswith(OLD) and path.parent.name == "assets":
+            recover(path.with_name(path.name[1:].removesuffix(OLD).rpartition(".")[0]))
+        if path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path, ignore_errors=True)
+        else:
+            with suppress(OSError):
+                path.unlink(missing_ok=True)
+    removed = [path for path in found if not path.exists()]
+    if removed:
+        log.info("removed %d unfinished files of processes that were killed", len(removed))
+    return removed

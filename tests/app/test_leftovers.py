@@ -1,0 +1,73 @@
+"""What killed processes left half-written goes at the next start, unless somebody is writing."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from app.server.leftovers import WorkspaceLease, remove_leftovers
+from sessions.arrays import ArrayFiles
+
+LEFT = (
+    "arrays/ab/.tmp1234.part", "drafts/.key.1234/object.urdf", "uploads/01/.a.obj.part",
+    "cache/.key.xyz/meta.json", "cache/shapes/.key.12.npz", "collision/.key.12.npz",
+    "scenes/.a-1.12/object.json", "assets/.door-1.123456/object.urdf",
+)  # fmt: skip
+KEPT = ("drafts/key/object.urdf", "uploads/01/a.obj", "assets/door-1/object.urdf", "artiworld.db")
+
+
+@pytest.fixture
+def workspace(tmp_path: Path) -> Path:
+    for name in (*LEFT, *KEPT):
+        path = tmp_path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text("x")
+    return tmp_path
+
+
+def there(workspace: Path, names: tuple[str, ...]) -> list[bool]:
+    return [(workspace / name).exists() for name in names]
+
+
+def test_a_lone_server_removes_what_is_unfinished_and_nothing_else(workspace: Path) -> None:
+    ref = ArrayFiles(workspace / "arrays").put(np.arange(5))
+    WorkspaceLease(workspace).close()
+    assert not any(there(workspace, LEFT)) and all(there(workspace, KEPT))
+    assert (ArrayFiles(workspace / "arrays").get(ref) == np.arange(5)).all()
+
+
+def test_nothing_is_removed_while_another_server_runs(workspace: Path) -> None:
+    code = (
+        "import sys; from pathlib import Path; from app.server.leftovers import WorkspaceLease; "
+        "lease = WorkspaceLease(Path(sys.argv[1])); print('held', flush=True); sys.stdin.read()"
+    )
+    other = subprocess.Popen(
+        [sys.executable, "-c", code, str(workspace)],
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    assert other.stdout is not None and other.stdout.readline() == "held\n"
+    (workspace / LEFT[0]).write_text("being written")
+    mine = WorkspaceLease(workspace)
+    assert (workspace / LEFT[0]).exists()
+    other.kill()
+    other.wait()
+    WorkspaceLease(workspace)  # mine still runs
+    assert (workspace / LEFT[0]).exists()
+    mine.close()
+    WorkspaceLease(workspace).close()
+    assert not (workspace / LEFT[0]).exists()
+
+
+def test_an_asset_whose_replacement_was_cut_off_is_put_back(tmp_path: Path) -> None:
+    assets = tmp_path / "assets"
+    old = assets / ".oven-3.0123456789ab.old"
+    old.mkdir(parents=True)
+    (old / "provenance.json").write_text("{}")
+    (assets / ".oven-3.0123456789ab").mkdir()
+    remove_leftovers(tmp_path)
+    assert [p.name for p in assets.iterdir()] == ["oven-3"]
+    assert (assets / "oven-3" / "provenance.json").exists()
