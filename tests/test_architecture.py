@@ -69,6 +69,10 @@ WORD_EXCEPTIONS: set[str] = {
 """Identifiers that hold one of these words in its plain meaning."""
 
 
+TAKE_NAMES = ("setattr", "getattr", "delattr", "patch", "object")
+"""Functions that take the name of a member; the last one is of ``mock.patch``."""
+
+
 @cache
 def sources() -> dict[str, Path]:
     """Module → its file."""
@@ -166,6 +170,43 @@ def test_few_imports_of_ours_hide_in_functions() -> None:
     unexplained = [f"{m}:{n}" for (m, n), explained in hidden.items() if not explained]
     assert not unexplained, "no comment says why these are lazy: " + ", ".join(unexplained)
     assert len(hidden) <= MOST_HIDDEN, f"{len(hidden)}: {', '.join(f'{m}:{n}' for m, n in hidden)}"
+
+
+def test_tests_use_what_is_public() -> None:
+    found = [
+        f"{path.relative_to(ROOT)}:{line}: {name}"
+        for path in sorted((ROOT / "tests").rglob("*.py"))
+        for line, name in _private_uses(ast.parse(path.read_text()))
+    ]
+    assert not found, "tests see what users see, not private members:\n" + "\n".join(found)
+
+
+def test_browser_tests_wait_for_states() -> None:
+    found = [
+        f"{path.relative_to(ROOT)}:{number}"
+        for path in (ROOT / "tests/browser").glob("test_*.py")
+        for number, line in enumerate(path.read_text().splitlines(), 1)
+        if "wait_for_timeout" in line and "#" not in line
+    ]
+    assert not found, "no comment says why these wait for a time: " + ", ".join(found)
+
+
+def _private_uses(tree: ast.AST) -> Iterator[tuple[int, str]]:
+    """Private members of others, and of our modules, that a file reads, imports or replaces."""
+    for node in ast.walk(tree):
+        names: list[str] = []
+        if isinstance(node, ast.Attribute):
+            of = node.value.id if isinstance(node.value, ast.Name) else ""
+            names = [] if of in ("self", "cls") else [f"{of}.{node.attr}"]
+        elif isinstance(node, ast.ImportFrom) and str(node.module).split(".")[0] in PACKAGES:
+            names = [f"{node.module}.{a.name}" for a in node.names]
+        elif isinstance(node, ast.Call):
+            called = getattr(node.func, "attr", getattr(node.func, "id", ""))
+            if called in TAKE_NAMES:
+                names = [str(a.value) for a in node.args if isinstance(a, ast.Constant)]
+        for name in names:
+            if re.match("_(?!_)", name.split(".")[-1]) and name != "os._exit":  # it is documented
+                yield node.lineno, name
 
 
 def test_private_words_do_not_come_back() -> None:

@@ -29,7 +29,7 @@ and debug messages.
 
 def reference() -> str:
     """All commands and options in Markdown."""
-    commands = list(_commands(make_parser()))
+    commands = [p for p in parsers(make_parser()) if arguments(p) == p._actions]
     lines = [_HEAD, "| command | |", "|---|---|"]
     for parser in commands:
         anchor = parser.prog.replace(" ", "-")
@@ -39,14 +39,18 @@ def reference() -> str:
     return "\n".join(lines) + "\n"
 
 
-def _commands(parser: argparse.ArgumentParser) -> Iterator[argparse.ArgumentParser]:
-    """The parsers of all commands that take options, in the order of the help page."""
-    below = [a for a in parser._actions if isinstance(a, argparse._SubParsersAction)]
-    if not below:
-        yield parser
-    for action in below:
-        for each in action.choices.values():
-            yield from _commands(each)
+def parsers(parser: argparse.ArgumentParser) -> Iterator[argparse.ArgumentParser]:
+    """A parser and those of all its subcommands, in the order of the help page."""
+    yield parser
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for below in action.choices.values():
+                yield from parsers(below)
+
+
+def arguments(parser: argparse.ArgumentParser) -> list[argparse.Action]:
+    """A parser's own arguments and options; subcommands are neither."""
+    return [a for a in parser._actions if not isinstance(a, argparse._SubParsersAction)]
 
 
 def _section(parser: argparse.ArgumentParser) -> list[str]:

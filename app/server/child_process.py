@@ -63,14 +63,14 @@ def finish(job: Job[Any], chunks: list[Any]) -> None:
     try:
         kind, value = unpack(chunks)
     except Exception as error:  # an unreadable result fails its job, nothing else
-        job._end("failed", error=JobFailed(f"{job.name}: unreadable result: {error}"))
+        job.end("failed", error=JobFailed(f"{job.name}: unreadable result: {error}"))
         return
     if kind == "done":
-        job._end("done", value)
+        job.end("done", value)
     elif value["kind"] == "cancelled":
-        job._end("cancelled")
+        job.end("cancelled")
     else:
-        job._end("failed", error=error_of(job.name, value))
+        job.end("failed", error=error_of(job.name, value))
 
 
 def error_of(name: str, described: dict[str, Any]) -> Exception:

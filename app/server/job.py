@@ -126,7 +126,8 @@ class Job(Generic[T]):
                 return
         _callbacks.call(callback, self)
 
-    def _end(self, state: JobState, value: Any = None, error: Exception | None = None) -> None:
+    def end(self, state: JobState, value: Any = None, error: Exception | None = None) -> None:
+        """End it and run its callbacks; only the first end counts."""
         with self._lock:
             if self._ended.is_set():
                 return

@@ -119,7 +119,7 @@ class WorkerProcess:
                 self._remove(replaced)
             self._enqueue(job)
         if replaced is not None:
-            replaced._end("cancelled")
+            replaced.end("cancelled")
         self._wake()
         return job
 
@@ -168,7 +168,7 @@ class WorkerProcess:
             else:
                 job._kill_at = time.monotonic() + CANCEL_SECONDS
         if queued:
-            job._end("cancelled")
+            job.end("cancelled")
         else:
             self._wake()
 
@@ -249,7 +249,7 @@ class WorkerProcess:
                 chunks = pack(job._call)
             except Exception as error:  # a call that can't be pickled is the caller's bug
                 self._running.remove(job)
-                job._end("failed", error=JobFailed(f"{job.name} can't be sent: {error}"))
+                job.end("failed", error=JobFailed(f"{job.name} can't be sent: {error}"))
                 continue
             try:
                 send(self._child.connection, "job", job._number, chunks)
@@ -309,14 +309,14 @@ class WorkerProcess:
             if other is not job:
                 self._requeue(other)
         if job is not None and job._kill_at is not None:
-            job._end("cancelled")
+            job.end("cancelled")
         elif job is not None and job._deadline <= time.monotonic():
             text = f"{job.name} took more than {job._most_seconds:g} s and was ended"
-            job._end("failed", error=OutOfTimeError(text))
+            job.end("failed", error=OutOfTimeError(text))
         elif job is not None:
             _log.warning("worker %s: %s while running %s", self.name, why, job.name)
             text = f"{job.name}: the worker process {why}; it has been started again"
-            job._end("failed", error=JobFailed(text))
+            job.end("failed", error=JobFailed(text))
         elif not child.ready:
             self._fail_first(JobFailed(f"the worker process {self.name!r} {why} while starting"))
             return  # the next job tries again, which avoids an endless loop
@@ -331,7 +331,7 @@ class WorkerProcess:
                 job.state, job._begun, job._deadline = "queued", False, math.inf
                 self._enqueue(job)
         if not wanted:
-            job._end("cancelled")
+            job.end("cancelled")
 
     def _fail_first(self, error: Exception) -> None:
         with self._lock:
@@ -339,7 +339,7 @@ class WorkerProcess:
             if job is not None:
                 self._remove(job)
         if job is not None:
-            job._end("failed", error=error)
+            job.end("failed", error=error)
         else:
             _log.error("worker %s: %s", self.name, error)
 
@@ -371,7 +371,7 @@ class WorkerProcess:
         if child is not None:
             child.kill()
         for job in [*self._running, *waiting]:
-            job._end("cancelled")
+            job.end("cancelled")
         self._running = []
 
 

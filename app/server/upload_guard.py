@@ -148,6 +148,12 @@ class UploadGuard:
         )
 
 
+def unfinished_uploads(gui: Any) -> dict[str, int]:
+    """Bytes that viser keeps in memory of each unfinished upload."""
+    states = gui._current_file_upload_states
+    return {key: sum(map(len, state["parts"].values())) for key, state in states.items()}
+
+
 def _readable(count: int) -> str:
     for unit, scale in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
         if count >= scale:

@@ -138,14 +138,15 @@ def penetrations(
     )
 
     def find() -> tuple[Penetrations, Surface]:
-        return _penetrations(part, target, path, tolerance), target  # reserves the target's id
+        return sweep_penetrations(part, target, path, tolerance), target  # reserves the target's id
 
     return part.cache.get((id(target), key), find, weigh=lambda held: float(len(held[0].q)))[0]
 
 
-def _penetrations(
+def sweep_penetrations(
     part: Surface, target: Surface, path: RelativePath, tolerance: float
 ) -> Penetrations:
+    """:func:`penetrations` without its cache."""
     chosen, at = _near(part, target, path, tolerance)
     hit_filter = _HitFilter(part, target, path, chosen, at, tolerance)
     chords = _chords(at, target, tolerance)

@@ -93,7 +93,7 @@ class DriveCache:
     ) -> list[tuple[Bounds, DriveResult]]:
         """A list of one, or empty."""
         own = tuple((float(bounds.low[k]), float(bounds.high[k])) for k in group)
-        return _DRIVES.get((self._key, gravity, tuple(group), own), list)
+        return recent_drives.get((self._key, gravity, tuple(group), own), list)
 
     def save(
         self, gravity: float, group: Sequence[int], bounds: Bounds, result: DriveResult
@@ -148,7 +148,7 @@ def drive_cache(text: str, obj: ArticulatedObject) -> DriveCache:
     return DriveCache(hashlib.sha256(key.encode()).hexdigest())
 
 
-_DRIVES: LruCache[
+recent_drives: LruCache[
     tuple[str, float, tuple[int, ...], tuple[tuple[float, float], ...]],
     list[tuple[Bounds, DriveResult]],
 ] = LruCache(256)

@@ -73,7 +73,7 @@ def run_physics(
         model = mujoco.MjModel.from_xml_string(text)
     except ValueError as error:
         return PhysicsReport(False, messages.NOT_LOADED.format(error=str(error)[:200]))
-    run = _Run(model, joints, obj, drive_cache(text, obj))
+    run = Simulation(model, joints, obj, drive_cache(text, obj))
     for k, gravity in enumerate((0.0, -9.81)):
         run.all_joints(gravity, lambda f, k=k: progress(0.5 * (k + f), messages.SIMULATING))
     return PhysicsReport(
@@ -159,7 +159,7 @@ def _followers(root: ET.Element, joints: Sequence[Joint]) -> None:
             )  # fmt: skip
 
 
-class _Run:
+class Simulation:
     """The simulation and its results so far."""
 
     def __init__(
@@ -226,7 +226,7 @@ class _Run:
                 self._settle()
                 before = self.data.qpos[self.place].copy()
                 for end in (self.high, self.low):
-                    if not self._drive(group, end, before):
+                    if not self.drive(group, end, before):
                         break
                 self._cache.save(gravity, group, bounds, result)
             self._add(result)
@@ -250,7 +250,7 @@ class _Run:
     def _settle(self) -> None:
         self._steps(round(0.1 / STEP), lambda t: None)
 
-    def _drive(self, group: list[int], end: FloatArray, before: FloatArray) -> bool:
+    def drive(self, group: list[int], end: FloatArray, before: FloatArray) -> bool:
         """There and back; False where it exploded."""
         slots = [self.driven.index(k) for k in group]
         path = end - self.start

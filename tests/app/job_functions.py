@@ -74,7 +74,9 @@ def steps(count: int, seconds: float, *, progress: Progress) -> int:
     return count
 
 
-def deaf(seconds: float) -> None:
+def deaf(seconds: float, began: Path | None = None) -> None:
+    if began is not None:
+        began.touch()
     time.sleep(seconds)
 
 

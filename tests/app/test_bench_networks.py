@@ -57,7 +57,7 @@ def test_a_network_that_does_not_fit_is_reported_and_the_rest_measured(monkeypat
     def too_large(*_):
         raise torch.OutOfMemoryError("CUDA out of memory")
 
-    monkeypatch.setattr(bench_networks, "_training", too_large)
+    monkeypatch.setattr(bench_networks, "load_model", too_large)
     report = measure(SMALL)
     (row,) = report["Arti4URDF"]
     assert row["training, LoRA"] == bench_networks.TOO_LARGE

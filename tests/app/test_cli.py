@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 import os
@@ -21,6 +20,7 @@ from app.cli import printing, segment
 from app.cli.batch import Crashed, run_all
 from app.cli.commands import COMMANDS
 from app.cli.main import main, make_parser, parse
+from app.cli.reference import arguments, parsers
 from app.server.crash_log import write_crash
 from model.core.errors import ConfigurationError, KinematicsError
 from tests.app.job_functions import crash_on
@@ -577,16 +577,11 @@ def test_our_fault_is_code_1_with_details_in_a_file(monkeypatch, tmp_path, capsy
 
 
 def test_no_option_with_a_secret_gets_into_the_file(monkeypatch, tmp_path):
-    def options(parser):
-        for action in parser._actions:
-            yield from (o for o in action.option_strings if o.startswith("--"))
-            if isinstance(action, argparse._SubParsersAction):
-                for below in action.choices.values():
-                    yield from options(below)
-
-    found = {o for o in options(make_parser()) if re.search("token|secret|password|key|datab", o)}
+    actions = [a for parser in parsers(make_parser()) for a in arguments(parser)]
+    options = {o for action in actions for o in action.option_strings if o.startswith("--")}
+    found = {o for o in options if re.search("token|secret|password|key|datab", o)}
     assert found >= {"--token", "--backend-token", "--database"}
-    urls = {o for o in options(make_parser()) if o.endswith(("url", "backend", "predictor"))}
+    urls = {o for o in options if o.endswith(("url", "backend", "predictor"))}
     assert "--finder-url" in urls
     words = [w for o in sorted(found) for w in (o, "hush", f"{o}=hush")]
     words += [w for o in sorted(urls) for w in (o, "https://me:hush@h/v1", f"{o}=http://hush@h/v1")]

@@ -22,26 +22,18 @@ from app.cli.command import (
     required,
 )
 from app.cli.main import make_parser
-from app.cli.reference import DOCUMENT, reference
+from app.cli.reference import DOCUMENT, arguments, parsers, reference
 
 
 def test_the_reference_is_up_to_date():
     assert DOCUMENT.read_text(encoding="utf-8") == reference(), "run: python -m app.cli.reference"
 
 
-def all_parsers(parser: argparse.ArgumentParser):
-    yield parser
-    for action in parser._actions:
-        if isinstance(action, argparse._SubParsersAction):
-            for below in action.choices.values():
-                yield from all_parsers(below)
-
-
 def test_every_command_and_option_is_explained():
-    for parser in all_parsers(make_parser()):
+    for parser in parsers(make_parser()):
         assert parser.description and parser.description.endswith("."), parser.prog
-        for action in parser._actions:
-            assert action.help or isinstance(action, argparse._SubParsersAction), action
+        for action in arguments(parser):
+            assert action.help, action
 
 
 @dataclass(frozen=True, kw_only=True)

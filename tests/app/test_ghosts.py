@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import time
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
 from app.server.scene_shapes import Shape
-from app.viewer.picture import ghosts
 from app.viewer.picture.ghosts import Ghosts, before
 from app.viewer.picture.scene_nodes import Placement, Scans
+from tests.builders import wait_until
 
 STAND = Placement(
     np.array([[0, -1, 0, 2], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1.0]]), np.full(3, 2.0)
@@ -46,8 +45,7 @@ class Client:
         return handle
 
 
-def test_they_follow_the_camera_and_leave_out_what_is_worked_on(monkeypatch: Any) -> None:
-    monkeypatch.setattr(ghosts, "_RESTS", 0.02)
+def test_they_follow_the_camera_and_leave_out_what_is_worked_on() -> None:
     client: Any = Client()
     eye = np.array([2.0, -4.0, 0.5])
     cloud = np.array([[2, -2, 0.5], [2, 2, 0.5], [8, 0, 0]], np.float32)
@@ -61,10 +59,7 @@ def test_they_follow_the_camera_and_leave_out_what_is_worked_on(monkeypatch: Any
         np.testing.assert_allclose(client.sent["ghosts"].points, cloud[1:])
         eye[1] = 4.0  # on the other side
         client.moved(None)
-        end = time.monotonic() + 5
-        while not np.array_equal(client.sent["ghosts"].points, cloud[[0, 2]]):
-            assert time.monotonic() < end, client.sent["ghosts"].points
-            time.sleep(0.01)
+        wait_until(lambda: np.array_equal(client.sent["ghosts"].points, cloud[[0, 2]]))
         around.draw(None, [room], None)
         assert "ghosts" not in client.sent
     finally:

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from app.server.segmenting import MaskShown, Segmenting
-from app.server.segmenting_tasks import SegmentationAnswer
 from app.server.tool_tasks import MaskOffer, RegionOffer, ToolRequest
 from model.segmentation.prompts import Click
 from sessions.document import Document, RegionRef
+from tests.app.segmenter_answers import answer
 
 ELEMENTS = 1000
 OTHER = RegionRef(1, "b" * 64, True, 3, "next mask")
@@ -23,7 +23,8 @@ OTHER = RegionRef(1, "b" * 64, True, 3, "next mask")
 @pytest.fixture
 def obj() -> Any:
     """An open object as :class:`Segmenting` sees it; every second element is displayed."""
-    asset = SimpleNamespace(element=np.arange(0, ELEMENTS, 2, dtype=np.int32), area=None)
+    displayed = np.arange(0, ELEMENTS, 2, dtype=np.int32)
+    asset = SimpleNamespace(folder=Path(), element=displayed, area=None)
     done: list[Any] = []
     return SimpleNamespace(
         document=Document(),
@@ -46,10 +47,9 @@ def kept(obj: Any, held: int) -> None:
 
 def answered(desk: Segmenting, obj: Any, prompts: tuple[Any, ...], held: int) -> None:
     """The segmenter answers ``prompts``: the first ``held`` displayed elements are part 1."""
-    obj.document = Document(prompts=prompts)
     labels = np.zeros(ELEMENTS // 2, np.int16)
     labels[:held] = 1
-    desk._keep(SegmentationAnswer(obj.document.key, "a" * 64, labels, {1: held}, "default", 0.0))
+    answer(desk, obj, Document(prompts=prompts), labels)
     kept(obj, held)
 
 

@@ -287,8 +287,12 @@ def test_what_gives_no_way_is_left_alone(worker):
     long = worker.submit(functions.steps, 20, 0.05)
     wait_until(lambda: long.fraction > 0)
     click = worker.submit(functions.echo, 1, priority=20)
+    ended: list[str] = []
+    for job in (click, long):
+        job.add_done_callback(lambda job: ended.append(job.name))
     assert long.result(60) == 20 and click.result(5) == 1
-    assert click._number > long._number
+    wait_until(lambda: len(ended) == 2)
+    assert ended == ["steps", "echo"]
 
 
 def test_jobs_that_work_on_the_same_wait_for_each_other(worker):
@@ -300,12 +304,13 @@ def test_jobs_that_work_on_the_same_wait_for_each_other(worker):
     assert same.result(5) == "same" and long.done
 
 
-def test_a_cancelled_job_has_time_until_what_came_between_is_over(worker):
+def test_a_cancelled_job_has_time_until_what_came_between_is_over(worker, tmp_path):
     long = worker.submit(functions.steps, 400, 0.02, preempted_by=9)
     wait_until(lambda: long.fraction > 0)
     child = worker.pid
-    deaf = worker.submit(functions.deaf, CANCEL_SECONDS + 0.5, priority=9)
-    wait_until(lambda: deaf._begun)
+    began = tmp_path / "began"
+    deaf = worker.submit(functions.deaf, CANCEL_SECONDS + 0.5, began, priority=9)
+    wait_until(began.exists)
     long.cancel()
     deaf.result(60)
     with pytest.raises(Cancelled):

@@ -6,11 +6,13 @@ from concurrent.futures import Future
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import MagicMock
 
 import pytest
 
 from app.server import snapping_tasks
-from app.viewer.panels.joint_editor import JointEditor, _put_vector
+from app.viewer.panels.joint_editor import JointEditor
+from app.viewer.words.joints import AXIS
 from model.core.articulated_object import Prediction
 from model.core.joint import Joint
 from model.core.tree import KinematicTree
@@ -21,27 +23,34 @@ DRAWER = replace(DOOR, type="prismatic", axis=(-1, 0, 0), lower=0.0, upper=0.4)
 
 
 @pytest.fixture
-def editor(monkeypatch: pytest.MonkeyPatch) -> Any:
-    """Edits a door that was predicted, whose geometry says a drawer."""
-    monkeypatch.setattr(JointEditor, "__init__", lambda self: None)
-    editor: Any = JointEditor()  # type: ignore[call-arg]
-    editor.asked = []
+def editor() -> Any:
+    """Edits a door that was predicted, whose geometry says a drawer.
+
+    It also has what it ``asked`` for, its ``vectors`` by label, and its ``selection``.
+    """
+    asked: list[Any] = []
+    vectors: dict[str, Any] = {}
+
+    def add_vector(label: str, value: Any, **_: Any) -> Any:
+        vectors[label] = SimpleNamespace(value=value, visible=True)
+        return vectors[label]
 
     def submit(task: Any, _source: Any, tree: KinematicTree, *rest: Any, **_: Any) -> Future[Joint]:
-        editor.asked.append((task, tree.joint_of["link_1"], *rest))
+        asked.append((task, tree.joint_of["link_1"], *rest))
         done: Future[Joint] = Future()
         done.set_result(DRAWER)
         return done
 
     tree = KinematicTree(("link_0", "link_1"), (DOOR,))
     doc = Document(tree=tree, prediction=Prediction(tree))
-    obj = SimpleNamespace(document=doc, source=lambda: None)
+    obj = SimpleNamespace(document=doc, source=lambda: None, checks=[])
     selection = SimpleNamespace(joint=DOOR, need_object=lambda: obj)
-    editor._tab = SimpleNamespace(
-        selection=selection, do=lambda command: setattr(selection, "joint", command.joint)
-    )
-    editor._worker = SimpleNamespace(submit=submit)
-    editor.selection = selection
+    tab = MagicMock(selection=selection)
+    tab.do = lambda command: setattr(selection, "joint", command.joint)
+    tab.client.gui.add_vector3 = add_vector
+    worker: Any = SimpleNamespace(submit=submit)
+    editor: Any = JointEditor(tab, MagicMock(), worker, lambda: None)
+    editor.asked, editor.vectors, editor.selection = asked, vectors, selection
     return editor
 
 
@@ -61,7 +70,8 @@ def test_the_predicted_type_comes_back_as_predicted(editor: Any) -> None:
     assert editor.asked, "the prediction is of a joint on another part"
 
 
-def test_an_axis_is_shown_without_a_trace_of_the_other_side() -> None:
-    box = SimpleNamespace(value=(0.0, 0.0, 1.0))
-    _put_vector(box, (-1.0, -4e-5, -0.0), 5e-4)
-    assert [str(v) for v in box.value] == ["-1.0", "0.0", "0.0"]
+def test_an_axis_is_shown_without_a_trace_of_the_other_side(editor: Any) -> None:
+    joint = editor.selection.joint = replace(DOOR, axis=(-1.0, -4e-5, -0.0))
+    tree = KinematicTree(("link_0", "link_1"), (joint,))
+    editor.draw(editor.selection.need_object(), tree)
+    assert [str(v) for v in editor.vectors[AXIS].value] == ["-1.0", "0.0", "0.0"]

@@ -31,7 +31,9 @@ class Notes:
         self.nodes: dict[str, Any] = {}
         self.added = 0
         self.scene = self
+        self.atomic = nullcontext
         self.add_arrows = self.add_icosphere = self.add_label = self._add
+        self.add_frame = self.add_glb = self.add_mesh_simple = self._add
 
     def _add(self, name: str, *_: Any, position: Any = (0, 0, 0), **__: Any) -> Any:
         self.added += 1
@@ -95,7 +97,6 @@ def test_handles_go_with_what_the_joint_hangs_on_and_give_the_axis_at_rest() -> 
         return handles
 
     client.add_transform_controls = add  # type: ignore[attr-defined]
-    client.atomic = nullcontext  # type: ignore[attr-defined]
     changed: list[Joint] = []
     selection = Selection(lambda: None, "the queue")
     selection.object = SimpleNamespace(  # type: ignore[assignment]
@@ -124,15 +125,15 @@ def test_a_click_meets_the_part_where_it_is_now() -> None:
     flat = np.array([(-0.1, -0.1, 0.6), (0.1, -0.1, 0.6), (0, 0.1, 0.6)], np.float32)
     faces = np.array([(0, 1, 2)], np.int32)
     parts = MovingParts(Notes())  # type: ignore[arg-type]
-    parts._payloads = [PartPayload(2, None, None, None, flat, faces)]
+    parts.draw([PartPayload(2, b"", None, None, flat, faces)])
     down = ((0, 0, 5), (0, 0, -1))
     assert parts.pick(*down, frozenset()) == 2
     assert parts.pick(*down, frozenset({2})) is None
-    parts._poses = TREE.pose({"lower": math.pi / 2})
+    parts.pose(TREE.pose({"lower": math.pi / 2}))
     assert parts.pick(*down, frozenset()) is None
     assert parts.pick((0, -5, 0.1), (0, 1, 0), frozenset()) == 2
     # A few pixels beside it count too, where nothing else is met.
-    parts._poses = {}
+    parts.pose({})
     assert parts.pick((0, -0.115, 5), (0, 0, -1), frozenset()) == 2
     assert parts.pick((0, -0.13, 5), (0, 0, -1), frozenset()) is None
 

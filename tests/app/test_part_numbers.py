@@ -87,7 +87,7 @@ def test_what_a_tool_found_is_not_mixed_with_what_others_did_meanwhile(meanwhile
 def test_a_tool_at_work_is_seen_and_can_be_stopped_while_its_tab_waits() -> None:
     segmenting, obj = open_with_tool([], AddPart(1))
     jobs = obj.jobs = RunningJobs("the chest", lambda: None)
-    job: Job[Any] = Job(lambda job: job._end("cancelled"), 1, "tool", (int, (), {}), None, None)
+    job: Job[Any] = Job(lambda job: job.end("cancelled"), 1, "tool", (int, (), {}), None, None)
     obj.services.workers.segmentation.submit = lambda *a, **k: job
     ended: list[Exception] = []
 

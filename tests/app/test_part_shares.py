@@ -12,16 +12,17 @@ import trimesh
 
 from app.server.display_tasks import open_asset
 from app.server.segmenting import Segmenting
-from app.server.segmenting_tasks import SegmentationAnswer
 from app.server.tasks import ReadOptions
+from model.segmentation.prompts import Click
 from sessions.document import Document
+from tests.app.segmenter_answers import answer
 
 
 def shares(asset: Any, labels: np.ndarray) -> dict[int, float]:
-    obj = SimpleNamespace(document=Document(), asset=asset, do=lambda c, who: None)
-    desk = Segmenting(obj)  # type: ignore[arg-type]
-    desk._keep(SegmentationAnswer(obj.document.key, "a" * 64, labels, {}, "default", 0.0))
-    return desk.shares
+    obj: Any = SimpleNamespace(asset=asset, do=lambda c, who: None)
+    segmenting = Segmenting(obj)
+    answer(segmenting, obj, Document(prompts=(Click((0.0, 0.0, 0.0), 1),)), labels)
+    return segmenting.shares
 
 
 def test_a_finely_meshed_knob_is_a_small_part_of_its_door(tmp_path: Path) -> None:

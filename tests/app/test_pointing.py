@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
 
-from app.server.open_object import OpenObject
+from app.server.object_context import ObjectContext
 from app.viewer.input.pointing import Pointing
 from app.viewer.tab import Selection
+from model.core.joint import Joint
+from model.core.tree import KinematicTree
 from sessions.store import Store
 
 
@@ -25,12 +26,26 @@ def make_tab(**selected: Any) -> Any:
     return tab
 
 
+RAY = (0.0, -1.0, 0.0), (0.0, 1.0, 0.0)
+
+
+class Hits:
+    """Stands in for the workers: a ray meets these elements, one after the other, at the origin."""
+
+    def __init__(self, *elements: int) -> None:
+        self.elements = iter(elements)
+
+    def pick(self, *_: Any) -> Any:
+        return SimpleNamespace(position=np.zeros(3), element=next(self.elements))
+
+
 def test_a_cut_that_was_begun_leaves_no_mark_when_something_is_drawn_instead() -> None:
     marks: list[tuple[Any, ...]] = []
     picture: Any = SimpleNamespace(overlays=SimpleNamespace(show_places=marks.append))
-    pointing = Pointing(make_tab(), picture, *[cast(Any, None)] * 2)
+    tab = make_tab(object=SimpleNamespace(asset=SimpleNamespace()))
+    pointing = Pointing(tab, picture, cast(Any, None), Hits(7))
     pointing.arm("cut")
-    pointing._cut_at((0.0, 0.0, 0.0), 7, (0.0, 1.0, 0.0), True)
+    pointing.click(*RAY, True)
     assert marks[-1] == ((0.0, 0.0, 0.0),)
     pointing.set_tool("lasso")
     assert (pointing.tool, pointing.armed, marks[-1]) == ("lasso", "", ())
@@ -43,30 +58,33 @@ def test_a_part_is_found_by_points_that_are_not_displayed(tmp_path: Path) -> Non
     read: list[str] = []
     whole = store.get_array
     store.get_array = lambda ref: (read.append(ref), whole(ref))[1]  # type: ignore[method-assign]
-    obj: Any = SimpleNamespace(
-        _stored=None,
-        document=SimpleNamespace(segmentation=SimpleNamespace(labels=ref), tree=None),
-        services=SimpleNamespace(store=store),
-        asset=SimpleNamespace(element=np.array([0, 2])),
-        labels=np.array([0, 2], np.int16),
+    slide = Joint("slide", "prismatic", "link_0", "link_2", (0, -1, 0), (0, 0, 0), 0.0, 0.3)
+    document = SimpleNamespace(
+        segmentation=SimpleNamespace(labels=ref), tree=KinematicTree(("link_0", "link_2"), (slide,))
     )
-    obj.part_of = partial(OpenObject.part_of, obj)
+    session = SimpleNamespace(state=SimpleNamespace(present=document))
+    services: Any = SimpleNamespace(store=store, hub=SimpleNamespace(session=lambda id: session))
+    obj: Any = ObjectContext(SimpleNamespace(id=1), services)  # type: ignore[arg-type]
+    obj.asset = SimpleNamespace(element=np.array([0, 2]))
     tab = make_tab(object=obj)
     asked = tab.asked
-    pointing = Pointing(tab, *[cast(Any, None)] * 3)
+    picture: Any = SimpleNamespace(overlays=SimpleNamespace(show_places=lambda places: None))
+    still: Any = SimpleNamespace(q={})
+    pointing = Pointing(tab, picture, still, Hits(3, 2, 4, 3, 3, 3))
     pointing.tools.use = lambda request, label: asked.append(request.other)  # type: ignore[method-assign]
-    for element in (3, 2, 4):
-        pointing._merge_at(element)
-    assert asked == [2, 2, 0]
-    chosen: list[int | None] = []
-    pointing._choose_joint_of = chosen.append  # type: ignore[method-assign]
-    pointing._choose_joint_at(3)
-    assert chosen == [2]
+
+    def merge_at_click() -> Any:
+        pointing.arm("merge")
+        pointing.click(*RAY, True)
+        return asked[-1]
+
+    assert [merge_at_click() for _ in range(3)] == [2, 2, 0]
+    tab.selection.set_step("Joints")
+    pointing.click(*RAY, True)
+    assert tab.selection.child == "link_2"
     assert read == [ref]  # the labels of all points are read once, not for each click
-    obj.document.segmentation.labels = store.put_array(np.array([0, 0, 2, 3, -1], np.int16))
-    pointing._merge_at(3)
-    assert asked[-1] == 3
-    obj.document.segmentation = None
-    pointing._merge_at(3)
-    assert asked[-1][:2] == ("Merge", "No parts yet: click on one first")
+    document.segmentation.labels = store.put_array(np.array([0, 0, 2, 3, -1], np.int16))
+    assert merge_at_click() == 3
+    document.segmentation = None
+    assert merge_at_click()[:2] == ("Merge", "No parts yet: click on one first")
     store.close()

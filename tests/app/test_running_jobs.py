@@ -18,7 +18,7 @@ def job(cancel: Any = None) -> Job[Any]:
 
 def ended(**end: Any) -> Job[Any]:
     out = job()
-    out._end(**end)
+    out.end(**end)
     return out
 
 

@@ -2,25 +2,19 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-from typing import Any
-
 import numpy as np
 import pytest
 import trimesh
 
 from app.server.scene_shapes import Shape
-from app.viewer.picture.scene_nodes import Node, Placement
-from app.viewer.picture.scene_picture import ScenePicture
+from app.viewer.picture.scene_nodes import Node, Placement, first_under
 from model.geometry.picking import DEFAULT_PIXEL_ANGLE
 
 
 @pytest.fixture
-def picture() -> ScenePicture:
+def nodes() -> dict[str, Node]:
     """A thin lamp post, and a crate a metre beside it, both drawn at half their size."""
-    client = SimpleNamespace(camera=SimpleNamespace(on_update=lambda call: None))
-    out = ScenePicture(client, SimpleNamespace())  # type: ignore[arg-type]
-    nodes: dict[Any, Node] = {}
+    out: dict[str, Node] = {}
     sizes = {"post": (0.01, 0.01, 2.0), "crate": (0.8, 0.8, 0.8)}
     for at, (name, size) in enumerate(sizes.items()):
         box = trimesh.creation.box(size)
@@ -28,27 +22,26 @@ def picture() -> ScenePicture:
                       box.faces.astype(np.uint32))  # fmt: skip
         world = np.eye(4)
         world[0, 3] = at
-        nodes[name] = Node((name,), shape, [Placement(world, np.full(3, 0.5))], None, "")
-    out._nodes = nodes
+        out[name] = Node((name,), shape, [Placement(world, np.full(3, 0.5))], None, "")
     return out
 
 
-def picked(picture: ScenePicture, target: tuple[float, float, float], pixels: float) -> str | None:
+def picked(nodes: dict[str, Node], target: tuple[float, float, float], pixels: float) -> str | None:
     eye = np.array([0.0, -5.0, 0.0])
     away = np.array(target) - eye
     away[0] -= pixels * DEFAULT_PIXEL_ANGLE * np.linalg.norm(away)
-    return picture.pick(eye, away / np.linalg.norm(away))
+    return first_under(list(nodes.values()), eye, away / np.linalg.norm(away))
 
 
-def test_a_click_a_few_pixels_beside_a_thin_object_takes_it(picture: ScenePicture) -> None:
+def test_a_click_a_few_pixels_beside_a_thin_object_takes_it(nodes: dict[str, Node]) -> None:
     half = 0.0025 / (5 * DEFAULT_PIXEL_ANGLE)
-    assert picked(picture, (0, 0, 0), 0) == "post"
-    assert picked(picture, (0, 0, 0), half + 2.5) == "post"
-    assert picked(picture, (0, 0, 0), half + 6) is None
-    assert picked(picture, (0.8, 0, 0), 2.5) == "crate"
+    assert picked(nodes, (0, 0, 0), 0) == "post"
+    assert picked(nodes, (0, 0, 0), half + 2.5) == "post"
+    assert picked(nodes, (0, 0, 0), half + 6) is None
+    assert picked(nodes, (0.8, 0, 0), 2.5) == "crate"
 
 
-def test_what_is_met_counts_before_what_is_passed(picture: ScenePicture) -> None:
-    picture._nodes["crate"].now[0].world[:2, 3] = (-0.205, 1.0)  # behind the post, to its left
+def test_what_is_met_counts_before_what_is_passed(nodes: dict[str, Node]) -> None:
+    nodes["crate"].now[0].world[:2, 3] = (-0.205, 1.0)  # behind the post, to its left
     half = 0.0025 / (5 * DEFAULT_PIXEL_ANGLE)
-    assert picked(picture, (0, 0, 0), half + 2.5) == "crate"
+    assert picked(nodes, (0, 0, 0), half + 2.5) == "crate"

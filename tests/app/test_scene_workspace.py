@@ -244,9 +244,7 @@ class Slow:
         def submit(function: Any, *args: Any, **more: Any) -> Any:
             if function is not scene_accepting.validate_joints:
                 return real(function, *args, **more)
-            job: Job[Any] = Job(
-                lambda j: j._end("cancelled"), 0, "", (function, (), {}), None, None
-            )
+            job: Job[Any] = Job(lambda j: j.end("cancelled"), 0, "", (function, (), {}), None, None)
             self.asked.append(job)
             return job
 
@@ -254,7 +252,7 @@ class Slow:
 
     def answer(self, severity: str) -> None:
         wait_until(lambda: self.asked, "the gate is asked")
-        self.asked.pop()._end("done", report_of(severity))
+        self.asked.pop().end("done", report_of(severity))
 
 
 def test_what_the_gate_objects_to_waits_for_who_asked(

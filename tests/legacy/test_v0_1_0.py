@@ -365,15 +365,15 @@ class InlineWorker:
         **settings: Any,
     ) -> Job[Any]:
         call = (function, args, settings)
-        job: Job[Any] = Job(lambda j: j._end("cancelled"), 0, self.name, call, on_progress, key)
+        job: Job[Any] = Job(lambda j: j.end("cancelled"), 0, self.name, call, on_progress, key)
         self.submitted.add(function)
         if function in RUN:
             parameters = inspect.signature(function).parameters
             try:
                 own = {k: v for k, v in settings.items() if k in parameters}
-                job._end("done", function(*args, **own))
+                job.end("done", function(*args, **own))
             except Exception as error:
-                job._end("failed", error=error)
+                job.end("failed", error=error)
         return job
 
     def begin_to_close(self) -> None: ...

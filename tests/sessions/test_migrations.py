@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import sqlite3
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -10,6 +12,7 @@ from alembic.autogenerate import compare_metadata
 from alembic.config import Config
 from alembic.migration import MigrationContext
 from alembic.script import ScriptDirectory
+from sqlalchemy import Connection
 
 from model.core.errors import StoreError
 from model.segmentation.prompts import Click
@@ -21,6 +24,15 @@ from sessions.store import Store
 
 DATA = Path(__file__).parent / "data"
 REF = "ab" * 32
+
+
+@contextmanager
+def reading(workspace: Path) -> Iterator[Connection]:
+    """The database of a workspace, beside the store."""
+    opened = database.Database(database.sqlite_file(workspace / "artiworld.db"))
+    with opened.reading() as connection:
+        yield connection
+    opened.close()
 
 
 def written_by(version: int, workspace: Path) -> Path:
@@ -80,12 +92,11 @@ def test_format_1_opens_whole(tmp_path, snapshots):
 
 
 def test_the_migrations_end_where_the_tables_are(tmp_path):
-    store = Store(tmp_path)
-    with store._database.reading() as connection:
+    Store(tmp_path).close()
+    with reading(tmp_path) as connection:
         context = MigrationContext.configure(connection)
         assert compare_metadata(context, database.metadata) == []
         assert context.get_current_revision() == database.FORMAT
-    store.close()
 
 
 def test_the_newest_migration_is_the_format():
@@ -107,17 +118,17 @@ def test_opening_again_changes_no_byte(tmp_path):
 
 
 def test_a_migration_that_fails_leaves_the_database_as_it_was(tmp_path, monkeypatch):
-    def fail(connection):
+    def fail(config, _):
+        connection = config.attributes["connection"]
         connection.exec_driver_sql("CREATE TABLE half_done (x INTEGER)")
         raise sqlite3.OperationalError("disk I/O error")
 
-    monkeypatch.setattr(database, "_upgrade", fail)
+    monkeypatch.setattr("alembic.command.upgrade", fail)
     with pytest.raises(StoreError, match="the disk reports an error"):
         Store(tmp_path)
     monkeypatch.undo()
-    store = Store(tmp_path)
-    with store._database.reading() as connection:
+    Store(tmp_path).close()
+    with reading(tmp_path) as connection:
         tables = connection.exec_driver_sql("SELECT name FROM sqlite_master").scalars().all()
     assert "half_done" not in tables
     assert "commands" in tables
-    store.close()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sqlite3
 import time
@@ -21,6 +22,7 @@ from sessions.commands import (
     SetCategory,
     Undo,
 )
+from sessions.database import Database, sqlite_file
 from sessions.state import SessionState, prompts_key
 from sessions.store import ConflictError, PendingAcceptance, Store, now
 
@@ -189,7 +191,8 @@ def test_commands_can_not_be_changed_or_deleted(store):
 
 
 def test_commits_are_synced_in_wal_mode(store):
-    with store._database.reading() as connection:
+    path = sqlite_file(database(store))
+    with contextlib.closing(Database(path)) as other, other.reading() as connection:
         assert connection.exec_driver_sql("PRAGMA journal_mode").scalar() == "wal"
         assert connection.exec_driver_sql("PRAGMA synchronous").scalar() == 2
 
@@ -284,12 +287,11 @@ def test_a_read_only_workspace_is_named(store):
 
 def test_a_database_that_refuses_writing_is_named(store):
     object_id = opened(store)
-    with store._database.engine.connect() as connection:
-        connection.exec_driver_sql("PRAGMA query_only = ON")
+    reader = Store(store.workspace, f"sqlite:///file:{database(store)}?mode=ro&uri=true")
     with pytest.raises(StoreError, match="can't be written; you need the right"):
-        store.append(object_id, click(1), "ann", 0)
-    assert store.history(object_id) == []
-    store.close()
+        reader.append(object_id, click(1), "ann", 0)
+    assert reader.history(object_id) == []
+    reader.close()
 
 
 def test_a_locked_workspace_is_named(store):

@@ -119,13 +119,16 @@ def _measure(scene: Path, root: Path, objects: int, opening: str) -> SceneFigure
         app: Any = next(iter(server.apps.values()))
         figures = SceneFigures(opening, objects)
         picture, least = app.scene.picture, min(PICTURE_BYTES, 10 * FACES * objects)
-        wait_for(lambda: picture.shown and browser.received > least, "the first object")
+        wait_for(lambda: picture.nodes and browser.received > least, "the first object")
         figures.first_ms = 1000 * (time.perf_counter() - start)
         worker = server.app_state.workers.geometry.pid
         figures.first_cpu_ms = 1000 * (
             _cpu(os.getpid()) - used + (0.0 if worker is None else _cpu(worker))
         )
-        wait_for(lambda: len(picture.shown) == objects, "the whole scene")
+        wait_for(
+            lambda: len({i for node in picture.nodes for i in node.ids}) == objects,
+            "the whole scene",
+        )
         figures.sent_mb = browser.quiet() / 1e6
         figures.whole_ms = 1000 * (browser.last - start)
         figures.memory_mb = sum(_peak_memory(p) for p in (os.getpid(), worker) if p)

@@ -110,10 +110,10 @@ class ScenePicture:
     # --- drawing
 
     @property
-    def shown(self) -> frozenset[str]:
-        """The objects that were sent."""
+    def nodes(self) -> list[Node]:
+        """All that was sent, with the objects that each draws."""
         with self._lock:
-            return frozenset(i for node in self._nodes.values() for i in node.ids)
+            return list(self._nodes.values())
 
     def draw(self, rows: Sequence[Row], selected: str | None) -> None:
         """Send what changed: shapes that arrived, states, what is selected."""
@@ -392,6 +392,4 @@ class ScenePicture:
 
     def pick(self, origin: Array, direction: Array) -> str | None:
         """The object under a ray of the scene's frame, where its parts are now."""
-        with self._lock:
-            nodes = list(self._nodes.values())
-        return first_under(nodes, origin, direction)
+        return first_under(self.nodes, origin, direction)

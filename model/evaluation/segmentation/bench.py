@@ -207,9 +207,9 @@ def run(config: BenchConfig, progress: Progress = no_progress) -> BenchReport:
                 row.encode_seconds.append(time.perf_counter() - begin)
                 row.encode_cpu.append(time.process_time() - busy)
                 row.objects += 1
-                _one_against_the_rest(session, item, config, row, number)
+                one_against_the_rest(session, item, config, row, number)
                 if config.competing and item.whole:
-                    _all_competing(session, item, row)
+                    all_competing(session, item, row)
                     _visible_clicks(session, item, row)
                 if isinstance(session, DefaultSession):
                     _reachable(session, item, row)
@@ -273,9 +273,10 @@ class _Pointer:
         return float(self.weight[answer & truth].sum() / max(union, 1e-12))
 
 
-def _one_against_the_rest(
+def one_against_the_rest(
     session: SegmentationSession, item: BenchObject, config: BenchConfig, row: BenchRow, seed: int
 ) -> None:
+    """Click each part alone until it is right or ``config.cap`` clicks are made."""
     pointer = _Pointer(item)
     rng = np.random.default_rng([seed, 11])
     if isinstance(session, DefaultSession):
@@ -313,7 +314,7 @@ def _one_against_the_rest(
         row.moves.append(part != BASE)
 
 
-def _all_competing(session: SegmentationSession, item: BenchObject, row: BenchRow) -> None:
+def all_competing(session: SegmentationSession, item: BenchObject, row: BenchRow) -> None:
     """One click on each part, then on the largest error, up to three clicks a part."""
     pointer = _Pointer(item)
     truth = item.labels[pointer.shown]

@@ -243,10 +243,10 @@ def _part_bodies(
         return _PartBodies(bodies, tuple(primitives))
 
     # With the link: bodies are identified by their ids, so no two parts may share one.
-    return _parts.get((part.link, fingerprint(settings, round(diagonal, 6), part)), make)
+    return recent_parts.get((part.link, fingerprint(settings, round(diagonal, 6), part)), make)
 
 
-_parts: LruCache[tuple[str, str], _PartBodies] = LruCache(128)
+recent_parts: LruCache[tuple[str, str], _PartBodies] = LruCache(128)
 """Bodies of the last parts: most edits change a joint."""
 
 

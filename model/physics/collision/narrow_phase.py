@@ -126,14 +126,14 @@ class PosePath:
         return self._known[key][2]
 
 
-_depths: LruCache[bytes, FloatArray] = LruCache(4096, 1e6)
+recent_depths: LruCache[bytes, FloatArray] = LruCache(4096, 1e6)
 """Depths of pairs of bodies along paths: an edit of one joint changes few of them."""
 
 
 def _depths_of(a: Hull, b: Hull, a_from_b: FloatArray, least: float) -> FloatArray:
     """:func:`depths`, cached."""
     key = array_digest(*a.measured, *b.measured, a_from_b, np.array([least]))
-    return _depths.get(key, lambda: depths(a, b, a_from_b, least), len(a_from_b))
+    return recent_depths.get(key, lambda: depths(a, b, a_from_b, least), len(a_from_b))
 
 
 def _near(a: FloatArray, b: FloatArray, least: float) -> npt.NDArray[np.bool_]:

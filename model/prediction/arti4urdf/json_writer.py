@@ -58,20 +58,20 @@ class JsonWriter:
         self._feed('{"objects": [{"id": 0, "reason": "')
         out["reason"] = self._string(LONGEST_SENTENCE)
         self._feed(', "articulable": ')
-        word, confidence = self._choose(("true", "false"))
+        word, confidence = self.choose(("true", "false"))
         out["articulable"], out["confidence"] = word == "true", confidence
         self._feed(', "parts": [')
         out["parts"] = self._names() if out["articulable"] else []
         self._feed('], "kind": "')
         out["kind"] = self._string(LONGEST_NAME)
         self._feed(', "base": "')
-        out["base"] = self._choose(("fixed", "free"), feed=False)[0]
+        out["base"] = self.choose(("fixed", "free"), feed=False)[0]
         return json.dumps(out, ensure_ascii=False)
 
     def _names(self) -> list[str]:
         self._feed('"')
         names = [self._string(LONGEST_NAME)]
-        while len(names) < MOST_NAMES and self._choose((",", "]"), feed=False)[0] == ",":
+        while len(names) < MOST_NAMES and self.choose((",", "]"), feed=False)[0] == ",":
             self._feed(', "')
             names.append(self._string(LONGEST_NAME))
         return list(dict.fromkeys(n for n in names if n))
@@ -107,8 +107,8 @@ class JsonWriter:
         text = self._tokenizer.decode(ids)
         return " ".join("".join(c if c.isprintable() else " " for c in text).split())
 
-    def _choose(self, options: tuple[str, str], feed: bool = True) -> tuple[str, float]:
-        """The likelier of two texts, and its probability."""
+    def choose(self, options: tuple[str, str], feed: bool = True) -> tuple[str, float]:
+        """The likelier of two next texts and its probability; with ``feed`` it is read, too."""
         first, second = (float((self._next * self._fits(o)).sum()) for o in options)
         chosen, mass = (options[0], first) if first >= second else (options[1], second)
         if feed:

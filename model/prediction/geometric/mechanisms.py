@@ -95,12 +95,13 @@ def face_front(assembly: Assembly, mechanisms: dict[int, Mechanism]) -> None:
     assembly.front, assembly.front_certainty = attempt(
         assembly.faults,
         "the search for the object's front",
-        lambda: _front(assembly, mechanisms),
+        lambda: front_of(assembly, mechanisms),
         (assembly.front, 0.0),
     )
 
 
-def _front(assembly: Assembly, mechanisms: dict[int, Mechanism]) -> tuple[Array, float]:
+def front_of(assembly: Assembly, mechanisms: dict[int, Mechanism]) -> tuple[Array, float]:
+    """(3,) unit direction of the front and its certainty, 0..1."""
     if assembly.category == "faucet":
         return _spout_direction(assembly), 0.8
     votes = np.zeros(3)

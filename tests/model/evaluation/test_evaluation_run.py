@@ -6,6 +6,7 @@ import json
 import math
 import os
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -128,36 +129,32 @@ def test_crashes_hangs_and_exceptions_are_failures(
 
 def test_a_stopped_run_goes_on(root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     out = tmp_path / "out"
-    config = EvaluationConfig(of(root), predictor="geometric", jobs=1, out=out)
-    evaluate(config)
-    log = out / "objects.jsonl"
-    lines = log.read_text().splitlines()
-    log.write_text("\n".join(lines[:3]) + "\n" + lines[3][: len(lines[3]) // 2])  # torn
-
     asked: list[str] = []
     geometric = predictors.load_predictor("geometric")
 
     class Counting:
-        name = "geometric"
+        name = "counting"
 
         def predict(self, segmented, **options) -> Prediction:
             asked.append(segmented.name)
             return geometric.predict(segmented, **options)
 
-    from model.evaluation import run
+    monkeypatch.setitem(predictors.PREDICTORS.built_in, "counting", Counting)
+    config = EvaluationConfig(of(root), predictor="counting", jobs=1, out=out)
+    evaluate(config)
+    log = out / "objects.jsonl"
+    lines = log.read_text().splitlines()
+    log.write_text("\n".join(lines[:3]) + "\n" + lines[3][: len(lines[3]) // 2])  # torn
 
-    run._predictor.cache_clear()
-    monkeypatch.setitem(predictors.PREDICTORS.built_in, "geometric", Counting)
+    asked.clear()
     report = evaluate(config)
-    run._predictor.cache_clear()
     assert len(report.scores) == 5
     assert asked == ["3", "4"]  # 0 and 1 were there; 2 can't be read
 
-    other = EvaluationConfig(of(root), predictor="geometric", jobs=1, out=out, names=False)
+    other = replace(config, names=False)
     asked.clear()
     evaluate(other)
     assert asked == ["0", "1", "3", "4"]  # other settings start anew
-    run._predictor.cache_clear()
 
 
 def test_reports(root: Path, tmp_path: Path) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from concurrent.futures import process
+from multiprocessing.connection import Connection
 
 import pytest
 
@@ -14,13 +14,14 @@ from model.evaluation.pool import in_processes
 @pytest.mark.parametrize("method", ["fork", "spawn"])
 def test_an_ended_pool_leaves_no_thread_that_python_would_have_to_wake(method, monkeypatch):
     """Waking one that closes its pipes in that moment wrote a traceback at exit."""
-    close = process._ThreadWakeup.close
+    close = Connection.close
 
-    def slowly(pipes):
-        time.sleep(0.3)  # a busy machine
-        close(pipes)
+    def slowly(pipe):
+        if threading.current_thread() is not threading.main_thread():
+            time.sleep(0.3)  # a busy machine
+        close(pipe)
 
-    monkeypatch.setattr(process._ThreadWakeup, "close", slowly)
+    monkeypatch.setattr(Connection, "close", slowly)
     before = set(threading.enumerate())
     began = time.monotonic()
     with pytest.raises(KeyboardInterrupt), in_processes(time.sleep, [60.0, 60.0], 2, method):

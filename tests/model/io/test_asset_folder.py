@@ -271,7 +271,7 @@ def test_an_asset_is_replaced_whole(tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["a"]
 
 
-@pytest.mark.parametrize("step", ["write_urdf_of", "_write_json", "file_sha256"])
+@pytest.mark.parametrize("step", ["write_urdf_of", "tree_to_json", "file_sha256"])
 def test_a_failure_leaves_the_old_asset_as_it_was(tmp_path, monkeypatch, step):
     obj, _ = textured_object()
     folder = write_asset(obj, tmp_path / "a", provenance={"version": 1}).folder

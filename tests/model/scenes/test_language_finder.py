@@ -247,7 +247,7 @@ def test_a_local_qwen3_always_writes_valid_json(
     from model.prediction.arti4urdf.json_writer import JsonWriter, load_json_writer
     from model.scenes.language_finder import SYSTEM
 
-    choose = JsonWriter._choose
+    choose = JsonWriter.choose
 
     def other(self: JsonWriter, options: tuple[str, str], feed: bool = True) -> tuple[str, float]:
         return choose(self, (options[1], options[1]), feed)
@@ -259,7 +259,7 @@ def test_a_local_qwen3_always_writes_valid_json(
         first = writer.decide(SYSTEM, question(OBJECTS[:1]))
         writer.decide(SYSTEM, question(OBJECTS[1:2]))
         assert first == writer.decide(SYSTEM, question(OBJECTS[:1]))  # nothing of the last stays
-        monkeypatch.setattr(JsonWriter, "_choose", other)  # random weights say yes or no only
+        monkeypatch.setattr(JsonWriter, "choose", other)  # random weights say yes or no only
         said += [first, writer.decide(SYSTEM, question(OBJECTS[:1]))]
         monkeypatch.undo()
     for text in said:

@@ -32,12 +32,12 @@ def test_of_many_objects_the_near_ones_are_found_at_once(
         calls.append(standing.id)
         return bounds(standing)
 
-    def kept(out: Path, me: Standing, others: tuple[Standing, ...]) -> list[dict[str, Any]]:
+    def shortened(me: Standing, others: tuple[Standing, ...]) -> list[dict[str, Any]]:
         seen[me.id] = [s.id for s in others]
         return []
 
     monkeypatch.setattr(Standing, "world_bounds", counted)
-    monkeypatch.setattr(convert, "_kept", kept)
+    monkeypatch.setattr(convert, "shortened", shortened)
     convert.shorten_limits(outcomes, tmp_path, lambda *_: None)
     assert seen["o0"] == ["o1", "o2"] and seen["o50"] == ["o48", "o49", "o51", "o52"]
     assert len(calls) <= 2 * len(outcomes)  # every pair took minutes for thousands

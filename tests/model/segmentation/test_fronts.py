@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -246,10 +248,10 @@ def test_a_line_behind_a_handle_goes_by_what_is_beside_it(fronts, panels) -> Non
 def test_a_normal_that_was_turned_round_changes_nothing(fronts, panels) -> None:
     encoding, _ = panels
     superpoint = cell_at(encoding, (1.0, 0, 0.2))
-    turned = Fronts(
-        encoding.nodes, encoding.graph, encoding.strength, encoding.superpoints, np.eye(3)
-    )
-    turned._turn[superpoint] *= -1
+    normal = encoding.superpoints.normal.copy()
+    normal[superpoint] *= -1
+    superpoints = replace(encoding.superpoints, normal=normal)
+    turned = Fronts(encoding.nodes, encoding.graph, encoding.strength, superpoints, np.eye(3))
     (right,), (wrong,) = fronts.of(superpoint), turned.of(superpoint)
     assert (wrong.outward, wrong.depth) == (right.outward, right.depth)
     assert len(wrong.knobs) == 4

@@ -17,8 +17,8 @@ from model.data.urdf_folders import UrdfFolders
 from model.evaluation.segmentation.bench import (
     BenchConfig,
     BenchRow,
-    _all_competing,
-    _one_against_the_rest,
+    all_competing,
+    one_against_the_rest,
     run,
 )
 from model.evaluation.segmentation.bench_data import BenchObject, dataset_objects
@@ -226,8 +226,8 @@ def test_strays_are_neither_clicked_nor_counted():
             return []
 
     row = BenchRow("all", "some")
-    _one_against_the_rest(All(), item, BenchConfig(cap=3), row, 0)
-    _all_competing(All(), item, row)
+    one_against_the_rest(All(), item, BenchConfig(cap=3), row, 0)
+    all_competing(All(), item, row)
     assert len(clicked) > 6 and max(clicked) < 400
     assert row.curves[1][0] == pytest.approx((labels == 1).sum() / 400)
 

@@ -45,23 +45,19 @@ def said(obj: ArticulatedObject, store: Path) -> Any:
     return codec.write(replace(report, seconds=0.0))
 
 
-def forget(monkeypatch: pytest.MonkeyPatch) -> None:
+def forget() -> None:
     """As in a process that has judged nothing yet; what is known of parts goes with them."""
-    for module, name in (
-        (build, "recent_objects"),
-        (build, "_parts"),
-        (narrow_phase, "_depths"),
-        (drives, "_DRIVES"),
-    ):
-        monkeypatch.setattr(module, name, LruCache(1000))
+    caches: tuple[LruCache[Any, Any], ...] = (
+        build.recent_objects, build.recent_parts, narrow_phase.recent_depths, drives.recent_drives,
+    )  # fmt: skip
+    for cache in caches:
+        cache.clear()
 
 
 @pytest.mark.parametrize("name", ["cabinet", "laptop"])
-def test_what_is_said_after_an_edit_is_what_is_said_from_scratch(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_said_after_an_edit_is_what_is_said_from_scratch(name: str, tmp_path: Path) -> None:
     obj, store = demo_object(name), tmp_path / "store"
-    forget(monkeypatch)
+    forget()
     first = said(obj, store)
     shutil.copytree(store, tmp_path / "first")
     # One edit of each kind, of one joint after the other.
@@ -72,7 +68,7 @@ def test_what_is_said_after_an_edit_is_what_is_said_from_scratch(
     told = [said(replace(obj, tree=tree), store) for tree in trees]
     assert said(obj, store) == first
     for k, (tree, expected) in enumerate(zip(trees, told, strict=True)):
-        forget(monkeypatch)
+        forget()
         alone = shutil.copytree(tmp_path / "first", tmp_path / f"alone {k}")
         assert said(replace(demo_object(name), tree=tree), alone) == expected
 
@@ -81,24 +77,24 @@ def test_only_what_an_edited_joint_has_a_say_in_is_done_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     obj = demo_object("cabinet")
-    forget(monkeypatch)
+    forget()
     said(obj, tmp_path)
     joint = next(j for j in obj.tree.joints if j.moves)
     moved = set(obj.tree.descendants(joint.child))
     swept: list[set[str]] = []
     driven: list[list[int]] = []
-    sweep, drive = penetration._penetrations, physics._Run._drive
+    sweep, drive = penetration.sweep_penetrations, physics.Simulation.drive
 
     def sweeping(part: Any, target: Any, *more: Any) -> Any:
         swept.append({part.link, target.link})
         return sweep(part, target, *more)
 
-    def driving(run: Any, group: list[int], *more: Any) -> bool:
+    def driving(run: physics.Simulation, group: list[int], *more: Any) -> bool:
         driven.append(group)
         return drive(run, group, *more)
 
-    monkeypatch.setattr(penetration, "_penetrations", sweeping)
-    monkeypatch.setattr(physics._Run, "_drive", driving)
+    monkeypatch.setattr(penetration, "sweep_penetrations", sweeping)
+    monkeypatch.setattr(physics.Simulation, "drive", driving)
     assert joint.upper is not None
     shorter = obj.tree.with_joint(replace(joint, upper=0.9 * joint.upper))
     said(replace(obj, tree=shorter), tmp_path)

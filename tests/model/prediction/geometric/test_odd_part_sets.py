@@ -103,8 +103,8 @@ def test_a_front_level_with_a_door_spans_none() -> None:
 
 
 RULES = [
-    (motion_scores, "spans_doors"), (motion_scores, "_cues"), (roles, "measure_features"),
-    (roles, "named_mechanism"), (mechanisms, "_front"), (predictor, "part_evidence"),
+    (motion_scores, "spans_doors"), (roles, "motion_scores"), (roles, "measure_features"),
+    (roles, "named_mechanism"), (mechanisms, "front_of"), (predictor, "part_evidence"),
     (predictor, "root_scores"), (predictor, "spanning_parents"), (predictor, "propose"),
     (predictor, "joints_of"), (context.PartContext, "covers_of"), (context.PartContext, "shut"),
 ]  # fmt: skip
