@@ -145,6 +145,11 @@ class Tab:
         self._threads.close()
         return True
 
+    @property
+    def drawings(self) -> int:
+        """How often the screen was brought up to date."""
+        return self._threads.drawings
+
     def act(self, action: Callable[[], None]) -> None:
         """Carry out ``action`` after those before it, off viser's threads."""
         self._threads.act(action)

@@ -25,10 +25,14 @@ class TabThreads:
     Args:
         name: of the tab, for the log.
         notify: shows the user ``(title, body, color)``.
+
+    Attributes:
+        drawings: how often the screen was brought up to date.
     """
 
     def __init__(self, name: str, notify: Callable[[str, str, str], None]) -> None:
         self.closed = False
+        self.drawings = 0
         self._name = name
         self._notify = notify
         self._actions: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
@@ -79,4 +83,5 @@ class TabThreads:
             except Exception:  # the boundary of drawing: a closing tab must not end the server
                 if not self.closed:
                     log.exception("drawing %s failed", self._name)
+            self.drawings += 1
             time.sleep(0.01)

@@ -161,7 +161,7 @@ def test_click_predict_move_edit_accept(
     # Edit by number, then undo.
     tab.choose("Joint", "door 1")
     wait_until(lambda: tab.selection.child == "link_1", "the door is chosen")
-    tab.page.wait_for_timeout(300)
+    tab.drawn()
     tab.set_number("Upper [°]", 110)
     upper = math.radians(110)
     wait_until(
@@ -281,9 +281,10 @@ def test_numbers_and_delete(start: Any, open_tab: Any, cabinet: Any) -> None:
     box.fill("me")
     box.press("Home")
     box.press("Delete")
-    tab.page.wait_for_timeout(300)
-    assert box.input_value() == "e" and tab.document.edits == edits + 1
     box.press("Enter")
+    wait_until(lambda: tab.app.tab.user == "e", "a letter is deleted")
+    tab.drawn()
+    assert box.input_value() == "e" and tab.document.edits == edits + 1
     tab.wait_for_keyboard()
     tab.key("Delete")
     wait_until(lambda: [p.id for p in tab.document.parts] == [0, 1], "the part is deleted")
@@ -308,7 +309,7 @@ def test_the_gizmo_moves_the_axis(start: Any, open_tab: Any, cabinet: Any) -> No
     wait_until(lambda: tab.selection.child == "link_1", "the door is chosen")
     tab.button("Axis handles (G)").click()
     tab.wait_node("/gizmo")
-    tab.page.wait_for_timeout(800)
+    tab.drawn()
     # The handle along x: grab its arrow and pull.
     tip = np.asarray(before.origin) + np.array([0.15 * tab.object.asset.diagonal, 0, 0])
     origin = tab.pixel(before.origin)
@@ -329,10 +330,10 @@ def drag_until_moved(tab: Tab, tip: np.ndarray, origin: tuple[float, float], bef
     for share in (1.0, 0.8, 1.2, 0.6, 1.4, 0.4):
         x, y = x0 + share * (x1 - x0), y0 + share * (y1 - y0)
         tab.page.mouse.move(x, y)
-        tab.page.wait_for_timeout(250)
+        tab.frames(3)  # the page sees what is under the pointer when it draws
         tab.page.mouse.down()
         tab.page.mouse.move(x + 0.5 * (x1 - x0), y + 0.5 * (y1 - y0), steps=6)
-        tab.page.wait_for_timeout(150)
+        tab.frames(2)
         tab.page.mouse.up()
         try:
             wait_until(
@@ -350,7 +351,7 @@ def test_reject_with_a_reason(start: Any, open_tab: Any, cabinet: Any) -> None:
     tab.prompt(points["door"])
     tab.step("Review")
     tab.field("Comment").fill("the drawer is missing <b>{1+1}</b>")
-    tab.page.wait_for_timeout(400)
+    wait_until(lambda: tab.app.review.comment_text.startswith("the drawer"), "the comment")
     tab.button("Reject (X)").click()
     tab.button("4 parts").click()
     wait_until(lambda: tab.document.review.state == "rejected", "rejected")
@@ -392,8 +393,8 @@ def test_next_object_and_a_cloud(start: Any, open_tab: Any, cabinet: Any, tmp_pa
     tab = open_tab(start(path, chest))
     tab.page.keyboard.press("n")
     wait_until(lambda: tab.object.record.name == "chest", "the next object")
-    wait_until(lambda: tab.object.asset is not None, "the chest is open")
-    tab.page.wait_for_timeout(1500)
+    wait_until(lambda: tab.app.drawing.drawn, "the chest is open")
+    tab.camera_at_rest()
     tab.prompt(points["lid"])
     wait_until(lambda: tab.document.segmentation_current, "labels")
     predict(tab)
@@ -444,7 +445,7 @@ def test_touch_adds_a_prompt(start: Any, open_tab: Any, cabinet: Any) -> None:
     tab.app.annotate.tools.touch = True
     tab.app.tab.invalidate()
     tab.wait_node("/touch")
-    tab.page.wait_for_timeout(500)
+    tab.drawn()
     x, y = tab.pixel(points["door"])
     tab.page.touchscreen.tap(x, y)
     wait_until(lambda: len(tab.document.prompts) == 1, "a tap is a prompt")

@@ -70,7 +70,7 @@ def test_an_upright_clean_object_is_not_asked_about(start: Any, open_tab: Any) -
 
     tab = open_tab(start(static_assets() / "examples" / "oven_scan.ply"))
     proposed(tab)
-    tab.page.wait_for_timeout(500)
+    tab.drawn()
     assert tab.selection.step == "Annotate"
     assert not tab.app.prepare.noticed(tab.object)
     assert not tab.button("Prepare (Enter)").count()
@@ -81,32 +81,30 @@ def test_up_by_floor_and_size_by_length(start: Any, open_tab: Any, tmp_path: Pat
     tab = open_tab(start(tmp_path / "oven.ply"))
     wait_until(lambda: tab.selection.step == "Prepare", "a tilted scan is noticed")
     proposed(tab)
+    tab.drawn()  # the camera looks at what is proposed
+    eye = tab.camera_at_rest()
     tab.key("7")
+    camera = tab.app.tab.client.camera
+    wait_until(lambda: not np.array_equal(camera.position, eye), "another view")
     tab.camera_at_rest()
-    tab.page.wait_for_timeout(800)
 
     def corner(x: float, y: float, z: float = -0.064) -> tuple[float, float, float]:
         return shown(tab, frame[:3, :3] @ [x, y, z] + frame[:3, 3])
 
     tab.key("k")
     wait_until(lambda: tab.app.pointing.armed == "floor", "the floor is asked for")
-    for place in ((-0.6, -0.6), (0.6, -0.6), (0.0, 0.7)):
-        tab.click3d(corner(*place))
-        tab.page.wait_for_timeout(300)
+    tab.click_places(*(corner(*p) for p in ((-0.6, -0.6), (0.6, -0.6), (0.0, 0.7))))
     wait_until(
         lambda: getattr(tab.object.preparing.current, "up", None) is not None,
         "levelled by the floor",
     )
-    tab.page.wait_for_timeout(3000)  # it sets out for the new front
-    tab.camera_at_rest()
+    tab.drawn()
+    tab.camera_at_rest()  # at the new front
     tab.key("m")
     wait_until(lambda: tab.app.pointing.armed == "length", "a length is asked for")
-    for place in ((-0.5, 0.5), (0.5, 0.5)):
-        tab.click3d(corner(*place))
-        tab.page.wait_for_timeout(300)
+    tab.click_places(corner(-0.5, 0.5), corner(0.5, 0.5))
     tab.page.get_by_text("Length [m]").first.wait_for(timeout=60_000)
     tab.field("Length [m]").fill("1.0")
-    tab.page.wait_for_timeout(300)
     tab.button("Set").click()
     wait_until(lambda: tab.document.frame.scale != 1.0, "scaled")
     assert tab.document.frame.scale == pytest.approx(0.5, rel=0.05)

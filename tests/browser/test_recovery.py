@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from sessions.store import PendingAcceptance, Store
-from tests.browser.browsing import PAGE_TIMEOUT
+from tests.browser.browsing import PAGE_TIMEOUT, page_at_rest
 from tests.browser.objects import write_cabinet
 
 pytestmark = pytest.mark.browser
@@ -43,12 +43,11 @@ def open_page(browser: Any, url: str) -> Any:
     page = browser.new_context(viewport={"width": 1280, "height": 800}).new_page()
     page.set_default_timeout(PAGE_TIMEOUT)
     page.goto(url)
-    page.wait_for_selector("canvas", state="attached")
     page.wait_for_function(
         "() => { const s = window.__viserSceneTree?.getState?.(); return !!s && !!s['/scan']; }"
     )
-    page.wait_for_function("() => window.__viserPointer.hasSceneClickFilter()")
-    page.wait_for_timeout(800)
+    page.wait_for_function("() => window.__artiworld.get().drawing")  # it comes after the camera
+    page_at_rest(page)
     return page
 
 

@@ -13,6 +13,8 @@ import numpy as np
 import pytest
 
 from app.server.prompt_file import read_prompts
+from app.viewer.input import decision_guard
+from app.viewer.words.common import TOO_FAST
 from app.viewer.words.review import FIXES
 from model.core.articulated_object import Prediction
 from model.core.resources import static_assets
@@ -127,7 +129,7 @@ def test_see_the_worst_moment_mend_and_accept_with_a_reason(
 
 
 def test_y_shows_what_wants_a_look_before_it_accepts(
-    start: Any, open_tab: Any, tmp_path: Path
+    start: Any, open_tab: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     server = start(write_cupboard(tmp_path / "cupboard"), write_cupboard(tmp_path / "other"))
     tab = open_tab(server)
@@ -165,9 +167,9 @@ def test_y_shows_what_wants_a_look_before_it_accepts(
     wait_until(lambda: not obj.is_shown, "nobody looks at it any more")
     tab.wait_seen()
     assert tab.object is other
-    tab.app.guard._sent = None  # as if it had only just come on the screen
+    monkeypatch.setattr(decision_guard, "LOOK_SECONDS", 3600.0)
     tab.key("y")  # too early: nobody has seen it
-    tab.page.wait_for_timeout(1500)
+    tab.page.get_by_text(TOO_FAST[1]).wait_for()
     assert tab.app.review.validation_list.looked_at(other) is None
     assert other.document.review.state == "predicted"
 
@@ -189,7 +191,7 @@ def check_a_wish_is_taken_back(tab: Tab, picture: Path) -> None:
     tab.key("Escape")
     told = tab.page.get_by_text("Cancelled before the checks were done")
     told.first.wait_for()
-    tab.page.wait_for_timeout(300)
+    tab.drawn()
     assert told.count() == 1
     assert not obj.validation.acceptance_waits
     tab.button("Cancel acceptance (Esc)").wait_for(state="hidden")
@@ -304,11 +306,18 @@ def test_the_least_sure_prediction_follows_a_decision(
         record_prediction(obj, sure)
     assert tab.object is objects[0]
     tab.step("Review")
-    carry_out = tab.app.tab.do
+    viewer = tab.app.tab
+    carry_out = viewer.do
 
     def slowly(command: cmd.Command) -> None:
         carry_out(command)
-        time.sleep(1)  # the tab draws the decision meanwhile
+        before = viewer.drawings
+
+        def drawn() -> bool:
+            viewer.invalidate()
+            return viewer.drawings > before + 1
+
+        wait_until(drawn, "the tab draws the decision meanwhile")
 
     monkeypatch.setattr(tab.app.tab, "do", slowly)
     tab.page.evaluate("document.activeElement?.blur()")

@@ -150,10 +150,8 @@ class RoomTab(SceneTab):
         self.key("k")
         wait_until(lambda: self.app.pointing.armed == "cut", "cut waits for places")
         mine = self.seen[self.labels[self.seen] == self.selection.part]
-        for z in (0.25, 0.7):
-            off = np.abs(self.points[mine] - [0, y, z])[:, 1:].sum(1)
-            self.click3d(self.points[mine[off.argmin()]] - self.origin)
-            self.page.wait_for_timeout(400)  # two clicks, not a double click
+        off = [np.abs(self.points[mine] - [0, y, z])[:, 1:].sum(1) for z in (0.25, 0.7)]
+        self.click_places(*(self.points[mine[o.argmin()]] - self.origin for o in off))
         wait_until(lambda: len(self.document.prompts) > before, "the part is cut")
         self.settled()
         part = int(np.bincount(self.labels[self.wanted & (self.labels > 0)]).argmax())

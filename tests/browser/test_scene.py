@@ -12,6 +12,7 @@ import pytest
 
 from app.viewer.panels.joint_rows import joint_lines
 from app.viewer.picture import palette
+from app.viewer.picture.scene_nodes import Surroundings
 from sessions import commands as cmd
 from tests.browser.browsing import SceneTab, wait_until
 from tests.model.scenes.scenes_made import make_assets, own, write_scene
@@ -33,12 +34,13 @@ def check_picture_of_the_chosen(tab: SceneTab) -> None:
     center = tab.scene.picture.bounds(["cabinet 1"]).mean(0)
     pose = tab.scene_workspace.world_from_copy(tab.scene_workspace.items["cabinet 1"])
     assert ((eye - center) @ pose[:3, :3])[1] < -0.5
-    links = {k[3]: n for k, n in tab.scene.picture._nodes.items() if k[0] == "part"}
+    links = {n.link: n for n in tab.scene.picture.nodes if n.work is not None}
     lines = joint_lines(tab.scene_workspace.work("cabinet 1").document)
     assert len(lines) == 2
     for part in (1, 2):
         color = palette.part_color(part)
-        assert links[f"link_{part}"]._painted[0] == [palette.albedo(color)]
+        (sent,) = links[f"link_{part}"].handles
+        np.testing.assert_array_equal(sent.batched_colors, [palette.albedo(color)])
         assert color in [c for _, _, c in lines]
 
 
@@ -75,7 +77,7 @@ def test_open_choose_work_in_place_accept_and_save(
 
     # Click the static rock in the picture, say that it moves, take that back.
     tab.scene.picture.frame()
-    tab.page.wait_for_timeout(700)
+    tab.camera_at_rest()
     low, high = tab.scene.picture.bounds(["rock 2"])
     tab.click3d([*((low + high) / 2)[:2], high[2]])
     wait_until(lambda: tab.scene.choice.selected == "rock 2", "a click chooses the rock")
@@ -98,7 +100,7 @@ def test_open_choose_work_in_place_accept_and_save(
     root = tab.app.tab.client.scene.get_handle_by_name("/world")
     pose = tab.scene_workspace.world_from_copy(tab.scene_workspace.items["cabinet 1"])
     np.testing.assert_allclose(root.position, np.linalg.inv(pose)[:3, 3], atol=1e-6)
-    around = next(n for k, n in tab.scene.picture._nodes.items() if k[0] == "static")
+    around = next(n for n in tab.scene.picture.nodes if isinstance(n, Surroundings))
     wait_until(
         lambda: around.ghost is not None and around.ghost.visible, "its surroundings: ghosts"
     )
@@ -115,9 +117,9 @@ def test_open_choose_work_in_place_accept_and_save(
     play_by_keys(tab)
     # All joints at once, then a decision from the scene.
     tab.button("Play all joints (Shift+Space)").click()
-    nodes = tab.scene.picture._nodes
     wait_until(
-        lambda: any(n.now != n.rest for n in nodes.values() if n.work is not None), "parts move"
+        lambda: any(n.now != n.rest for n in tab.scene.picture.nodes if n.work is not None),
+        "parts move",
     )
     tab.button("Stop (Space)").click()
     wait_until(lambda: not tab.scene.motion.playing, "and stop")
@@ -126,7 +128,7 @@ def test_open_choose_work_in_place_accept_and_save(
     tab.wait_seen()
     tab.button("Accept (Y)").first.click()
     wait_until(lambda: tab.status("cabinet 1") == "accepted", "accepted")
-    saved = wait_until(tab.saved, "saved")
+    saved = tab.save()
     assert (Path(saved.folder) / "scene.xml").is_file()
 
 
@@ -158,7 +160,7 @@ def test_y_inside_needn_t_wait_for_the_gate(start: Any, open_tab: Any, tmp_path:
     )
     row = tab.scene_workspace.row(tab.scene_workspace.items["cabinet 1"])
     assert row.shown == "validating" and obj.validation.acceptance_waits
-    tab.page.wait_for_timeout(1500)
+    tab.drawn()
     tab.page.screenshot(path=str(tmp_path / "judged_later.png"))
     held.cancel()
     tab.page.get_by_text("cabinet 1: 1 error. drawer 2", exact=False).first.wait_for()
@@ -171,5 +173,5 @@ def test_y_inside_needn_t_wait_for_the_gate(start: Any, open_tab: Any, tmp_path:
     wait_until(lambda: tab.object is obj and tab.selection.step == "Review", "its review")
     worst = obj.validation.report.joints[0].worst
     wait_until(lambda: tab.app.motion.q == dict(worst.q), "the worst pose")
-    tab.page.wait_for_timeout(1000)
+    tab.drawn()
     tab.page.screenshot(path=str(tmp_path / "inside.png"))

@@ -50,7 +50,7 @@ def test_the_preview_follows_the_pointer_and_changes_nothing(
         # A hand never quite rests; a page that is still loading misses the first moves.
         tab.page.mouse.move(x - 3, y)
         tab.page.mouse.move(x, y)
-        tab.page.wait_for_timeout(300)
+        tab.page.wait_for_timeout(300)  # no state says that the pointer rests: time does
         return tab.app.tab.client.scene.get_handle_by_name("/hover/gained")
 
     wait_until(moved, "dots under the pointer")
@@ -107,9 +107,7 @@ def test_lasso_brush_cut_and_merge(start: Any, open_tab: Any, cabinet: Any) -> N
     # Cut the base in two by clicks; the smaller side is a new part.
     tab.key("k")
     wait_until(lambda: tab.app.pointing.armed == "cut", "cut waits for places")
-    for offset in (0.1, -0.1):
-        tab.click3d(points["base"] + (0.0, offset, 0.0))
-        tab.page.wait_for_timeout(400)
+    tab.click_places(*(points["base"] + (0.0, offset, 0.0) for offset in (0.1, -0.1)))
     wait_until(lambda: tab.document.face_cuts, "the cut goes through the faces of the carcass")
     tab.settled()
     region = tab.document.prompts[-1]
@@ -145,7 +143,6 @@ def test_what_is_hidden_is_neither_drawn_nor_clicked(
             tab.key("n")
             wait_until(lambda: tab.object.record.name == "chest", "the cloud")
             wait_until(lambda: tab.app.drawing.drawn, "it is drawn")
-            tab.page.wait_for_timeout(1500)  # the page's own camera comes after
         wait_until(lambda: not tab.object.busy, "the object is encoded")
         tab.camera_at_rest()
         tab.prompt(place)
@@ -196,9 +193,7 @@ def test_a_painted_door_is_cut_out_of_two_triangles(
     tab.camera_at_rest()
     drag(tab, [(330, 700), (350, 690)])  # a view of the person's own
     camera = tab.camera_at_rest()
-    for corner in ("low", "high"):
-        tab.click3d(points[corner])
-        tab.page.wait_for_timeout(400)
+    tab.click_places(points["low"], points["high"])
     wait_until(lambda: tab.document.face_cuts, "faces are split")
     tab.settled()
     asset = wait_until(lambda: tab.object.asset, "it is open with more faces")
