@@ -20,6 +20,7 @@ from .geometry.prepare import Prepared, PrepareSettings, prepare
 from .io.assets.asset_folder import write_asset
 from .io.assets.reader import load_object
 from .io.export.registry import export, exporter_names, load_exporter
+from .io.masks import Masks, read_masks, with_masks
 from .io.open_asset import open_asset, read_part_files
 from .prediction.registry import load_predictor, predictor_names
 from .scenes.registry import read_scene
@@ -36,6 +37,7 @@ __all__ = [
     "GroundTruth",
     "Joint",
     "KinematicTree",
+    "Masks",
     "Mesh",
     "Part",
     "PartSegmentation",
@@ -57,6 +59,7 @@ __all__ = [
     "open_dataset",
     "predictor_names",
     "prepare",
+    "read_masks",
     "read_part_files",
     "read_scene",
     "segmenter_names",

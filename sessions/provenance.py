@@ -33,7 +33,7 @@ from sessions.describe import describe
 from sessions.document import Document
 from sessions.state import SessionState
 from sessions.store import Entry
-from sessions.tool_commands import ObjectFrame
+from sessions.tool_commands import ApplyTool, ObjectFrame
 
 FORMAT = 1
 
@@ -76,6 +76,7 @@ def provenance(
         "category": document.category,
         "parts": _parts(document),
         "prompts": [_prompt(p) for p in document.prompts],
+        "masks": _masks(kept),
         "segmenter": None if document.segmentation is None else _segmenter(document),
         "predictor": _predictor(document, kept),
         "edits": _edits(kept),
@@ -145,6 +146,12 @@ def _segmenter(document: Document) -> dict[str, Any]:
     record = document.segmentation
     assert record is not None
     return {"name": record.segmenter, "seconds": record.seconds, "labels": record.labels}
+
+
+def _masks(kept: list[Entry]) -> list[str]:
+    """The files of other systems' masks that parts were taken from."""
+    tools = (e.command for e in kept if isinstance(e.command, ApplyTool))
+    return [tool.source for tool in tools if tool.source]
 
 
 def _predictor(document: Document, kept: list[Entry]) -> dict[str, Any] | None:

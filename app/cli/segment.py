@@ -5,22 +5,27 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
+
+import numpy as np
 
 from app.cli.output import check_output, other_files_error
 from app.server.prompt_file import PromptFile, check_prompts, read_prompts
 from model.core.articulated_object import Part
 from model.core.asset import Asset, UpAxis
-from model.core.errors import ArtiworldError
+from model.core.errors import ArtiworldError, ConfigurationError
 from model.core.files import write_json, written_to
 from model.core.progress import Progress, no_progress, scaled_progress
 from model.geometry.parts import split
 from model.geometry.prepare import tilt_remark
 from model.geometry.units import UNITS, odd_size
+from model.io.masks import read_masks, with_masks
 from model.io.open_asset import open_asset
 from model.io.write.meshes import write_cloud, write_mesh
+from model.segmentation.prompts import PartSegmentation, Prompts, Region
 from model.segmentation.registry import load_segmenter
 
 FORMAT = 1
@@ -31,20 +36,22 @@ _PART_FILES = re.compile(r"link_\d+\.(obj|mtl|ply)|texture_[0-9a-f]{12}\.(png|jp
 
 def segment(
     scan: Path,
-    prompts: Path,
+    prompts: Path | None,
     out: Path,
     *,
+    masks: Path | None = None,
     segmenter: str = "default",
     up_axis: UpAxis | None = None,
     unit_scale: float = 1.0,
     progress: Progress = no_progress,
 ) -> dict[str, Any]:
-    """Cut ``scan`` into parts by the clicks of a prompt file.
+    """Cut ``scan`` into parts by the clicks of a prompt file, by masks, or by clicks on masks.
 
     Writes ``link_<id>.obj`` (or ``.ply`` for a cloud) for each part, +z up and in metres, and
     ``object.json``, which ``artiworld predict`` reads. They replace an earlier result.
 
     Args:
+        masks: of another system, see :mod:`model.io.masks`; clicks correct them.
         up_axis, unit_scale: of the scan, as of :func:`model.io.open_asset.open_asset`.
 
     Returns:
@@ -53,16 +60,25 @@ def segment(
     Raises:
         ArtiworldError: naming the file and the place of the mistake.
     """
-    file = read_prompts(prompts)
+    if prompts is None and masks is None:
+        raise ConfigurationError("nothing says what the parts are: give --prompts or --masks")
+    file = PromptFile(scan, Prompts(()), {}) if prompts is None else read_prompts(prompts)
     check_output(out, scan, *([] if scan.is_dir() else [scan.parent]))
     _check_replaceable(out)
     chosen = load_segmenter(segmenter)
     progress(0.0, f"reading {scan.name}")
     asset = open_asset(scan, up_axis=up_axis, unit_scale=unit_scale)
     check_prompts(file, asset)
-    session = chosen.encode(asset, scaled_progress(progress, 0.1, 0.7))
-    progress(0.7, "segmenting")
-    answer = session.segment(file.prompts)
+    read = None if masks is None else read_masks(masks)
+    if read is not None:
+        asset = with_masks(asset, read)
+        file = _on_masks(file, asset)
+    if prompts is None and asset.element_part is not None:
+        answer = PartSegmentation(asset.element_part, "masks")
+    else:
+        session = chosen.encode(asset, scaled_progress(progress, 0.1, 0.7))
+        progress(0.7, "segmenting")
+        answer = session.segment(file.prompts)
     parts = split(asset, answer.labels, file.names)
     progress(0.9, f"writing {out}")
     report = {
@@ -72,12 +88,25 @@ def segment(
         "parts": _write_parts(parts, out),
         "source": _source_json(asset, scan),
         "segmenter": answer.segmenter or chosen.name,
+        **({} if read is None else {"masks": read.origin}),
         "seconds": round(answer.seconds, 6),
         "problems": _problems(asset, file, parts),
     }
     write_json(out / OBJECT_JSON, report)
     progress(1.0, "done")
     return report
+
+
+def _on_masks(file: PromptFile, asset: Asset) -> PromptFile:
+    """The prompts after a region for each part that the masks tell."""
+    assert asset.element_part is not None
+    held = range(len(asset.part_names))
+    regions = [Region(i, np.flatnonzero(asset.element_part == i), True) for i in held]
+    named = {i: name for i, name in enumerate(asset.part_names) if name}
+    known = (r for r in regions if len(r.elements))
+    return replace(
+        file, prompts=Prompts((*known, *file.prompts.items)), names={**named, **file.names}
+    )
 
 
 def _check_replaceable(out: Path) -> None:

@@ -13,7 +13,9 @@ from app.server.ending import EndSignals
 from app.server.login import Login, new_token
 from app.server.network import check_address, free_port, is_loopback
 from model.core.errors import ConfigurationError, InputFileError
+from model.io.find_assets import find_assets
 from model.io.geometry_files import STAGES, SUFFIXES
+from model.io.masks import read_masks
 from model.io.model_files import is_model
 from model.prediction.registry import check_predictor
 from model.prediction.remote import is_backend
@@ -74,6 +76,10 @@ def make_config(options: ServeCommand) -> ServeConfig:
         check_address(options.host, options.port)
     port = free_port(options.host) if options.port is None else options.port
     scene = scene_to_open(options)
+    if options.masks is not None:
+        if scene is not None or len(options.paths) != 1 or len(find_assets(options.paths)) != 1:
+            raise ConfigurationError("--masks are of one object: give its file or folder as PATH")
+        read_masks(options.masks)  # tells now what is wrong with them
     same = ("workspace", "database", "host", "max_upload_mb", "segmenter", "finder", "finder_url")
     settings: dict[str, Any] = {name: getattr(options, name) for name in same}
     if options.user is not None:
@@ -84,6 +90,7 @@ def make_config(options: ServeCommand) -> ServeConfig:
         token=token,
         up_axis=options.reading.up_axis,
         unit_scale=options.reading.unit_scale,
+        masks=options.masks,
         predictor=predictor,
         allowed_origins=options.allow_origin,
         scene=scene,

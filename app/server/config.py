@@ -42,6 +42,7 @@ class ServeConfig:
         allowed_origins: other addresses of the server behind a proxy.
         scene: a scene to open instead of single objects.
         assets: folders of its assets.
+        masks: masks of another system, from which the one path starts.
         finder, finder_url: name of the finder of articulable objects, and its server.
     """
 
@@ -60,5 +61,6 @@ class ServeConfig:
     allowed_origins: tuple[str, ...] = ()
     scene: Path | None = None
     assets: tuple[Path, ...] = ()
+    masks: Path | None = None
     finder: str = "lexicon"
     finder_url: str | None = None

@@ -20,6 +20,7 @@ from model.core.progress import Progress, no_progress
 from model.geometry.display import display_asset, thin
 from model.geometry.upright_box import box_yaw
 from model.io.find_assets import model_of
+from model.io.masks import read_masks, with_masks
 from model.io.write.glb import face_order, mesh_to_glb
 from sessions.checks import NAME_LIMIT
 from sessions.text import clipped
@@ -47,6 +48,7 @@ class OpenedAsset:
         display_confidence: (D,) of the displayed cloud's points, or None.
         removed: (R, 3) some of what is left out, to be shown.
         shift: of the source; see :class:`~model.core.asset.Source`.
+        masks: file of masks that the parts come from, with its hash, or "".
     """
 
     name: str
@@ -76,6 +78,7 @@ class OpenedAsset:
     display_confidence: npt.NDArray[np.float32] | None = None
     removed: npt.NDArray[np.float32] | None = None
     shift: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    masks: str = ""
 
     @property
     def display_centers(self) -> npt.NDArray[np.floating]:
@@ -104,14 +107,26 @@ class PartPayload:
 
 
 def open_asset(
-    path: Path, workspace: Path, options: ReadOptions, progress: Progress = no_progress
-) -> OpenedAsset:
-    """Read ``path``, save its arrays for the other workers, and prepare its display."""
+    path: Path, workspace: Path, options: ReadOptions, masks: Path | None = None,
+    progress: Progress = no_progress,
+) -> OpenedAsset:  # fmt: skip
+    """Read ``path``, save its arrays for the other workers, and prepare its display.
+
+    Args:
+        masks: of another system; they take the place of parts and joints that the file tells.
+    """
     progress(0.02, "Reading")
     asset, folder = working_copy(path, workspace, options, progress)
-    progress(0.8, "Preparing the picture")
     unchanged = options.left_out is None and not options.face_cuts
-    opened = _opened(asset, folder, path)
+    origin = ""
+    if masks is not None and unchanged:
+        progress(0.7, f"Reading {masks.name}")
+        read = read_masks(masks)
+        cut = with_masks(working_copy(path, workspace, options.as_read)[0], read)
+        parts, names, origin = cut.element_part, cut.part_names, read.origin
+        asset = replace(asset, element_part=parts, part_names=names, tree=None)
+    progress(0.8, "Preparing the picture")
+    opened = replace(_opened(asset, folder, path), masks=origin)
     if options.left_out is not None:
         gone = removed_of(path, workspace, options).element_centers.astype(np.float32)
         opened = replace(opened, removed=gone[thin(gone, REMOVED_SHOWN)])

@@ -163,10 +163,17 @@ class OpenObject(ObjectContext):
                 Path(self.record.path),
                 self.services.workspace,
                 self.read_options,
+                self._masks(),
                 on_progress=self.jobs.progress("open"),
                 most_seconds=READ_SECONDS,
             )
             self.start("open", job, self._opened)
+
+    def _masks(self) -> Path | None:
+        """The masks of another system, where they are of this object."""
+        config = self.services.config
+        own = [Path(p).resolve() for p in config.paths] == [Path(self.record.path).resolve()]
+        return config.masks if own else None
 
     def reopen(self) -> None:
         """Read it for a tab that opens it, also where the worker died when it was read last."""
@@ -185,8 +192,10 @@ class OpenObject(ObjectContext):
         first, doc = self.state.seq == 0, self.document
         if first and asset.category:
             self.do(cmd.SetCategory(asset.category), SOURCE)
-        if first or (self._anew and not doc.prompts and doc.tree is None):
+        if first or ((self._anew or asset.masks) and not doc.prompts and doc.tree is None):
             self.segmenting.take_source_parts(asset)
+        elif asset.masks:
+            self.notify("Masks not used", "It has parts already: undo them to start from masks")
         if self.interrupted:
             self.notify("Not accepted yet", INTERRUPTED, "yellow")
         for warning in asset.warnings:

@@ -28,8 +28,8 @@ T = TypeVar("T")
 
 TOOL_SECONDS = 120.0
 """Longest wait for a tool."""
-SOURCE = "source file"
-"""Recorded as the author of the parts and joints that a file holds."""
+SOURCE, MASKS = "source file", "masks of another system"
+"""Recorded as the author of the parts and joints that a file holds, and of parts from masks."""
 _INEFFECTIVE_SHARE = 0.03
 """A click that changes less of its part than this share is ineffective."""
 _MASKS_KEPT = 50
@@ -100,14 +100,16 @@ class Segmenting:
         )
 
     def take_source_parts(self, asset: OpenedAsset) -> None:
-        """Turn the source file's parts into regions and its joints into the first prediction.
+        """Turn the source file's parts, or those of masks, into regions and its joints into the
+        first prediction.
 
         The base's elements are regions as well, so that the segmenter has nothing to guess.
         """
         obj = self._obj
         names = dict(enumerate(asset.part_names))
+        who, tool = (MASKS, "masks") if asset.masks else (SOURCE, "source")
         if BASE in asset.source_parts and names.get(BASE):
-            obj.do(cmd.NamePart(BASE, names[BASE]), SOURCE)
+            obj.do(cmd.NamePart(BASE, names[BASE]), who)
         if asset.source_labels is None or not any(asset.source_parts):
             return
         regions = tuple(
@@ -118,9 +120,9 @@ class Segmenting:
         labels = asset.source_labels
         self._applying_source = True  # the segmenter must not run in between
         try:
-            obj.do(cmd.ApplyTool("source", regions), SOURCE)
+            obj.do(cmd.ApplyTool(tool, regions, source=asset.masks), who)
             key = obj.document.key
-            obj.do(cmd.RecordSegmentation(key, labels, "source", 0.0, counts), SOURCE)
+            obj.do(cmd.RecordSegmentation(key, labels, tool, 0.0, counts), who)
         finally:
             self._applying_source = False
         joints = asset.source_joints
