@@ -20,6 +20,7 @@ from sqlalchemy.engine import make_url
 from app.server.network import check_address
 from model.core.errors import ArtiworldError
 from model.core.installing import install_command
+from model.core.memory import machine_memory
 from model.core.resources import static_assets
 from model.io.find_assets import find_assets
 from model.prediction.registry import load_predictor, predictor_names
@@ -246,11 +247,7 @@ def _processors() -> Check:
 
 
 def _memory() -> Check:
-    pages, size = os.sysconf("SC_PHYS_PAGES"), os.sysconf("SC_PAGE_SIZE")
-    total = pages * size / 1e9
-    limit = Path("/sys/fs/cgroup/memory.max")
-    if limit.exists() and (text := limit.read_text().strip()).isdigit():
-        total = min(total, int(text) / 1e9)
+    total = machine_memory() / 1e9
     found = f"{total:.1f} GB"
     if total < MIN_MEMORY_GB:
         return Check("memory", "note", found, f"large scans need {MIN_MEMORY_GB:.0f} GB or more")

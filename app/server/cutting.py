@@ -25,7 +25,7 @@ def leave_out(obj: OpenObject, what: str, part: int, who: str) -> None:
         function: Callable[..., room_tasks.Removal] = room_tasks.leave_out_part
     else:
         function, arguments = room_tasks.floor_and_walls, (left_out,)
-    job = obj.services.workers.geometry.submit(
+    job = obj.services.workers.reading.submit(
         function,
         asset.folder,
         obj.services.workspace,
@@ -82,7 +82,7 @@ def _cut(
     _need_whole_faces(doc)
     if not doc.segmentation_current:
         raise CommandError("the parts are still being computed; try again in a moment")
-    job = obj.services.workers.geometry.submit(
+    job = obj.services.workers.reading.submit(
         function,
         *first,
         asset.folder,

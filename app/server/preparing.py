@@ -247,7 +247,7 @@ class Preparing:
         obj, left = self._obj, self._obj.document.left_out
         if obj.document.face_cuts:
             raise CommandError("faces were split by a cut: undo it first")
-        job = obj.services.workers.geometry.submit(
+        job = obj.services.workers.reading.submit(
             task, obj.services.workspace, None if left is None else left.elements, *arguments,
             on_progress=obj.jobs.progress("room"), priority=6, preempted_by=CLICKS,
         )  # fmt: skip

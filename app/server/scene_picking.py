@@ -62,7 +62,7 @@ class Picking:
                 live.do(cmd.LeaveOut(border.elements, border.count, "floor and walls"), "scene")
             done(record.id)
 
-        job = scene.services.workers.geometry.submit(
+        job = scene.services.workers.reading.submit(
             scene_tasks.prepare_for_picking, item, scene.services.workspace,
             on_progress=scene.jobs.progress("copy"), priority=8, preempted_by=CLICKS,
         )  # fmt: skip

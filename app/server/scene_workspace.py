@@ -72,7 +72,7 @@ class SceneWorkspace(SceneState):
         self.picking = Picking(self)
         self.live.subscribe(self._decided)
         config = services.config
-        job = services.workers.geometry.submit(
+        job = services.workers.reading.submit(
             scene_tasks.read, path, folders, format, config.finder, config.finder_url,
             services.workspace, on_progress=self.jobs.progress("read"), priority=8,
             preempted_by=CLICKS,
@@ -168,7 +168,7 @@ class SceneWorkspace(SceneState):
         if work.item.copy is not None and (work.item.copy / "object.json").is_file():
             done(work)
             return
-        job = self.services.workers.geometry.submit(
+        job = self.services.workers.reading.submit(
             scene_tasks.make_working_copy, work.item, priority=8
         )
         self.start("copy", job, lambda _: done(work))
@@ -252,7 +252,7 @@ class SceneWorkspace(SceneState):
         paths = list(dict.fromkeys(paths))
         if not paths:
             return
-        job = self.services.workers.geometry.submit(
+        job = self.services.workers.reading.submit(
             scene_shapes.shapes,
             paths,
             self.services.workspace,

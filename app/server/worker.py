@@ -83,6 +83,9 @@ def describe_error(error: BaseException) -> dict[str, Any]:
     }
     if isinstance(error, Cancelled):
         out["kind"] = "cancelled"
+    elif isinstance(error, MemoryError):
+        text = "it doesn't fit into memory: thin it, or cut it into pieces"
+        out.update(kind="user", type=ArtiworldError, message=text, state={})
     elif isinstance(error, ArtiworldError):
         state = {k: v for k, v in vars(error).items() if _picklable(v)}
         out.update(kind="user", type=type(error), message=str(error), state=state)

@@ -63,9 +63,9 @@ def shared_workers() -> Iterator[None]:
     """Let all servers that start meanwhile share one worker process of each kind."""
     processes: dict[str, WorkerProcess] = {}
 
-    def worker(name: str) -> SharedWorker:
+    def worker(name: str, **settings: Any) -> SharedWorker:
         if name not in processes:
-            processes[name] = WorkerProcess(name)
+            processes[name] = WorkerProcess(name, **settings)
         return SharedWorker(processes[name])
 
     with mock.patch.object(workers, "WorkerProcess", worker):

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import msgspec
 import pytest
 import viser
-from viser import _messages
 from websockets.sync.client import connect
 
 from app.server.camera_guard import make_possible
@@ -13,13 +15,13 @@ from app.server.guard import guarded_server
 from tests.builders import wait_until
 
 
-def camera_message(**changed):
+def camera_message(**changed) -> Any:
     numbers = {
         "wxyz": (1.0, 0.0, 0.0, 0.0), "position": (0.0, 0.0, 1.0), "fov": 1.0, "near": 0.1,
         "far": 10.0, "image_height": 10, "image_width": 20, "look_at": (0.0, 0.0, 0.0),
         "up_direction": (0.0, 0.0, 1.0),
     }  # fmt: skip
-    return _messages.ViewerCameraMessage(**{**numbers, **changed})
+    return SimpleNamespace(**{**numbers, **changed})
 
 
 @pytest.mark.parametrize("height", [0, -5, float("nan"), float("inf"), None, "ten"])

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import queue
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
+import pytest
 
+from app.server.job import Job
 from app.server.object_context import ObjectContext
+from app.viewer.input import queries
 from app.viewer.input.pointing import Pointing
+from app.viewer.input.queries import PointerQueries
 from app.viewer.tab import Selection
 from model.core.joint import Joint
 from model.core.tree import KinematicTree
@@ -35,15 +40,80 @@ class Hits:
     def __init__(self, *elements: int) -> None:
         self.elements = iter(elements)
 
-    def pick(self, *_: Any) -> Any:
-        return SimpleNamespace(position=np.zeros(3), element=next(self.elements))
+    def pick(self, *asked: Any) -> None:
+        asked[-1](SimpleNamespace(position=np.zeros(3), element=next(self.elements)))
+
+
+class HeldWorker:
+    """Stands in for a worker that is busy: its jobs end when the test says so."""
+
+    def __init__(self) -> None:
+        self.jobs: list[Job[Any]] = []
+
+    def submit(self, function: Any, *_: Any, **__: Any) -> Job[Any]:
+        self.jobs.append(Job(lambda job: None, len(self.jobs), "pick", (function, (), {}), None, 0))
+        return self.jobs[-1]
+
+
+class Person:
+    """A tab on one of two objects whose worker is held, and what was done."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+        monkeypatch.setattr(queries, "PATIENCE", 0.05)
+        self.done: list[tuple[str, Any]] = []
+        self.first, self.second = (self._object(name) for name in ("first", "second"))
+        self.tab = make_tab(object=self.first, step="Annotate")
+        self.actions: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        self.tab.act, self.tab.user = self.actions.put, "ann"
+        self.worker: Any = HeldWorker()
+        asked = PointerQueries(self.tab, self.worker, self.worker, tmp_path, "default")
+        self.pointing = Pointing(self.tab, cast(Any, SimpleNamespace()), cast(Any, None), asked)
+
+    def _object(self, name: str) -> Any:
+        asset = SimpleNamespace(element_kind="point", folder=Path(name))
+        document = SimpleNamespace(segmentation=None, prompts=(), tree=None)
+        do = lambda command, who: self.done.append((name, command))  # noqa: E731
+        return SimpleNamespace(asset=asset, need_asset=lambda: asset, document=document, do=do)
+
+    def answer(self, number: int, value: Any) -> None:
+        self.worker.jobs[number].end("done", value)
+        self.actions.get(timeout=5)()
+
+
+def test_a_click_that_waits_for_the_workers_counts_for_what_was_selected(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    person = Person(monkeypatch, tmp_path)
+    hit = SimpleNamespace(position=np.zeros(3), element=7)
+    for part in (1, 2):
+        person.tab.selection.part = part
+        person.pointing.click(*RAY, True)
+    person.tab.selection.part = 3
+    person.tab.selection.object = person.second
+    assert not person.done
+    person.answer(0, hit)
+    person.answer(1, hit)
+    assert [(name, c.click.part, c.click.element) for name, c in person.done] == [
+        ("first", 1, 7), ("first", 2, 7),
+    ]  # fmt: skip
+
+
+def test_a_late_answer_to_a_tool_that_is_gone_is_told(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    person = Person(monkeypatch, tmp_path)
+    person.pointing.armed = "cut"
+    person.pointing.click(*RAY, True)
+    person.pointing.armed = ""
+    person.answer(0, SimpleNamespace(position=np.zeros(3), element=7))
+    assert person.tab.asked[-1][0] == "Not counted" and not person.done
 
 
 def test_a_cut_that_was_begun_leaves_no_mark_when_something_is_drawn_instead() -> None:
     marks: list[tuple[Any, ...]] = []
     picture: Any = SimpleNamespace(overlays=SimpleNamespace(show_places=marks.append))
     tab = make_tab(object=SimpleNamespace(asset=SimpleNamespace()))
-    pointing = Pointing(tab, picture, cast(Any, None), Hits(7))
+    pointing = Pointing(tab, picture, cast(Any, None), cast(Any, Hits(7)))
     pointing.arm("cut")
     pointing.click(*RAY, True)
     assert marks[-1] == ((0.0, 0.0, 0.0),)
@@ -70,7 +140,7 @@ def test_a_part_is_found_by_points_that_are_not_displayed(tmp_path: Path) -> Non
     asked = tab.asked
     picture: Any = SimpleNamespace(overlays=SimpleNamespace(show_places=lambda places: None))
     still: Any = SimpleNamespace(q={})
-    pointing = Pointing(tab, picture, still, Hits(3, 2, 4, 3, 3, 3))
+    pointing = Pointing(tab, picture, still, cast(Any, Hits(3, 2, 4, 3, 3, 3)))
     pointing.tools.use = lambda request, label: asked.append(request.other)  # type: ignore[method-assign]
 
     def merge_at_click() -> Any:

@@ -9,6 +9,7 @@ from typing import Any, Final, Literal
 import numpy as np
 import viser
 
+from app.server.open_object import OpenObject
 from app.server.pointer_messages import (
     ArtiworldAnswerMessage,
     ArtiworldHoverMessage,
@@ -281,27 +282,62 @@ class Pointing:
             # What the workers pick from is at rest, which what is seen isn't.
             self._choose_joint_of(self._picture.parts.pick(origin, direction, selection.hidden))
             return
-        hit = self._queries.pick(obj.asset, origin, direction)
-        if hit is None:
+        now = self._situation()
+        part = selection.part
+        self._queries.pick(
+            obj.asset, origin, direction,
+            lambda hit: self._hit(hit, now, part, direction, positive),
+        )  # fmt: skip
+
+    def _situation(self) -> tuple[Any, ...]:
+        """What a click is about; its answer counts only while that is so."""
+        selection = self._selection
+        obj = selection.need_object()
+        return obj, obj.asset, selection.step, self.armed
+
+    def _is_still(self, situation: tuple[Any, ...]) -> bool:
+        """Whether an answer still belongs to what the person sees; else say that it doesn't."""
+        if self._selection.object is not None and self._situation() == situation:
+            return True
+        self._tab.notify(*words.CLICK_PASSED, "yellow")
+        return False
+
+    def _hit(
+        self, hit: Any, situation: tuple[Any, ...], part: int, direction: Point, positive: bool
+    ) -> None:
+        """Take what a click hit."""
+        obj, asset, step, armed = situation
+        is_prompt = step in AT_REST and step != "Prepare" and armed not in (*_CUTS, "merge")
+        if hit is not None and is_prompt and obj.asset is asset:
+            # It was meant for this part, wherever the person is by now.
+            position = tuple(float(v) for v in hit.position)
+            self._add_click(obj, Click(position, part, positive, int(hit.element)))  # type: ignore[arg-type]
+        elif not self._is_still(situation):
+            return
+        elif hit is None:
             self._tab.say(words.NOTHING_THERE)
-            return
-        if selection.step not in AT_REST:
+        elif step not in AT_REST:
             self._choose_joint_at(hit.element)
-            return
+        else:
+            self._use_at(hit, direction, positive)
+
+    def _add_click(self, obj: OpenObject, click: Click) -> None:
+        self.hover.forget()
+        if obj.need_asset().element_kind == "face":
+            self._tell_of_shared_face(obj, click)
+        obj.do(cmd.AddClick(click), self._tab.user)
+
+    def _use_at(self, hit: Any, direction: Point, positive: bool) -> None:
+        """Take a place that a tool waits for."""
         self.hover.forget()
         position = tuple(float(v) for v in hit.position)
         element = int(hit.element)
-        if selection.step == "Prepare":
+        if self._selection.step == "Prepare":
             self._place_chosen(position, element)  # type: ignore[arg-type]
         elif self.armed in _CUTS:
             self._cut_at(position, element, direction, positive)  # type: ignore[arg-type]
-        elif self.armed == "merge":
-            self._merge_at(element)
         else:
-            click = Click(position, selection.part, positive, element)  # type: ignore[arg-type]
-            if obj.asset.element_kind == "face":
-                self._tell_of_shared_face(click, _FACE_APART * obj.asset.diagonal)
-            self._tab.do(cmd.AddClick(click))
+            self._merge_at(element)
 
     def _place_chosen(self, position: Point, element: int) -> None:
         """Take a place that the prepare step asked for."""
@@ -331,10 +367,10 @@ class Pointing:
         else:
             self._selection.choose_joint(link)
 
-    def _tell_of_shared_face(self, click: Click, apart: float) -> None:
+    def _tell_of_shared_face(self, obj: OpenObject, click: Click) -> None:
         """Point to the cutting tools where two parts share one triangle."""
-        prompts = self._selection.need_object().document.prompts
-        if shares_face(click, [p for p in prompts if isinstance(p, Click)], apart):
+        clicks = [p for p in obj.document.prompts if isinstance(p, Click)]
+        if shares_face(click, clicks, _FACE_APART * obj.need_asset().diagonal):
             self._tab.notify(*words.SHARED_TRIANGLE, "yellow")
 
     def _cut_at(self, position: Point, element: int, direction: Point, plain: bool) -> None:
@@ -402,10 +438,12 @@ class Pointing:
         if selection.step == "Prepare" and not positive:
             obj.preparing.restore(camera, (low, high), self._tab.user)
             return
-        ref, count = self._queries.box(
-            obj.asset, camera, low, high, one_piece=positive and selection.picking
-        )
-        self._add_region(ref, count, positive, "box")
+        now, part = self._situation(), selection.part
+        self._queries.box(
+            obj.asset, camera, low, high,
+            lambda ref, count: self._selected(now, part, ref, count, positive, "box"),
+            one_piece=positive and selection.picking,
+        )  # fmt: skip
 
     def _stroked(self, message: ArtiworldStrokeMessage) -> None:
         camera = self._queries.camera()
@@ -420,16 +458,25 @@ class Pointing:
         if self._selection.step == "Prepare" and not message.positive:
             obj.preparing.restore(camera, stroke, self._tab.user)
             return
-        ref, count = self._queries.stroke(obj.asset, camera, stroke)
-        self._add_region(ref, count, message.positive, stroke.kind)
+        now, part, positive = self._situation(), self._selection.part, message.positive
+        self._queries.stroke(
+            obj.asset, camera, stroke,
+            lambda ref, count: self._selected(now, part, ref, count, positive, stroke.kind),
+        )  # fmt: skip
 
-    def _add_region(self, ref: str, count: int, positive: bool, tool: str) -> None:
+    def _selected(
+        self, situation: tuple[Any, ...], part: int, ref: str, count: int, positive: bool, tool: str
+    ) -> None:
+        """Take what is in a box or under a stroke, for the object and part that were meant."""
+        obj, asset, step, _ = situation
+        if obj.asset is not asset:
+            self._tab.notify(*words.CLICK_PASSED, "yellow")
+            return
         if not count:
             self._tab.notify(*words.nothing_under(tool), "gray")
             return
         self.hover.forget()
-        if self._selection.step == "Prepare":
-            preparing = self._selection.need_object().preparing
-            preparing.remove(ref, prepare_words.by_hand(tool), self._tab.user)
+        if step == "Prepare":
+            obj.preparing.remove(ref, prepare_words.by_hand(tool), self._tab.user)
             return
-        self._tab.do(cmd.AddRegion(self._selection.part, ref, positive, count, tool))
+        obj.do(cmd.AddRegion(part, ref, positive, count, tool), self._tab.user)

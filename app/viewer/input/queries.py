@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -9,16 +10,20 @@ import numpy as np
 
 from app.server import picking_tasks, tool_tasks
 from app.server.display_tasks import OpenedAsset
-from app.server.jobs import PREVIEWS, WorkerProcess
+from app.server.jobs import PREVIEWS, Job, WorkerProcess
 from app.server.segmenting import stored_prompts
 from app.viewer.tab import Tab
+from app.viewer.words import annotate as words
 from model.geometry.picking import Camera
 from model.geometry.strokes import Stroke
 from model.segmentation.prompts import Click
 from sessions.document import Document
 
 Point = tuple[float, float, float]
-PICK_SECONDS = 30.0
+Selected = Callable[[str, int], None]
+"""Gets the reference and the number of selected elements."""
+PATIENCE = 2.0
+"""Seconds that a click holds up what its person does next; then it waits aside for its answer."""
 FRAME_SECONDS = 5.0
 PREVIEW_SECONDS = 10.0
 PICK_PRIORITY, FRAME_PRIORITY = 20, 15
@@ -55,12 +60,25 @@ class PointerQueries:
             aspect=float(view.aspect),
         )
 
-    def pick(self, asset: OpenedAsset, origin: Point, direction: Point) -> Any:
-        """The first visible element on a ray, or None."""
-        return self._geometry.submit(
+    def pick(
+        self, asset: OpenedAsset, origin: Point, direction: Point, then: Callable[[Any], None]
+    ) -> None:
+        """Give ``then`` the first visible element on a ray, or None."""
+        job = self._geometry.submit(
             picking_tasks.pick, asset.folder, origin, direction, self._hidden(),
             priority=PICK_PRIORITY,
-        ).result(PICK_SECONDS)  # fmt: skip
+        )  # fmt: skip
+        self._answer(job, then)
+
+    def _answer(self, job: Job[Any], then: Callable[[Any], None]) -> None:
+        """Give a job's result to ``then``: now, or as an action of its own once it is there."""
+        try:
+            found = job.result(PATIENCE)
+        except TimeoutError:
+            self._tab.say(words.CLICK_WAITS)
+            job.add_done_callback(lambda done: self._tab.act(lambda: then(done.result(0))))
+        else:
+            then(found)
 
     def pick_preview(self, asset: OpenedAsset, place: tuple[float, float]) -> Any:
         """The same under the pointer, at (x, y) of the picture; only the newest one is answered."""
@@ -79,20 +97,23 @@ class PointerQueries:
         ).result(PREVIEW_SECONDS)  # fmt: skip
 
     def box(
-        self, asset: OpenedAsset, camera: Camera, low: Any, high: Any, *, one_piece: bool
-    ) -> tuple[str, int]:
-        """The visible elements in a rectangle of the picture: reference and count."""
-        return self._geometry.submit(
+        self, asset: OpenedAsset, camera: Camera, low: Any, high: Any, then: Selected,
+        *, one_piece: bool,
+    ) -> None:  # fmt: skip
+        """Give ``then`` the visible elements in a rectangle of the picture."""
+        job = self._geometry.submit(
             picking_tasks.select_box, asset.folder, self._workspace, camera, low, high,
             one_piece=one_piece, hidden=self._hidden(), priority=PICK_PRIORITY,
-        ).result(PICK_SECONDS)  # fmt: skip
+        )  # fmt: skip
+        self._answer(job, lambda found: then(*found))
 
-    def stroke(self, asset: OpenedAsset, camera: Camera, stroke: Stroke) -> tuple[str, int]:
-        """The visible elements in a lasso or under a brush: reference and count."""
-        return self._geometry.submit(
+    def stroke(self, asset: OpenedAsset, camera: Camera, stroke: Stroke, then: Selected) -> None:
+        """Give ``then`` the visible elements in a lasso or under a brush."""
+        job = self._geometry.submit(
             picking_tasks.select_stroke, asset.folder, self._workspace, camera, stroke,
             self._hidden(), priority=PICK_PRIORITY,
-        ).result(PICK_SECONDS)  # fmt: skip
+        )  # fmt: skip
+        self._answer(job, lambda found: then(*found))
 
     def rectangle_frame(self, asset: OpenedAsset, corner: Point, view: Point) -> Any:
         """Normal and first side of a rectangle to cut, or None while the workers are busy."""

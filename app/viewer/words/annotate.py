@@ -146,6 +146,11 @@ SHARED_TRIANGLE: Final = (
     "It belongs to the last one. To cut it: K for a line, K twice for a rectangle",
 )
 NOTHING_THERE: Final = "Nothing there"
+CLICK_WAITS: Final = "It waits for the workers and counts when they are done"
+CLICK_PASSED: Final = (
+    "Not counted",
+    "The object, the step or the tool changed before the workers could answer: do it again",
+)
 BASE_IS_FIXED: Final = "The base doesn't move"
 merge_with = Message("Merge with part {part}")
 
