@@ -5,11 +5,18 @@ from __future__ import annotations
 import io
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 
 from PIL import Image
 
 MAX_PIXELS = 16384 * 16384
+"""Of one image."""
+MOST_PIXELS = 1 << 30
+"""Of all textures that one reading keeps, 4 bytes each: 64 images of 4096 x 4096."""
+MOST_BYTES = 1 << 30
+"""Of an image file."""
+_kept_pixels: ContextVar[list[int] | None] = ContextVar("kept pixels", default=None)
 _KEPT = {"JPEG": ".jpg", "PNG": ".png"}
 _ATTRIBUTE = "artiworld_encoded"
 
@@ -27,11 +34,37 @@ def decode(data: bytes, what: str) -> Image.Image:
     with _readable(what):
         image = _opened(data, what)
         suffix = _KEPT.get(image.format or "")
+        _spend(image.width * image.height, what)
         has_alpha = "A" in image.getbands() or "transparency" in image.info
-        out = image.convert("RGBA" if has_alpha else "RGB")
+        mode = "RGBA" if has_alpha else "RGB"
+        image.load()
+        out = image if image.mode == mode else image.convert(mode)  # never two copies
     if suffix:
         setattr(out, _ATTRIBUTE, (data, suffix))
     return out
+
+
+@contextmanager
+def one_reading() -> Iterator[None]:
+    """Within the block, all images that are decoded count towards :data:`MOST_PIXELS`."""
+    if _kept_pixels.get() is not None:  # within another one
+        yield
+        return
+    token = _kept_pixels.set([0])
+    try:
+        yield
+    finally:
+        _kept_pixels.reset(token)
+
+
+def _spend(pixels: int, what: str) -> None:
+    kept = _kept_pixels.get()
+    if kept is None:
+        return
+    if kept[0] + pixels > MOST_PIXELS:
+        most = MOST_PIXELS / 1e6
+        raise TextureError(f"{what}: with it the textures have more than {most:.0f} million pixels")
+    kept[0] += pixels
 
 
 def checked(data: bytes, what: str) -> tuple[bytes, str]:
@@ -91,6 +124,10 @@ def texture_bytes(path: Path) -> bytes:
         TextureError: where it can't be read.
     """
     try:
+        if path.exists() and not path.is_file():
+            raise TextureError(f"texture {path.name}: is not a regular file")
+        if path.stat().st_size > MOST_BYTES:
+            raise TextureError(f"texture {path.name}: has more than {MOST_BYTES >> 20} MiB")
         return path.read_bytes()
     except OSError as error:
         raise TextureError(f"texture {path.name}: {error.strerror or error}") from None

@@ -16,6 +16,7 @@ from model.core.articulated_object import Part, SegmentedObject
 from model.core.asset import Asset, Source, UpAxis
 from model.core.errors import ConfigurationError, GeometryError, InputFileError, KinematicsError
 from model.core.progress import Progress, no_progress
+from model.core.textures import one_reading
 from model.geometry.parts import split
 from model.io.articulated_asset import open_model
 from model.io.declared_physics_file import load_declared
@@ -35,6 +36,7 @@ from model.io.part_folder import Manifest, find_manifest
 from model.io.source_checks import cleaned, far_shift, is_solid, shifted, to_cloud, to_mesh
 
 
+@one_reading()
 def open_asset(
     path: str | Path,
     *,
@@ -163,6 +165,7 @@ def _read_folder(
     )
 
 
+@one_reading()
 def read_part_files(
     path: str | Path,
     *,

@@ -6,6 +6,7 @@ import shutil
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
+from model.core.textures import one_reading
 from model.scenes.protocol import SceneReader
 from model.scenes.registry import load_reader
 from model.scenes.scene import Scene
@@ -26,6 +27,7 @@ class GeometryReader(SceneReader, Protocol):
         ...
 
 
+@one_reading()
 def unpack(scene: Scene, folder: Path) -> Unpacked:
     """The assets inside the scene's file; none for a scene that only names them.
 

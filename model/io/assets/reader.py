@@ -13,6 +13,7 @@ from model.core.errors import InputFileError
 from model.core.files import read_json
 from model.core.joint import DeclaredDynamics
 from model.core.progress import Progress, no_progress
+from model.core.textures import one_reading
 from model.io.geometry_files import SUFFIXES, read_geometry_file
 from model.io.model_files import read_model
 from model.io.part_folder import remarks_in
@@ -55,6 +56,7 @@ def recover(folder: Path) -> None:
         return  # the next reader of the folder reports the problem
 
 
+@one_reading()
 def load_object(asset: str | Path, progress: Progress = no_progress) -> ArticulatedObject:
     """The object of a saved asset, with its category, part names and clouds.
 

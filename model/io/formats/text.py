@@ -18,6 +18,7 @@ from model.io.formats.loaded import DEFAULT_MAX_BYTES, Loaded, colors_from, numb
 
 Array = npt.NDArray[Any]
 _COMMA_NUMBER = re.compile(r"[-+]?\d+(,\d+)?([eE][-+]?\d+)?")
+_LONGEST_LINE = 100_000
 _SEPARATORS = str.maketrans({",": " ", ";": " ", "\t": " ", "|": " "})
 _NAMES = {
     "x": ("x", "px", "//x", "x [m]"), "y": ("y", "py", "y [m]"), "z": ("z", "pz", "z [m]"),
@@ -41,6 +42,9 @@ def read_text(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
     if b"\0" in data[:4096]:
         raise InputFileError(path, "is not text", "a text cloud has a row x y z for each point")
     text = data.decode("utf-8-sig", "replace")
+    if "\r" in text and "\n" not in text:
+        text = text.replace("\r", "\n")
+    _check_lines(path, text)
     if _decimal_commas(text):
         text = text.replace(",", ".")
     text = text.translate(_SEPARATORS)
@@ -56,6 +60,19 @@ def read_text(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
             path, f"has {width} columns", "a text cloud has a row x y z for each point"
         )
     return _guess(table, path.suffix.lower() == ".pts")
+
+
+def _check_lines(path: Path, text: str) -> None:
+    """Refuse lines that hold no row: splitting one of 200 MB takes minutes and gigabytes."""
+    at = 0
+    while at + _LONGEST_LINE < len(text):
+        end = text.rfind("\n", at, at + _LONGEST_LINE)
+        if end < 0:
+            raise InputFileError(
+                path, f"has a line of more than {_LONGEST_LINE:,} characters",
+                "each row needs a line of its own, as in x y z or x y z r g b",
+            )  # fmt: skip
+        at = end + 1
 
 
 def _decimal_commas(text: str) -> bool:

@@ -1,0 +1,142 @@
+"""What costs more than an object may is refused from its header, or in time that grows linearly."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import struct
+import subprocess
+import sys
+import time
+import zlib
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+from model.core import textures
+from model.core.errors import InputFileError
+from model.io.open_asset import open_asset
+
+BOX = "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\n"
+
+
+def png_header(side: int) -> bytes:
+    """The beginning of a PNG of so many pixels, without them."""
+    head = struct.pack(">2I5B", side, side, 8, 2, 0, 0, 0)
+    chunk = b"IHDR" + head
+    return b"\x89PNG\r\n\x1a\n" + struct.pack(">I", 13) + chunk + struct.pack(
+        ">I", zlib.crc32(chunk)) + struct.pack(">I", 0) + b"IDAT"  # fmt: skip
+
+
+def textured(folder: Path, images: int) -> Path:
+    """An OBJ with so many triangles, each with a texture of its own."""
+    rows = [f"newmtl m{i}\nmap_Kd t{i}.png\n" for i in range(images)]
+    (folder / "a.mtl").write_text("".join(rows))
+    faces = "".join(f"usemtl m{i}\nf 1/1 2/2 3/3\n" for i in range(images))
+    (folder / "a.obj").write_text(f"mtllib a.mtl\n{BOX}{faces}")
+    return folder / "a.obj"
+
+
+def test_the_sum_of_the_textures_is_limited(tmp_path: Path, monkeypatch) -> None:
+    path = textured(tmp_path, 5)
+    for i in range(5):
+        Image.new("RGB", (100, 100), (i, 0, 0)).save(tmp_path / f"t{i}.png")
+    monkeypatch.setattr(textures, "MOST_PIXELS", 30_000)
+    for _ in range(2):  # each reading has a budget of its own
+        asset = open_asset(path)
+        assert asset.mesh is not None
+        assert sum(m.texture is not None for m in asset.mesh.materials) == 3
+        assert sum("million pixels" in w for w in asset.warnings) == 2
+
+
+def test_sizes_of_images_are_read_from_their_headers(tmp_path: Path, monkeypatch) -> None:
+    path = textured(tmp_path, 2)
+    for i, side in enumerate((13_000, 40_000)):
+        (tmp_path / f"t{i}.png").write_bytes(png_header(side))
+    began = time.perf_counter()
+    with textures.one_reading():
+        textures._kept_pixels.get()[0] = textures.MOST_PIXELS - 1000  # type: ignore[index]
+        warnings = " ".join(open_asset(path).warnings)
+    assert ("million pixels" in warnings and "exceeds limit" in warnings) or "too many" in warnings
+    assert time.perf_counter() - began < 1
+
+
+def test_a_texture_that_is_a_pipe_holds_nobody_up(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.png")
+    head = "ply\nformat ascii 1.0\ncomment TextureFile pipe.png\nelement vertex 3\n"
+    head += "".join(f"property float {c}\n" for c in ("x", "y", "z", "s", "t"))
+    head += "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
+    (tmp_path / "a.ply").write_text(head + "0 0 0 0 0\n1 0 0 1 0\n0 1 0 0 1\n3 0 1 2\n")
+    assert any("regular file" in w for w in open_asset(tmp_path / "a.ply").warnings)
+
+
+def test_a_text_cloud_in_one_line_is_refused_at_once(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("1.5,2.5,3.5," * 2_000_000)
+    began = time.perf_counter()
+    with pytest.raises(InputFileError, match="line of more than 100,000 characters"):
+        open_asset(path)
+    assert time.perf_counter() - began < 2
+    path.write_text("0 0 0\n" * 5 + "1 " * 100_000 + "\n0 1 0\n")
+    with pytest.raises(InputFileError, match="line of more than"):
+        open_asset(path)
+
+
+def test_lines_of_an_old_macintosh_are_lines(tmp_path: Path) -> None:
+    (tmp_path / "a.xyz").write_bytes(b"0 0 0\r1 0 0\r0 1 0\r0 0 1\r")
+    assert open_asset(tmp_path / "a.xyz").element_count == 4
+
+
+def gltf(path: Path, nodes: list[dict]) -> Path:
+    points = struct.pack("<9f", 0, 0, 0, 1, 0, 0, 0, 1, 0)
+    (path.parent / "b.bin").write_bytes(points)
+    tree = {
+        "asset": {"version": "2.0"}, "scenes": [{"nodes": [0]}], "nodes": nodes,
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
+        "accessors": [{"bufferView": 0, "componentType": 5126, "type": "VEC3", "count": 3}],
+        "bufferViews": [{"buffer": 0, "byteLength": 36}],
+        "buffers": [{"byteLength": 36, "uri": "b.bin"}],
+    }  # fmt: skip
+    path.write_text(json.dumps(tree))
+    return path
+
+
+def test_many_nodes_of_a_gltf_are_read_in_linear_time(tmp_path: Path) -> None:
+    def seconds(count: int) -> float:
+        children = [{"mesh": 0, "translation": [i, 0, 0]} for i in range(count)]
+        path = gltf(tmp_path / "a.gltf", [{"children": [*range(1, count + 1)]}, *children])
+        began = time.perf_counter()
+        assert open_asset(path).element_count == count
+        return time.perf_counter() - began
+
+    seconds(100)
+    few, many = seconds(1000), seconds(8000)
+    assert many < 24 * few  # 8 times as many; three times that for other work on the machine
+    too_many = gltf(tmp_path / "b.gltf", [{} for _ in range(200_001)])
+    with pytest.raises(InputFileError, match="200,001 nodes"):
+        open_asset(too_many)
+
+
+@pytest.mark.skipif(sys.platform == "darwin", reason="macOS has no such limit")
+def test_a_process_with_a_limit_gets_a_clear_error_and_lives(tmp_path: Path) -> None:
+    """An image that needs 500 MB, in a process that may take 200 MB more than it has."""
+    out = io.BytesIO()
+    Image.new("L", (12_000, 12_000)).save(out, "PNG")
+    textured(tmp_path, 1)
+    (tmp_path / "t0.png").write_bytes(out.getvalue())
+    code = (
+        "import sys, resource; from model.core import memory; from model.io.open_asset import "
+        "open_asset; from model.core.errors import InputFileError; import model.io.formats.mtl\n"
+        "used = int(open('/proc/self/statm').read().split()[5]) * resource.getpagesize()\n"
+        "memory.LEAST = 0; memory.machine_memory = lambda: used + 200_000_000\n"
+        "memory.limit_memory(1.0)\n"
+        "try: open_asset(sys.argv[1])\n"
+        "except InputFileError as error: print(error)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path / "a.obj")],
+        capture_output=True, text=True, timeout=60, check=False,
+    )  # fmt: skip
+    assert "doesn't fit into memory" in done.stdout, done.stderr
