@@ -9,6 +9,7 @@ from model.core.errors import InputFileError
 from model.data.protocol import GroundTruth
 from model.io.formats.mtl import MaterialFiles
 from model.io.merging import merge_rigid
+from model.io.urdf.anymesh import ANYMESH, is_anymesh
 from model.io.urdf.meshes import load_part
 from model.io.urdf.reader import read_urdf_model
 from model.io.urdf.sidecar import description_beside
@@ -93,12 +94,15 @@ def urdf_files(root: Path) -> dict[str, Path]:
 
     Where a sub-folder has several, the one called after it stands for it, else one of
     :data:`PREFERRED`; with none of these each is an object, ``<folder>.<file>``. A sub-folder
-    without any is searched one level deeper.
+    without any is searched one level deeper; of URDFs with one name there the last counts: a later
+    run, ``pred`` and not ``gt``. Articulate AnyMesh's ``mobility.json`` stands for a URDF.
     """
     root = Path(root)
     out = {p.stem: p for p in sorted(root.glob("*.urdf"))}
     for folder in sorted(p for p in root.iterdir() if p.is_dir()) if root.is_dir() else ():
         here = {p.name: p for p in sorted(folder.glob("*.urdf")) or sorted(folder.glob("*/*.urdf"))}
+        if not here and is_anymesh(folder / ANYMESH):
+            here = {ANYMESH: folder / ANYMESH}
         order = [n for n in (f"{folder.name}.urdf", *PREFERRED) if n in here]
         if order or len(here) == 1:
             out.setdefault(folder.name, here[order[0]] if order else next(iter(here.values())))

@@ -22,6 +22,7 @@ from model.data.urdf_folders import urdf_files
 from model.evaluation.alignment import Frame, fit, outline, renamed
 from model.evaluation.part_matching import PartMatch, match_parts, sampled_parts
 from model.io.merging import merge_rigid
+from model.io.urdf.files import package_root
 from model.io.urdf.meshes import load_part
 from model.io.urdf.reader import read_urdf_model
 
@@ -100,11 +101,14 @@ class PredictionFolder:
 
 
 def read_prediction(path: Path, root: Path) -> WrittenPrediction:
-    """Read one URDF; its meshes may lie anywhere below ``root``.
+    """Read one URDF; its meshes may lie anywhere below ``root``, or below the ROS package that
+    holds it.
 
     Raises:
         InputFileError: where it is no URDF or a mesh can't be read.
     """
+    package = package_root(path)  # the folder above that says so by its package.xml
+    root = package if root.resolve().is_relative_to(package.resolve()) else root
     model = read_urdf_model(path, root=root, lenient=True)
     parts = {
         link: replace(load_part(link, visuals), name=None)

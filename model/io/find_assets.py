@@ -11,10 +11,11 @@ from model.io.geometry_files import FOLDER_SUFFIXES, SUFFIXES, unknown_type
 from model.io.mjcf.source import MJCF_SUFFIXES, is_mjcf
 from model.io.model_files import MODEL_SUFFIXES, files_named_by, is_model
 from model.io.part_folder import is_part_folder, natural_key
+from model.io.urdf.anymesh import ANYMESH
 from model.io.urdf.files import MOBILITY, PACKAGE, is_urdf, package_root
 
-_WHOLE_FOLDER = (MOBILITY, "object.urdf", "object.xml")
-"""URDFs and MJCFs that stand for their folder, which is called after the object."""
+_WHOLE_FOLDER = (MOBILITY, "object.urdf", "object.xml", ANYMESH)
+"""URDFs, MJCFs and others that stand for their folder, which is called after the object."""
 
 
 def refusal(path: Path) -> InputFileError | None:

@@ -7,6 +7,7 @@ from pathlib import Path
 from model.io.formats.loaded import DEFAULT_MAX_BYTES
 from model.io.mjcf.reader import read_mjcf_model
 from model.io.mjcf.source import MJCF_SUFFIXES, is_mjcf, named_files
+from model.io.urdf.anymesh import is_anymesh
 from model.io.urdf.files import URDF_SUFFIX, is_urdf, named_meshes
 from model.io.urdf.model import UrdfModel
 from model.io.urdf.reader import read_urdf_model
@@ -15,8 +16,8 @@ MODEL_SUFFIXES = (URDF_SUFFIX, *MJCF_SUFFIXES)
 
 
 def is_model(path: Path) -> bool:
-    """Whether ``path`` is a URDF, or an XML file that begins as an MJCF does."""
-    return is_urdf(path) or is_mjcf(path)
+    """Whether ``path`` is a URDF, an XML file that begins as an MJCF does, or AnyMesh's JSON."""
+    return is_urdf(path) or is_mjcf(path) or is_anymesh(path)
 
 
 def read_model(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> UrdfModel:

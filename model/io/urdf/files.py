@@ -67,17 +67,39 @@ def resolve_mesh(filename: str, folder: Path, root: Path) -> Path:
     """A mesh reference as a path inside ``root``.
 
     ``package://name/rest`` is looked for as ``rest`` and as ``name/rest`` in ``root``, then in
-    ``folder``.
+    ``folder``. A path of another machine, or of a folder that was moved, is looked for by its end.
 
     Raises:
-        ReferenceRefused: for an empty, absolute or remote reference, or one that leaves ``root``.
+        ReferenceRefused: for an empty or remote reference, and for an absolute one or one that
+            leaves ``root`` of which no end is there.
     """
     text = filename.strip().replace("\\", "/")
     if not text.startswith(_PACKAGE_URI):
-        return resolve(text, folder, root)
+        try:
+            return resolve(text, folder, root)
+        except ReferenceRefused:
+            found = None if "://" in text else _by_its_end(text, folder, root)
+            if found is None:
+                raise
+            return found
     whole = text.removeprefix(_PACKAGE_URI)
     texts = [text for text in (whole.partition("/")[2], whole) if text]
     inside = [resolve(text, start, root) for start in (root, folder) for text in texts]
     if not inside:
         raise ReferenceRefused(f"{filename!r} is no file name")
-    return next((p for p in inside if p.exists()), inside[0])
+    there = next((p for p in inside if p.exists()), None)
+    return there or _by_its_end(whole, folder, root) or inside[0]
+
+
+def _by_its_end(text: str, folder: Path, root: Path) -> Path | None:
+    """The file inside ``root`` at the longest end of a path, seen from ``folder`` or ``root``."""
+    words = [word for word in text.split("/") if word not in ("", ".", "..")]
+    for first in range(len(words)):
+        for start in (folder, root):
+            try:
+                found = resolve("/".join(words[first:]), start, root)
+            except ReferenceRefused:
+                continue
+            if found.is_file():
+                return found
+    return None

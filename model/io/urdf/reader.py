@@ -22,6 +22,7 @@ from model.core.textures import TextureError, open_texture
 from model.core.tree import KinematicTree, tree_problems
 from model.io.formats.loaded import WHITE
 from model.io.formats.references import ReferenceRefused
+from model.io.urdf.anymesh import ANYMESH, robot_of
 from model.io.urdf.collision import DeclaredCollision, repeats
 from model.io.urdf.declared_physics import read_declared_physics
 from model.io.urdf.files import package_root, resolve_mesh
@@ -111,11 +112,12 @@ class _Reader:
         self.notes: list[str] = []
         self.colors: dict[str, tuple[int, int, int, int]] = {}
         self.textures: dict[str, Material] = {}
-        self.commas = False
+        self.commas = self.moved = False
         self.unlimited: list[str] = []  # mimic joints that take their leader's range
 
     def read(self) -> UrdfModel:
-        robot = parse(self.path, ("robot",), "a URDF")
+        anymesh = self.path.name == ANYMESH
+        robot = robot_of(self.path) if anymesh else parse(self.path, ("robot",), "a URDF")
         for material in robot.findall("material"):
             color = self._color(material)
             if color is not None and material.get("name"):
@@ -131,6 +133,8 @@ class _Reader:
         locals_: dict[str, FloatArray] = {}
         joints = [j for e in robot.findall("joint") if (j := self._joint(e, locals_)) is not None]
         joints = [self._followed(j, joints) for j in joints]
+        if self.lenient:
+            joints += self._joined(links, joints, locals_)
         geometry = self._geometry(robot)
         self.notes += URDF.unread(robot)
         self.problems += tree_problems(tuple(links), tuple(joints))
@@ -272,6 +276,17 @@ class _Reader:
         ends = [joint.mimic.multiplier * q + joint.mimic.offset
                 for q in (leader.lower, leader.upper)]  # fmt: skip
         return replace(joint, lower=min(ends), upper=max(ends))
+
+    def _joined(
+        self, links: list[str], joints: list[Joint], locals_: dict[str, FloatArray]
+    ) -> list[Joint]:
+        """Fixed joints of what stands apart to the first root: networks leave such parts."""
+        children = {j.child for j in joints}
+        first, *apart = [link for link in links if link not in children] or [""]
+        out = [Joint(f"{first} to {link}", "fixed", first, link) for link in apart]
+        locals_.update({j.name: np.eye(4) for j in out})
+        self.notes += [f"link {j.child!r} hangs on nothing; it was fixed to {first!r}" for j in out]
+        return out
 
     def _end(self, element: Element, end: str, where: str) -> str:
         found = element.find(end)
@@ -422,7 +437,11 @@ class _Reader:
         # Data sets of symbolic links: beside where the URDF really lies, too.
         for root in dict.fromkeys((self.root, self.path.resolve().parent)):
             try:
-                return resolve_mesh(filename, self.path.parent, root)
+                found = resolve_mesh(filename, self.path.parent, root)
+                if not self.moved and filename.strip().startswith("/"):
+                    self.moved = True
+                    self.notes.append(f"mesh paths of another machine: {filename!r} is {found}")
+                return found
             except ReferenceRefused as error:
                 refused = refused or error
         self.problems.append(f"{where}: mesh {refused}")
