@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Literal
 
 from app.cli.command import Command, argument, flag, group, option, repeated, required
-from app.cli.options import count, json_flag, seed_option
+from app.cli.options import count, json_flag, positive_count, seed_option
 from model.core.registry import at_place
 from model.prediction import DEFAULT as DEFAULT_PREDICTOR
 
@@ -157,12 +157,21 @@ class TrainCommand(Command):
 class BenchCommand(Command):
     """Measure speed and accuracy."""
 
-    what: Literal["ui", "scene", "segment", "scans", "predict", "weights", "networks"] = argument(
+    what: Literal[
+        "ui", "scene", "segment", "scans", "predict", "weights", "networks", "rivals",
+        "faults",
+    ] = argument(
         "the screen of one object, of a scene; the segmenter; reconstructed scans from file to "
-        "joints; the predictor; what its weights read; the paper-size networks with random weights",
-        None,
+        "joints; the predictor; what its weights read; the paper-size networks with random "
+        "weights; other methods' URDFs beside ours; damaged files of every format", None,
+    )  # fmt: skip
+    data: Path | None = option(
+        "segment, scans, rivals: folder of real data, by default procedural", "DIR"
     )
-    data: Path | None = option("segment, scans: folder of real data, by default procedural", "DIR")
+    root: Path | None = option(
+        "rivals: folder with a folder of URDFs a method; the page is written there", "DIR"
+    )
+    jobs: int = option("rivals: processes", "N", 2, parse=positive_count)
     sets: tuple[str, ...] | None = option(
         "segment: data sets, e.g. partnet-mesh, or urdf-scan for your own URDFs", "NAME", nargs="+"
     )
@@ -175,7 +184,12 @@ class BenchCommand(Command):
     faces: int = option("ui: size of the mesh; 0 leaves it out", "N", 1_000_000, parse=count)
     clicks: int = option("ui: clicks on each object", "N", 40, parse=count)
     objects: int = option("scene: number of objects", "N", 200, parse=count)
-    limit: int | None = option("segment, scans, weights: objects of each set; 0 for all", "LIMIT")
+    limit: int | None = option(
+        "segment, scans, weights, rivals: objects of each set; 0 for all; faults: files in all",
+        "LIMIT",
+    )
+    seed: int = option("faults: seed of the first file; each has the next one", "SEED", 0)
+    kills: int = option("faults: also kill a server at so many moments", "N", 0)
     offset: int | None = option("segment: object at which the subset begins", "N")
     parts: int | None = option("segment: most parts of an object", "N", parse=count)
     first: Literal["deepest", "random"] | None = option("segment: place of the first click")
@@ -200,4 +214,4 @@ class BenchCommand(Command):
         with printing.session(self.json) as show:
             report, table = bench(self, show.progress)
         show.result(report, table)
-        return 0
+        return int(isinstance(report, dict) and bool(report.get("failed")))

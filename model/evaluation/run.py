@@ -23,6 +23,7 @@ from model.evaluation.alignment import Frame, FrameCosts, choose_frame, frame_co
 from model.evaluation.corruption import Corruption, corrupt
 from model.evaluation.executability import execute, require_simulator
 from model.evaluation.joint_metrics import ObjectScore, UsableLimits, score_object
+from model.evaluation.longest_edge import LONGEST_EDGE, longest_edge
 from model.evaluation.pool import robust_map, time_limit
 from model.evaluation.predictions import PredictionFolder, outlines, resolve
 from model.evaluation.report import Report, score_from_json, score_to_json
@@ -184,7 +185,7 @@ def require_predictor(name: str, jobs: int) -> None:
     Raises:
         ConfigurationError: with the predictor's own message.
     """
-    if name == TRUTH:
+    if name in (TRUTH, LONGEST_EDGE):
         return
     if name not in predictor_names():
         load_predictor(name)  # raises, naming the known ones
@@ -287,6 +288,8 @@ def score_prediction(config: EvaluationConfig, truth: GroundTruth) -> ScoredPred
         )
     if config.predictor == TRUTH:
         prediction = Prediction(truth.object.tree)
+    elif config.predictor == LONGEST_EDGE:
+        prediction = longest_edge(truth.segmented(names=config.names))
     else:
         prediction = _predictor(config.predictor).predict(
             truth.segmented(names=config.names), seed=config.seed

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 from app.cli.printing import Result, print_records
 from app.cli.research_commands import BenchCommand
@@ -11,14 +12,18 @@ from model.data.registry import DatasetOptions, recognised
 from model.evaluation.scans import ScansConfig, run, table, to_json
 
 
+def data_in(folder: Path) -> DatasetOptions:
+    """The data set that a folder holds, by what lies in it."""
+    if any(folder.glob("*/object.urdf")):
+        return DatasetOptions("urdf", folder)
+    return DatasetOptions(recognised(folder).name, folder)
+
+
 def bench(options: BenchCommand, progress: Progress) -> Result:
     """Measure with the options of the command."""
-    if options.data is None:
-        data = DatasetOptions("procedural", seed=1, n=2)
-    elif any(options.data.glob("*/object.urdf")):
-        data = DatasetOptions("urdf", options.data)
-    else:
-        data = DatasetOptions(recognised(options.data).name, options.data)
+    data = DatasetOptions("procedural", seed=1, n=2)
+    if options.data is not None:
+        data = data_in(options.data)
     config = ScansConfig(
         data, options.half or "table", 15 if options.limit is None else options.limit
     )
