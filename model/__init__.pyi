@@ -65,5 +65,6 @@ __all__ = [
     "segmenter_names",
     "split",
     "validate",
+    "with_masks",
     "write_asset",
 ]

@@ -74,7 +74,7 @@ def segment(
         asset = with_masks(asset, read)
         file = _on_masks(file, asset)
     if prompts is None and asset.element_part is not None:
-        answer = PartSegmentation(asset.element_part, "masks")
+        answer = PartSegmentation(asset.element_part.astype(np.int16), "masks")
     else:
         session = chosen.encode(asset, scaled_progress(progress, 0.1, 0.7))
         progress(0.7, "segmenting")

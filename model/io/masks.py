@@ -1,22 +1,10 @@
 """Masks that another system made, as the parts of an asset: one whole label for each element.
 
-============================  ====================================================================
-what                          how it is read
-============================  ====================================================================
-``.npy``                      (N,) labels, or (N, 1)
-``.npz``                      labels (:data:`INSTANCE`, else :data:`SEMANTIC`), maybe ``names``,
-                              and maybe ``points`` or ``vertices`` with ``faces``
-``.ply``                      such a property of its vertices or triangles
-``.glb``, ``.gltf``           a part for each mesh, named after its node
-a folder of meshes or clouds  a part for each file
-a folder of painted clouds    PartSLIP's ``instance_seg/<part name>.ply``: all points in each file,
-                              black ones aside each colour is an instance
-============================  ====================================================================
-
-Labels of an ``.npy`` or ``.npz`` belong to the mesh or cloud beside it (:func:`_geometry_beside`),
-else to the asset's own elements, in order. -1 is no part. Where masks have geometry of their own,
-each point of the asset's surface takes the label of the nearest one, and each face the label of
-most of its points, so resolutions may differ; a normalised or turned copy is brought back first.
+``docs/other-systems.md`` tells the files. -1 is no part. Labels of an array belong to the mesh or
+cloud beside it (:func:`_beside`), else to the asset's own elements, in order. Where masks have
+geometry of their own, each point of the asset's surface takes the label of the nearest one, and
+each face the label of most of its points, so resolutions may differ; a normalised or turned copy is
+brought back first.
 """
 
 from __future__ import annotations
@@ -24,7 +12,7 @@ from __future__ import annotations
 import io
 import re
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -54,7 +42,7 @@ INSTANCE = (
 """Names of arrays and properties with one label an element, the first that is there counts."""
 SEMANTIC = ("semantic", "semantics", "semantic_label", "semantic_labels", "semantic_seg", "sem_seg",
             "category", "class", "scalar_label")  # fmt: skip
-"""Names of those that tell what kind of part an element belongs to, indices into ``names``."""
+"""Names of those that tell the kind of an element's part, indices into :data:`NAMES`."""
 NAMES = ("names", "part_names", "class_names", "classes", "categories")
 REMEDY = (
     "give an .npy or .npz with one whole number a face or point, a .ply with such a property, a "
@@ -81,10 +69,9 @@ class Masks:
     """What a file of masks holds.
 
     Attributes:
-        path: the file or folder.
-        sha256: of what was read.
-        labels: (N,) of the faces of ``geometry``, of its points where it has other counts, or of
-            the asset's elements where it is None; -1 is none.
+        path: the file or folder. sha256: of what was read.
+        labels: (N,) of the faces or points of ``geometry``, or of the asset's elements where it is
+            None; -1 is none.
         names: label → what the part is called, where the file tells it.
         geometry: in its own frame, or None.
     """
@@ -118,20 +105,20 @@ def with_masks(asset: Asset, masks: Masks | str | Path) -> Asset:
         masks = read_masks(masks)
     labels = _on_elements(asset, masks)
     weight = np.ones(len(labels)) if asset.mesh is None else asset.mesh.face_areas
-    kept = np.unique(labels[labels >= 0])
-    if len(kept) > MAX_PARTS:
-        raise InputFileError(
-            masks.path, f"holds {len(kept)} masks of {asset.name}; {MAX_PARTS} parts are the limit",
-            "give a coarser segmentation",
-        )  # fmt: skip
-    base = _base(labels, kept, weight, masks.names)
-    moving = [int(label) for label in kept if label != base]
-    if not moving:
-        raise InputFileError(masks.path, f"has one label for all of {asset.name}: it cuts nothing")
+    kept = np.unique(labels[labels >= 0]).tolist()
+    base = -1
+    if float(weight[labels < 0].sum()) < LEAST_REST * float(weight.sum()):
+        area = {label: float(weight[labels == label].sum()) for label in kept}
+        says = {label: max(base_score(masks.names.get(label), None), 0.0) for label in kept}
+        base = max(kept, key=lambda label: (says[label], area[label]))
+    moving = [label for label in kept if label != base]
+    if not 0 < len(moving) < MAX_PARTS:
+        problem = f"cuts {asset.name} into {len(kept)} part{'s'[: len(kept) != 1]}"
+        raise InputFileError(masks.path, problem, f"two to {MAX_PARTS} are needed")
     part = np.zeros(len(labels), np.int32)
     for number, label in enumerate(moving, 1):
         part[labels == label] = number
-    names = tuple(masks.names.get(label, "") for label in (-1 if base is None else base, *moving))
+    names = tuple(masks.names.get(label, "") for label in (base, *moving))
     return replace(asset, element_part=part, part_names=names, tree=None)
 
 
@@ -142,49 +129,48 @@ def read_masks(path: str | Path) -> Masks:
         InputFileError: naming the file, the first wrong label, and what would be right.
     """
     path = Path(path)
+    suffix = path.suffix.lower()
     if path.is_dir():
         return _of_folder(path)
-    reader = {".npy": _of_npy, ".npz": _of_npz, ".ply": _of_ply, ".glb": _of_gltf,
-              ".gltf": _of_gltf}.get(path.suffix.lower())  # fmt: skip
-    if reader is None:
-        told = "no such file or folder" if not path.exists() else "holds no masks that are known"
-        raise InputFileError(path, told, REMEDY)
-    return reader(path)
+    if suffix in (".npy", ".npz"):
+        return _of_arrays(path)
+    if suffix == ".ply":
+        return _of_ply(path)
+    if suffix in (".glb", ".gltf"):
+        loaded = load_geometry(path, DEFAULT_MAX_BYTES)
+        if len(loaded.pieces) < 2 or sum(n for _, n in loaded.pieces) != len(loaded.faces):
+            raise InputFileError(path, "is not made of several meshes", "a mesh a part is needed")
+        return _pieces(path, [path], *zip(*loaded.pieces, strict=True), loaded)
+    told = "holds no masks that are known" if path.exists() else "no such file or folder"
+    raise InputFileError(path, told, REMEDY)
 
 
 # --- files
 
 
-def _of_npy(path: Path) -> Masks:
-    with _arrays(path):
-        array = np.load(io.BytesIO(read_bytes(path)), allow_pickle=False)
-    labels = _checked(path, array, "its array")
-    return Masks(path, file_digest([path]), labels, {}, _geometry_beside(path, len(labels)))
-
-
-def _of_npz(path: Path) -> Masks:
-    with _arrays(path), np.load(io.BytesIO(read_bytes(path)), allow_pickle=False) as file:
-        held = {key: file[key] for key in file.files}
-    instance, semantic = (_first(held, keys) for keys in (INSTANCE, SEMANTIC))
-    key = instance or semantic
+def _of_arrays(path: Path) -> Masks:
+    """A single array of labels, or an archive with names and maybe geometry."""
+    with _told(path):
+        loaded = np.load(io.BytesIO(read_bytes(path)), allow_pickle=False)
+        held = {"its array": loaded}
+        if path.suffix.lower() == ".npz":
+            held = {key: loaded[key] for key in loaded.files}
+    key = _first(held, ("its array", *INSTANCE, *SEMANTIC))
     if key is None:
-        there = ", ".join(held) or "nothing"
-        raise InputFileError(path, f"holds {there}, none of {', '.join(INSTANCE)}", REMEDY)
+        problem = f"holds {', '.join(held) or 'nothing'}, none of {', '.join(INSTANCE)}"
+        raise InputFileError(path, problem, REMEDY)
     labels = _checked(path, held[key], key)
-    kinds = labels if semantic is None else _checked(path, held[semantic], semantic)
+    kind = _first(held, SEMANTIC) or key
+    kinds = _checked(path, held[kind], kind)
     if len(kinds) != len(labels):
-        raise InputFileError(
-            path, f"{key} has {len(labels):,} elements, {semantic} {len(kinds):,}",
-            "both need one label an element",
-        )  # fmt: skip
+        problem = f"{key} has {len(labels):,} elements, {kind} {len(kinds):,}"
+        raise InputFileError(path, problem, "both need one label an element")
     table = held.get(_first(held, NAMES) or "", np.zeros(0, "U1"))
-    names = {}
-    for label, kind in zip(*_majority(labels, kinds), strict=True):
-        if 0 <= kind < len(table) and table.dtype.kind == "U" and (name := _name(str(table[kind]))):
-            names[int(label)] = name
-    geometry = _geometry_beside(path, len(labels))
-    if any(k in held for k in ("points", "vertices", "xyz")):
-        geometry = read_npz(path)
+    said = [_name(str(name)) for name in table] if table.dtype.kind == "U" else []
+    pairs = zip(*(values.tolist() for values in _majority(labels, kinds)), strict=True)
+    names = {label: said[k] for label, k in pairs if 0 <= k < len(said) and said[k]}
+    own = any(k in held for k in ("points", "vertices", "xyz"))
+    geometry = read_npz(path) if own else _beside(path, len(labels))
     return Masks(path, file_digest([path]), labels, names, geometry)
 
 
@@ -195,23 +181,9 @@ def _of_ply(path: Path) -> Masks:
         loaded, columns = read_ply_columns(path, known, element="face")
     key = _first(columns, known)
     if key is None:
-        wanted = ", ".join(INSTANCE[:4])
-        raise InputFileError(
-            path, "no property of its vertices or triangles is a label",
-            f"call an integer property {wanted} or the like",
-        )  # fmt: skip
-    labels = _checked(path, columns[key], f"property {key}")
-    return Masks(path, file_digest([path]), labels, {}, loaded)
-
-
-def _of_gltf(path: Path) -> Masks:
-    loaded = load_geometry(path, DEFAULT_MAX_BYTES)
-    names, sizes = zip(*loaded.pieces, strict=True) if loaded.pieces else ((), ())
-    if len(names) < 2 or sum(sizes) != len(loaded.faces):
-        raise InputFileError(path, "is not made of several meshes", "a mesh a part is needed")
-    labels = np.repeat(np.arange(len(names)), sizes)
-    named = {i: n for i, name in enumerate(names) if (n := _name(name))}
-    return Masks(path, file_digest([path]), labels, named, loaded)
+        remedy = f"call an integer property {', '.join(INSTANCE[:4])} or the like"
+        raise InputFileError(path, "no property of its vertices or triangles is a label", remedy)
+    return Masks(path, file_digest([path]), _checked(path, columns[key], key), {}, loaded)
 
 
 def _of_folder(folder: Path) -> Masks:
@@ -219,54 +191,60 @@ def _of_folder(folder: Path) -> Masks:
     manifest = find_manifest(inner if inner.is_dir() else folder, FOLDER_SUFFIXES)
     paths = [e.path for e in manifest.entries]
     loaded = [load_geometry(p, DEFAULT_MAX_BYTES) for p in paths]
-    digest = file_digest(paths)
-    names = [_name(e.name or e.path.stem) for e in manifest.entries]
+    names = [e.name or e.path.stem for e in manifest.entries]
     if _painted(loaded):
-        return Masks(folder, digest, *_instances(loaded, names), loaded[0])
-    solid = [p for p in loaded if len(p.faces)]
-    if len(solid) not in (0, len(loaded)):
-        cloud = next(p for p, held in zip(paths, loaded, strict=True) if not len(held.faces))
+        labels, called = _instances(loaded, names)
+        return Masks(folder, file_digest(paths), labels, called, loaded[0])
+    solid = [bool(len(p.faces)) for p in loaded]
+    if any(solid) != all(solid):
+        cloud = paths[solid.index(False)]
         raise InputFileError(cloud, "is a cloud among meshes", "give all parts as one or the other")
-    sizes = [len(p.faces) if solid else len(p.vertices) for p in loaded]
-    labels = np.repeat(np.arange(len(loaded)), sizes)
-    return Masks(folder, digest, labels, {i: n for i, n in enumerate(names) if n}, join(loaded))
+    sizes = [len(p.faces) or len(p.vertices) for p in loaded]
+    return _pieces(folder, paths, names, sizes, join(loaded))
+
+
+def _pieces(
+    path: Path, files: list[Path], names: Sequence[str], sizes: Sequence[int], whole: Loaded
+) -> Masks:
+    """A part for each of ``sizes`` faces or points of the whole."""
+    called = {i: known for i, name in enumerate(names) if (known := _name(name))}
+    return Masks(path, file_digest(files), np.repeat(np.arange(len(sizes)), sizes), called, whole)
 
 
 def _painted(loaded: list[Loaded]) -> bool:
-    """Whether these are one cloud in several colours, black where it is none of the part."""
-    first = loaded[0]
+    """Whether these are one cloud in several colours, black where it is none of the part, as
+    PartSLIP writes it."""
+    first = loaded[0].vertices
     return all(
-        not len(p.faces) and p.colors is not None and p.vertices.shape == first.vertices.shape
-        and np.allclose(p.vertices, first.vertices, equal_nan=True)
-        and not p.colors[:, :3].any(axis=1).all()
+        not len(p.faces) and p.colors is not None and not p.colors[:, :3].any(axis=1).all()
+        and p.vertices.shape == first.shape and np.allclose(p.vertices, first, equal_nan=True)
         for p in loaded
     )  # fmt: skip
 
 
 def _instances(loaded: list[Loaded], names: list[str]) -> tuple[Labels, dict[int, str]]:
     labels = np.full(len(loaded[0].vertices), -1, np.int64)
-    called: dict[int, str] = {}
+    called: list[str] = []
     for piece, name in zip(loaded, names, strict=True):
         assert piece.colors is not None
         colors = piece.colors[:, :3].astype(np.int64) @ [1 << 16, 1 << 8, 1]
         for color in np.unique(colors[colors > 0]):
-            called[len(called)] = name
-            labels[colors == color] = len(called) - 1
-    return labels, {label: name for label, name in called.items() if name}
+            labels[colors == color] = len(called)
+            called.append(_name(name))
+    return labels, {i: name for i, name in enumerate(called) if name}
 
 
-def _geometry_beside(path: Path, count: int) -> Loaded | None:
+def _beside(path: Path, count: int) -> Loaded | None:
     """The mesh or cloud that labels were written for, as public code lays it out: of the same name
     (P3-SAM without ``_face_ids``), in ``ply/`` (PartField) or in ``vis_pcd/`` (SAMPart3D)."""
     stem = path.stem.removesuffix("_face_ids")
     above = path.parent.parent
-    for folder in (path.parent, above / "ply", above.parent / "vis_pcd" / path.parent.name):
-        for suffix in (".ply", ".glb", ".obj"):
-            file = folder / f"{stem}{suffix}"
-            if file.is_file():
-                loaded = load_geometry(file, DEFAULT_MAX_BYTES)
-                if count in (len(loaded.faces), len(loaded.vertices)):
-                    return loaded
+    folders = (path.parent, above / "ply", above.parent / "vis_pcd" / path.parent.name)
+    for file in (folder / f"{stem}{end}" for folder in folders for end in (".ply", ".glb", ".obj")):
+        if file.is_file():
+            loaded = load_geometry(file, DEFAULT_MAX_BYTES)
+            if count in (len(loaded.faces), len(loaded.vertices)):
+                return loaded
     return None
 
 
@@ -274,7 +252,7 @@ def _geometry_beside(path: Path, count: int) -> Loaded | None:
 
 
 @contextmanager
-def _arrays(path: Path) -> Iterator[None]:
+def _told(path: Path) -> Iterator[None]:
     """Turn what numpy says of damaged files into an error that names the file."""
     try:
         yield
@@ -299,36 +277,17 @@ def _checked(path: Path, value: Any, what: str) -> Labels:
     array = np.asarray(value)
     if array.ndim == 2 and 1 in array.shape:
         array = array.reshape(-1)
-    if array.ndim != 1 or array.dtype.kind not in "iufb":
-        raise InputFileError(
-            path, f"{what} has shape {array.shape} of {array.dtype}",
-            "one whole number a face or point is needed",
-        )  # fmt: skip
-    if not len(array):
-        raise InputFileError(path, f"{what} is empty", REMEDY)
+    if array.ndim != 1 or array.dtype.kind not in "iufb" or not len(array):
+        empty = "is empty" if array.shape == (0,) else f"has shape {array.shape} of {array.dtype}"
+        raise InputFileError(path, f"{what} {empty}", "one whole number a face or point is needed")
     numbers = array.astype(np.float64)
-    wrong = ~np.isfinite(numbers) | (numbers != np.round(numbers)) | (np.abs(numbers) > 2**52)
     least = -2 if path.stem.endswith("_face_ids") else -1
-    wrong |= numbers < least
-    if wrong.any():
-        at = int(np.argmax(wrong))
-        raise InputFileError(
-            path, f"{what} is {array[at]} at element {at:,}",
-            "labels are whole numbers from 0, and -1 for none",
-        )  # fmt: skip
+    right = (numbers == np.round(numbers)) & (numbers >= least) & (numbers < 2**52)
+    if not right.all():
+        at = int(np.argmin(right))
+        remedy = "labels are whole numbers from 0, and -1 for none"
+        raise InputFileError(path, f"{what} is {array[at]} at element {at:,}", remedy)
     return np.maximum(numbers, -1).astype(np.int64)
-
-
-def _base(labels: Labels, kept: Labels, weight: FloatArray, names: Mapping[int, str]) -> int | None:
-    """The label of the base; None where what has no label is."""
-    whole = max(float(weight.sum()), 1e-300)
-    if float(weight[labels < 0].sum()) / whole >= LEAST_REST:
-        return None
-    scores = {int(label): base_score(names.get(int(label)), None) for label in kept}
-    best = max(scores, key=lambda label: scores[label])
-    if scores[best] > 0:
-        return best
-    return max(scores, key=lambda label: float(weight[labels == label].sum()))
 
 
 # --- from one surface to another
@@ -343,29 +302,26 @@ def _on_elements(asset: Asset, masks: Masks) -> Labels:
         own = _of_faces(masks.labels, asset.mesh.faces)
     if masks.geometry is None:
         if own is None:
-            kind = asset.element_kind
+            count, kind = len(masks.labels), asset.element_kind
             raise InputFileError(
-                masks.path, f"has {len(masks.labels):,} labels for the {asset.element_count:,} "
-                f"{kind}s of {asset.name}",
-                f"give one a {kind}, or put the mesh or cloud that they belong to beside it as "
-                f"{masks.path.stem}.ply",
+                masks.path, f"has {count:,} labels for {asset.element_count:,} {kind}s of "
+                f"{asset.name}", f"give one a {kind}, or put the mesh or cloud that they belong to "
+                f"beside it as {masks.path.stem}.ply",
             )  # fmt: skip
         return own
-    points, labels = _labelled_points(masks)
-    every = np.arange(asset.element_count)
-    surface, element = (
-        (asset.element_centers, every) if asset.mesh is None else _spread(asset.mesh, every)
-    )
+    points, labels = _labelled_points(masks, masks.geometry)
+    element = np.arange(asset.element_count)
+    surface = asset.element_centers
+    if asset.mesh is not None:
+        surface, element = _spread(asset.mesh, element)
     placed, distance = _placed(points, surface, asset)
     diagonal = asset.diagonal or 1.0
     if distance > APART * diagonal:
         if own is not None:
             return own
-        raise InputFileError(
-            masks.path, f"its geometry isn't that of {asset.name}: on average "
-            f"{100 * distance / diagonal:.0f} % of the object's size away",
-            "give masks of the same object",
-        )  # fmt: skip
+        away = f"{100 * distance / diagonal:.0f} % of the object's size away on average"
+        problem = f"its geometry isn't that of {asset.name}: {away}"
+        raise InputFileError(masks.path, problem, "give masks of the same object")
     tree = KDTree(placed)
     spacing = float(np.median(tree.query(placed[:: max(1, len(placed) // 2000)], k=2)[0][:, 1]))
     far, nearest = tree.query(surface)
@@ -373,23 +329,19 @@ def _on_elements(asset: Asset, masks: Masks) -> Labels:
     return _majority(element, found)[1]  # every element has a point
 
 
-def _labelled_points(masks: Masks) -> tuple[FloatArray, Labels]:
+def _labelled_points(masks: Masks, held: Loaded) -> tuple[FloatArray, Labels]:
     """(P, 3) points of the masks' own geometry, and (P,) their labels."""
-    held, labels = masks.geometry, masks.labels
-    assert held is not None
+    labels, vertices = masks.labels, held.vertices.astype(np.float64)
+    if len(labels) not in (len(held.faces), len(vertices)):
+        counts = f"{len(held.faces):,} faces and {len(vertices):,} vertices"
+        problem = f"has {len(labels):,} labels for {counts}"
+        raise InputFileError(masks.path, problem, "one label for each is needed")
+    if not len(held.faces):
+        kept = np.isfinite(vertices).all(axis=1)
+        return vertices[kept], labels[kept]
     if len(labels) != len(held.faces):
-        if len(labels) != len(held.vertices):
-            raise InputFileError(
-                masks.path, f"has {len(labels):,} labels for {len(held.faces):,} faces and "
-                f"{len(held.vertices):,} vertices", "one label for each is needed",
-            )  # fmt: skip
-        if not len(held.faces):
-            points = held.vertices.astype(np.float64)
-            kept = np.isfinite(points).all(axis=1)
-            return points[kept], labels[kept]
         labels = _of_faces(labels, held.faces)
-    plain = Loaded(np.nan_to_num(held.vertices.astype(np.float64)), held.faces)
-    return _spread(to_mesh(plain), labels)
+    return _spread(to_mesh(Loaded(np.nan_to_num(vertices), held.faces)), labels)
 
 
 def _of_faces(labels: Labels, faces: npt.NDArray[Any]) -> Labels:
@@ -409,29 +361,22 @@ def _spread(mesh: Any, values: Labels) -> tuple[FloatArray, Labels]:
 
 
 def _majority(groups: Labels, values: Labels) -> tuple[Labels, Labels]:
-    """Each group and the value that most of its members have, none (-1) only where all have it."""
-    known = values >= 0
-    rows = np.concatenate([
-        np.stack([groups[known], values[known]], 1),
-        np.stack([groups, np.full(len(groups), -1)], 1)[~known],
-    ])  # fmt: skip
-    pairs, counts = np.unique(rows, axis=0, return_counts=True)
-    order = np.lexsort((pairs[:, 1] < 0, -counts, pairs[:, 0]))
+    """Each group and the value that most of its members have, -1 only where all have it."""
+    pairs, counts = np.unique(np.stack([groups, values], 1), axis=0, return_counts=True)
+    order = np.lexsort((-counts, pairs[:, 1] < 0, pairs[:, 0]))
     kept, first = np.unique(pairs[order, 0], return_index=True)
     return kept, pairs[order[first], 1]
 
 
 def _placed(points: FloatArray, surface: FloatArray, asset: Asset) -> tuple[FloatArray, float]:
     """The masks' points in the asset's frame, and their mean distance from its surface."""
-    rng = np.random.default_rng(0)
-    some = points[rng.permutation(len(points))[:3000]]
-    tree = KDTree(surface)
-    cap = 0.1 * (asset.diagonal or 1.0)
+    some = points[np.random.default_rng(0).permutation(len(points))[:3000]]
+    tree, diagonal = KDTree(surface), asset.diagonal or 1.0
     costs: list[tuple[float, FloatArray]] = []
     for matrix in _placements(points, asset):
-        moved = some @ matrix[:3, :3].T + matrix[:3, 3]
-        costs.append((float(np.minimum(tree.query(moved)[0], cap).mean()), matrix))
-    best = min(cost for cost, _ in costs) + _MARGIN * (asset.diagonal or 1.0)
+        far = tree.query(some @ matrix[:3, :3].T + matrix[:3, 3])[0]
+        costs.append((float(np.minimum(far, 0.1 * diagonal).mean()), matrix))
+    best = min(cost for cost, _ in costs) + _MARGIN * diagonal
     cost, matrix = next(each for each in costs if each[0] <= best)
     return points @ matrix[:3, :3].T + matrix[:3, 3], cost
 
@@ -441,15 +386,12 @@ def _placements(points: FloatArray, asset: Asset) -> Iterator[FloatArray]:
     them fitted to the box, as networks normalise what they see."""
     source = asset.source
     unit, own = (1.0, "z") if source is None else (source.unit_scale, source.up_axis)
-    shift = np.zeros(3) if source is None else -np.asarray(source.shift)
-    axes = sorted(get_args(UpAxis), key=lambda axis: axis != own)
-    for axis in axes:
-        yield affine(unit * turned_up(axis)[:3, :3], shift)
-    low, high = asset.bounds
-    for axis in axes:
-        turn = turned_up(axis)[:3, :3]
+    shift = (0.0, 0.0, 0.0) if source is None else source.shift
+    turns = [turned_up(axis)[:3, :3] for axis in sorted(get_args(UpAxis), key=lambda a: a != own)]
+    for turn in turns:
+        yield affine(unit * turn, np.negative(shift))
+    for turn in turns:
         turned = points @ turn.T
-        size = float(np.linalg.norm(np.ptp(turned, axis=0))) or 1.0
-        scale = asset.diagonal / size
+        scale = asset.diagonal / (float(np.linalg.norm(np.ptp(turned, axis=0))) or 1.0)
         middle = (turned.min(axis=0) + turned.max(axis=0)) / 2
-        yield affine(scale * turn, (low + high) / 2 - scale * middle)
+        yield affine(scale * turn, asset.bounds.mean(axis=0) - scale * middle)
