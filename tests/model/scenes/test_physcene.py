@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,9 @@ import pytest
 
 from app.cli.main import main
 from model.core.errors import InputFileError
+from model.data.partnet_mobility import read_partnet_mobility
+from model.io.geometry_files import load_geometry
+from model.io.open_asset import open_asset
 from model.io.urdf.writer import read_urdf
 from model.scenes.assets import index_assets
 from model.scenes.embedded import unpack
@@ -168,8 +172,6 @@ def test_boxes_stand_on_their_floor_with_its_door(exchanged: bool, tmp_path: Pat
     assert np.allclose(wardrobe.world_from_object[:2, 0], [math.cos(math.pi / 6), 0.5])
     assert building.static and not scene.problems
     (file,) = unpack(scene, tmp_path / "unpacked").files.values()
-    from model.io.open_asset import open_asset
-
     low, high = open_asset(file).bounds
     # The door's panel is 4 cm thick and stands in the wall x = 2.
     assert np.allclose([low, high], [[-2, -1.5, 0], [2.02, 1.5, 2.0]], atol=1e-6)
@@ -216,3 +218,24 @@ def test_broken_files_doors_and_floor_plans_are_told(tmp_path: Path) -> None:
     scene = read_scene(made.write_scene(tmp_path / "House_1_room_2_bbox.json", room))
     assert len(scene.objects) == 2
     assert [p.object for p in scene.problems] == ["room_2.obj", "door 0", "door 1"]
+
+
+def test_real_objects_turn_as_their_urdf_does(shared_data: Path, tmp_path: Path) -> None:
+    folder = shared_data / "partnet_mobility"
+    ids = sorted(p.name for p in folder.iterdir() if p.name.isdigit())[::26]
+    room = {"GPN": {id: [entry([0.7, 1.1, 0.9], 2.4, "Thing")] for id in ids}}
+    for obj in read_scene(made.write_scene(tmp_path / "room.json", room)).objects:
+        home = folder / str(obj.asset)
+        parts = [p.mesh for p in read_partnet_mobility(home).object.parts if p.mesh is not None]
+        points = np.concatenate([m.vertices for m in parts]) * obj.scale
+        world = points @ obj.world_from_object[:3, :3].T + obj.world_from_object[:3, 3]
+        raw = [load_geometry(f, 10**9).vertices for f in _visuals(home)]
+        there = standing(np.concatenate(raw).astype(np.float64), room["GPN"][home.name][0])
+        for ends in ("min", "max"):
+            assert np.allclose(getattr(world, ends)(0), getattr(there, ends)(0), atol=1e-6), home
+
+
+def _visuals(home: Path) -> list[Path]:
+    text = (home / "mobility.urdf").read_text()
+    names = re.findall(r'<visual.*?filename="([^"]+)"', text, re.DOTALL)
+    return [home / name for name in dict.fromkeys(names)]
