@@ -12,6 +12,7 @@ from typing import Any, TypeVar
 from model.core.errors import ConfigurationError
 from model.core.installing import require
 from model.core.progress import Progress
+from model.scenes.bounded_http import bounded_client
 from model.scenes.finder_options import FinderOptions
 from model.scenes.language_finder import SCHEMA, Answer, FinderUnavailableError, LanguageFinder
 
@@ -117,11 +118,17 @@ class OpenAiEngine:
                     f"as the server wants it, mostly in /v1 ({_first(error)})"
                 ) from error
             except openai.OpenAIError as error:
+                target = _redirect_of(error)
+                if target:
+                    raise ConfigurationError(
+                        f"{self.name} redirects to {target!r}, which isn't followed; give that "
+                        "address if you trust it"
+                    ) from error
                 raise FinderUnavailableError(
                     f"{self.name} can't be asked ({_first(error)}); its answers so far are kept, "
                     "so run again when it can"
                 ) from error
-            except ValueError:  # the server's own envelope is no JSON
+            except (ValueError, RecursionError):  # the server's own envelope is no JSON
                 return Answer("")
 
     def close(self) -> None:
@@ -139,7 +146,10 @@ def _client(url: str | None, timeout: float, retries: int) -> Any:
             f"set {KEY_VARIABLE} for OpenAI, or give the address of your own server"
         )
     # A server of one's own needs no key, but the client wants one.
-    return openai.OpenAI(api_key=key or "none", base_url=url, timeout=timeout, max_retries=retries)
+    return openai.OpenAI(
+        api_key=key or "none", base_url=url, timeout=timeout, max_retries=retries,
+        http_client=bounded_client(timeout),
+    )  # fmt: skip
 
 
 def _unless_given_up(give: Callable[[T], None], value: T) -> None:
@@ -152,12 +162,20 @@ def _answer(said: Any) -> Answer:
     """The text in an answer; servers send anything."""
     try:
         text = said.choices[0].message.content
-    except (AttributeError, IndexError, TypeError):
+    except (AttributeError, IndexError, KeyError, TypeError):
         return Answer("")
     usage = getattr(said, "usage", None)
     tokens = [getattr(usage, k, 0) for k in ("prompt_tokens", "completion_tokens")]
     counts = [t if isinstance(t, int) and t > 0 else 0 for t in tokens]
     return Answer(text if isinstance(text, str) else "", *counts)
+
+
+def _redirect_of(error: Exception) -> str:
+    """Where a server sends its clients, "" where it doesn't."""
+    response = getattr(error, "response", None)
+    if response is None or not 300 <= response.status_code < 400:
+        return ""
+    return str(response.headers.get("location", ""))[:200]
 
 
 def _first(error: Exception) -> str:

@@ -29,7 +29,9 @@ CONNECT_SECONDS = 10.0
 SILENCE_SECONDS = 30.0
 """A backend sends a line every second, even while it serves others."""
 _BLOCK = 2**18
-_MAX_LINE = 64 * 2**20
+MAX_LINE = 64 * 2**20
+MOST_LINES = 100_000
+"""One a second over a day."""
 _LOCALLY = "predict on this machine instead"
 
 
@@ -95,8 +97,8 @@ class HttpPredictor:
         with closing(self._connection()) as connection:
             response = self._ask(connection, "GET", HEALTH_PATH)
             try:
-                health = json.loads(response.read(_MAX_LINE))
-            except (OSError, http.client.HTTPException, ValueError) as error:
+                health = json.loads(response.read(MAX_LINE))
+            except (OSError, http.client.HTTPException, ValueError, RecursionError) as error:
                 raise BackendError(f"{self.url} is no ArtiWorld backend") from error
         if not isinstance(health, dict) or health.get("service") != "artiworld backend":
             raise BackendError(f"{self.url} is no ArtiWorld backend")
@@ -195,9 +197,9 @@ class HttpPredictor:
 
     def _follow(self, response: http.client.HTTPResponse, progress: Progress) -> object:
         """Report progress line by line; returns the value of "done"."""
-        while True:
+        for _ in range(MOST_LINES):
             try:
-                line = response.readline(_MAX_LINE)
+                line = response.readline(MAX_LINE)
                 message = json.loads(line) if line.endswith(b"\n") else None
             except TimeoutError as error:
                 raise BackendError(
@@ -215,6 +217,7 @@ class HttpPredictor:
                 raise self._error(message)
             fraction, text = _progress_of(message)
             progress(0.05 + 0.95 * fraction, text)
+        raise BackendError(f"the backend {self.url} doesn't come to an end; {_LOCALLY}")
 
     def _error(self, message: dict[str, Any]) -> Exception:
         text = str(message["error"])[:2000]
@@ -228,7 +231,9 @@ class HttpPredictor:
         try:
             message = json.loads(response.read(_BLOCK))
             text = str(message["error"])[:2000]
-        except (OSError, http.client.HTTPException, ValueError, KeyError, TypeError):
+        except (
+            OSError, http.client.HTTPException, ValueError, KeyError, TypeError, RecursionError,
+        ):  # fmt: skip
             return BackendError(
                 f"{self.url} answered {response.status} {response.reason}: is it a backend?"
             )
