@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -40,6 +41,24 @@ WORLD_FROM_UP = {
 }
 
 
+def _said(error: Exception) -> str:
+    """The last line of what pxr says, which fails to be text where the file is none."""
+    try:
+        return str(error).strip().splitlines()[-1][:200]
+    except UnicodeDecodeError:
+        return "it holds bytes that are no text"
+
+
+@contextmanager
+def sound_stage(path: Path) -> Iterator[None]:
+    """Say in words what a stage that may hold anything anywhere makes pxr and numpy fail at."""
+    try:
+        yield
+    except (RuntimeError, ValueError, TypeError, OverflowError, IndexError, KeyError) as error:
+        what = f"the stage inside is inconsistent ({type(error).__name__}: {_said(error)})"
+        raise InputFileError(path, what, "export it again") from None
+
+
 def read_usd(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
     """The visible geometry of a stage, metres, +z up.
 
@@ -49,7 +68,11 @@ def read_usd(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
     """
     if size_of(path) > max_bytes:
         raise InputFileError(path, "is over the limit of bytes", "thin or cut the scan first")
-    stage = UsdStage(path)
+    with sound_stage(path):
+        return _read(UsdStage(path))
+
+
+def _read(stage: UsdStage) -> Loaded:
     into = stage.turn.copy()
     into[:3, :3] *= stage.unit
     found: list[tuple[str, Loaded]] = []
@@ -62,7 +85,7 @@ def read_usd(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
             made = stage.mesh_of(prim) if kind == "Mesh" else stage.primitive_of(prim, kind)
             found.append((str(prim.GetName()), made.moved(stage.world(prim) @ into)))
     if not found:
-        raise InputFileError(path, "there is no mesh on its stage", "export its objects")
+        raise InputFileError(stage.path, "there is no mesh on its stage", "export its objects")
     whole = join([made for _, made in found])
     named = tuple((name, len(made.faces)) for name, made in found if len(made.faces))
     remarks = [f"not read: {kind} ({n})" for kind, n in unread.items()]
@@ -82,8 +105,8 @@ class UsdStage:
         try:
             self.stage: Any = self.usd.Stage.Open(str(path))
         except tf.ErrorException as error:
-            first = str(error).strip().splitlines()[-1][:200]
-            raise InputFileError(path, f"is no USD stage: {first}", "export it again") from None
+            what = f"is no USD stage: {_said(error)}"
+            raise InputFileError(path, what, "export it again") from None
         self.path = path
         self.up: Any = str(self.geom.GetStageUpAxis(self.stage)).lower()
         self.unit = float(self.geom.GetStageMetersPerUnit(self.stage))

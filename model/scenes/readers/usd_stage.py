@@ -18,7 +18,7 @@ import numpy as np
 from model.core.errors import InputFileError
 from model.core.rotations import affine
 from model.io.formats.loaded import Loaded
-from model.io.formats.usd import SHAPES, USD_SUFFIXES, UsdStage
+from model.io.formats.usd import SHAPES, USD_SUFFIXES, UsdStage, sound_stage
 from model.scenes.readers.lisdf import readable
 from model.scenes.scene import Scene, SceneFrame, SceneObject, SceneProblem
 from model.scenes.unpacking import Unpacked, Unpacker, placed_frame
@@ -39,14 +39,15 @@ class UsdStageReader:
 
     def read(self, path: Path) -> Scene:
         """See :class:`~model.scenes.protocol.SceneReader`."""
-        stage = _Stage(path)
-        entries = [((str(p.GetPath()),), p) for p in stage.objects()]
-        make = partial(_object, stage)
-        objects, problems = collect(entries, make, lambda p: str(p.GetName()))
-        problems += tuple(
-            SceneProblem(str(p.GetPath()), f"prims of type {p.GetTypeName()} are not read")
-            for p in stage.prims() if stage.is_unread(p)
-        )  # fmt: skip
+        with sound_stage(path):
+            stage = _Stage(path)
+            entries = [((str(p.GetPath()),), p) for p in stage.objects()]
+            make = partial(_object, stage)
+            objects, problems = collect(entries, make, lambda p: str(p.GetName()))
+            problems += tuple(
+                SceneProblem(str(p.GetPath()), f"prims of type {p.GetTypeName()} are not read")
+                for p in stage.prims() if stage.is_unread(p)
+            )  # fmt: skip
         frame = SceneFrame(stage.up, stage.unit)
         return Scene(path.stem, path, self.name, objects, problems, frame)
 
@@ -126,6 +127,7 @@ class _Stage(UsdStage):
     def pieces_of(self, prim: Any) -> Callable[[], list[tuple[str | None, Loaded]]]:
         """Its shapes in the frame of its asset."""
 
+        @sound_stage(self.path)
         def pieces() -> list[tuple[str | None, Loaded]]:
             world = self.world(prim)
             _, _, rest = placed_frame(world)
