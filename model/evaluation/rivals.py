@@ -51,7 +51,7 @@ FIGURES = ("tc", "apd", "opd", "ald", "dld", "usable", "m_f1", "ma_f1", "mao_f1"
            "executable")  # fmt: skip
 """The paper's, S2O's, and whether it moves; keys of :data:`METRICS`."""
 WORK = ".rivals"
-"""Folder of the runs below the root, from which a stopped one resumes."""
+"""Folder of our own runs below the root, from which a stopped one resumes."""
 SAMPLES = 8000
 """Points on each surface that is compared."""
 
@@ -122,9 +122,10 @@ def compare_rivals(
     ids = chosen_ids(base)
     rivals = []
     for i, (label, config) in enumerate(configs.items()):
-        own = replace(config, out=root / WORK / safe_link(label))
+        # Written ones may change until the next run.
+        out = root / WORK / safe_link(label) if config.predictions is None else None
         span = scaled_progress(progress, i / len(configs), (i + 0.8) / len(configs))
-        rivals.append(_rival(label, own, ids, spread(ids, pictures), span))
+        rivals.append(_rival(label, replace(config, out=out), ids, spread(ids, pictures), span))
         progress((i + 1) / len(configs), f"{label} is done")
     write_page(
         root / "rivals.html", TEMPLATE, rivals=rivals, drawn=spread(ids, pictures),
@@ -150,11 +151,10 @@ def to_json(rivals: Sequence[Rival]) -> dict[str, Any]:
 def _rival(
     label: str, config: EvaluationConfig, ids: list[str], drawn: list[str], progress: Progress
 ) -> Rival:
-    report = evaluate(config, progress=progress)
-    seconds = float(np.mean(report.seconds))
-    if config.predictions is not None:
+    if (folder := config.predictions) is not None:
         config = replace(config, frame=find_frame(config, ids))
-        seconds = _told(config.predictions, ids)
+    report = evaluate(config, progress=progress)
+    seconds = float(np.mean(report.seconds)) if folder is None else _told(folder, ids)
     found = robust_map(partial(_kept, config), ids, config.jobs)
     kept = [pair for _, pair in found if pair is not None]
     shown = draw_objects(config, [s for s in report.scores if s.object_id in drawn])

@@ -140,7 +140,8 @@ def read_masks(path: str | Path) -> Masks:
         loaded = load_geometry(path, DEFAULT_MAX_BYTES)
         if len(loaded.pieces) < 2 or sum(n for _, n in loaded.pieces) != len(loaded.faces):
             raise InputFileError(path, "is not made of several meshes", "a mesh a part is needed")
-        return _pieces(path, [path], *zip(*loaded.pieces, strict=True), loaded)
+        names, sizes = zip(*loaded.pieces, strict=True)
+        return _pieces(path, [path], names, sizes, loaded)
     told = "holds no masks that are known" if path.exists() else "no such file or folder"
     raise InputFileError(path, told, REMEDY)
 
