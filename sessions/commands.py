@@ -250,6 +250,13 @@ class LockJoint:
 
 
 @dataclass(frozen=True)
+class SetCompletion:
+    """Whether what a scan doesn't show is made up in the asset."""
+
+    complete: bool
+
+
+@dataclass(frozen=True)
 class Accept:
     """Accept the object.
 
@@ -352,6 +359,7 @@ Command = (
     | SetRoot
     | ResetJoint
     | LockJoint
+    | SetCompletion
     | Accept
     | Reject
     | Reopen
@@ -385,6 +393,7 @@ KINDS: Mapping[str, type[Command]] = {
     "set_root": SetRoot,
     "reset_joint": ResetJoint,
     "lock_joint": LockJoint,
+    "set_completion": SetCompletion,
     "accept": Accept,
     "reject": Reject,
     "reopen": Reopen,

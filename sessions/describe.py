@@ -22,6 +22,7 @@ from sessions.commands import (
     ResetJoint,
     Saved,
     SetCategory,
+    SetCompletion,
     SetFrame,
     SetJoint,
     SetRoot,
@@ -64,6 +65,8 @@ def describe(command: Command) -> str:
             return f"name part {part} {name!r}" if name else f"remove the name of part {part}"
         case SetCategory(category=category):
             return f"category {category!r}" if category else "no category"
+        case SetCompletion(complete=complete):
+            return "complete the parts" if complete else "leave the parts as scanned"
         case SetFrame():
             return f"read with {command.up_axis} up, scale {command.unit_scale:g}"
         case Prepare(what=what):

@@ -186,6 +186,7 @@ class Document:
         articulable: of a scene: object id → whether it is articulable, where a person decided.
         decided: of a scene: the decisions about its objects, in order.
         picked: of a scene: objects that were picked out of others, in order.
+        complete: whether what a scan doesn't show is made up in the asset; None: of scans it is.
     """
 
     prompts: tuple[Click | RegionRef, ...] = ()
@@ -212,6 +213,7 @@ class Document:
     decided: tuple[DecisionRecord, ...] = ()
     picked: tuple[PickOut, ...] = ()
     frame: ObjectFrame = SOURCE_FRAME
+    complete: bool | None = None
 
     @cached_property
     def key(self) -> str:

@@ -28,6 +28,7 @@ from sessions.commands import (
     ResetJoint,
     Saved,
     SetCategory,
+    SetCompletion,
     SetFrame,
     SetJoint,
     SetRoot,
@@ -169,6 +170,10 @@ def _changed(document: Document, command: Command, context: Context) -> tuple[Do
             if category == document.category:
                 return document, "adjust"
             return replace(document, category=category), "adjust"
+        case SetCompletion(complete=complete):
+            if complete is document.complete:
+                return document, "adjust"
+            return replace(document, complete=complete), "adjust"
         case RecordPrediction():
             return _record_prediction(document, command)
         case SetJoint() | SetRoot() | ResetJoint() | LockJoint():

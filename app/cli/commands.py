@@ -14,6 +14,7 @@ from typing import ClassVar
 
 from app.cli.command import Command, argument, flag, group, option, repeated, required
 from app.cli.options import (
+    MASKS_HELP,
     SEGMENTER_HELP,
     PhysicsOptions,
     PredictorOptions,
@@ -76,6 +77,7 @@ class ServeCommand(Command):
     user: str | None = option("name written beside decisions (default: your login name)", "USER")
     reading: ReadingOptions = group(ReadingOptions)
     max_upload_mb: int = option("largest upload from a browser", "MB", 500)
+    masks: Path | None = option(f"{MASKS_HELP}; of the one PATH", "FILE")
     segmenter: str = segmenter_option()
     prediction: PredictorOptions = group(PredictorOptions)
     open: bool = flag("open a browser", negatable=True)
@@ -128,10 +130,11 @@ class PrepareCommand(Command):
 
 @dataclass(frozen=True, kw_only=True)
 class SegmentCommand(Command):
-    """Cut a scan into parts by clicks from a file."""
+    """Cut a scan into parts by clicks from a file, or by masks of another system."""
 
     scan: Path = argument("a mesh, a point cloud or a folder of parts", "SCAN")
-    prompts: Path = required("JSON file of clicks", "FILE")
+    prompts: Path | None = option("JSON file of clicks", "FILE")
+    masks: Path | None = option(MASKS_HELP, "FILE")
     out: Path = required("folder for the parts", "DIR")
     segmenter: str = segmenter_option()
     reading: ReadingOptions = group(ReadingOptions)
@@ -143,7 +146,7 @@ class SegmentCommand(Command):
 
         with printing.session(self.json) as show:
             report = segment.segment(
-                self.scan, self.prompts, self.out, segmenter=self.segmenter,
+                self.scan, self.prompts, self.out, masks=self.masks, segmenter=self.segmenter,
                 up_axis=self.reading.up_axis, unit_scale=self.reading.unit_scale,
                 progress=show.progress,
             )  # fmt: skip
@@ -172,6 +175,10 @@ class PredictCommand(Command):
     prediction: PredictPredictorOptions = group(PredictPredictorOptions)
     category: str | None = option("category of the object, such as cabinet", "NAME")
     collision: bool = flag("make collision shapes too, which takes seconds to a minute")
+    complete: bool | None = flag(
+        "make up what a scan doesn't show: closed surfaces, thick doors, trays of drawers, "
+        "openings behind them (default: for parts that are point clouds)", None, negatable=True,
+    )  # fmt: skip
     seed: int = seed_option()
     reading: ReadingOptions = group(ReadingOptions)
     json: bool = json_flag()
@@ -186,7 +193,7 @@ class PredictCommand(Command):
                 self.folder, self.out, predictor=chosen_predictor(self.prediction),
                 category=self.category, seed=self.seed, up_axis=self.reading.up_axis,
                 unit_scale=self.reading.unit_scale, collision=self.collision,
-                progress=show.progress,
+                complete=self.complete, progress=show.progress,
             )  # fmt: skip
         show.result(report, lambda: printing.print_joints(report, self.out))
         return 0
@@ -328,6 +335,10 @@ class ExportCommand(Command):
     )
     physics: PhysicsOptions = group(PhysicsOptions)
     check: bool = flag("read each file back and compare link poses")
+    complete: bool | None = flag(
+        "complete scanned parts as of predict, or take away what was made up "
+        "(default: as they were saved)", None, negatable=True,
+    )  # fmt: skip
     jobs: int | None = option("processes for several assets (default: as many as processors)", "N")
     json: bool = json_flag()
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from app.cli.output import check_output
 from app.cli.physics_settings import physics_settings, shape_store
 from model.core.errors import ConfigurationError
 from model.core.progress import Progress, no_progress, scaled_progress
+from model.geometry.completion import as_scanned, complete
 from model.io.assets.reader import load_object, reading_notes
 from model.io.export.manifest import write_about
 from model.io.export.registry import (
@@ -38,6 +39,7 @@ class ExportTask:
         folders: (format, its folder).
         store: folder of cached collision shapes.
         check: whether each file is read back.
+        complete: whether scanned parts are completed; None: as they were saved.
     """
 
     asset: Path
@@ -45,6 +47,7 @@ class ExportTask:
     physics: PhysicsSettings
     store: Path | None
     check: bool
+    complete: bool | None = None
 
 
 def export(options: ExportCommand) -> int:
@@ -58,7 +61,7 @@ def export(options: ExportCommand) -> int:
     for asset, name in zip(assets, asset_names(assets), strict=True):
         base = options.out / name if several else options.out
         folders = tuple((f, base / f if len(formats) > 1 else base) for f in formats)
-        tasks.append(ExportTask(asset, folders, physics, store, options.check))
+        tasks.append(ExportTask(asset, folders, physics, store, options.check, options.complete))
     with printing.session(options.json) as show:
         if several:
             report = _export_all(tasks, options.jobs, show.progress)
@@ -101,6 +104,10 @@ def export_one(task: ExportTask, progress: Progress = no_progress) -> dict[str, 
     """
     progress(0.0, f"reading {task.asset}")
     obj = load_object(task.asset)
+    if task.complete is not None:
+        obj = replace(obj, parts=as_scanned(obj.parts))
+    if task.complete:
+        obj = complete(obj, scaled_progress(progress, 0.0, 0.05))
     physics = physics_of(
         obj, task.physics, store=task.store, progress=scaled_progress(progress, 0.05, 0.5)
     )

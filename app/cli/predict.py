@@ -19,6 +19,8 @@ from model.core.part_names import category_remark
 from model.core.point_cloud import PointCloud
 from model.core.progress import Progress, no_progress, scaled_progress
 from model.core.tree import KinematicTree
+from model.geometry import completion
+from model.geometry.completion import scanned
 from model.geometry.prepare import tilt_remark
 from model.io.assets.asset_folder import write_asset
 from model.io.open_asset import read_part_files
@@ -47,6 +49,7 @@ def predict(
     up_axis: UpAxis | None = None,
     unit_scale: float = 1.0,
     collision: bool = False,
+    complete: bool | None = None,
     progress: Progress = no_progress,
 ) -> dict[str, Any]:
     """Predict the joints of a folder of part meshes.
@@ -56,6 +59,8 @@ def predict(
     take long: they are made with ``collision``, or where a URDF declares those of every part.
 
     Args:
+        complete: whether what a scan doesn't show is made up, see
+            :mod:`model.geometry.completion`; None: of point clouds it is.
         up_axis, unit_scale: of the files, as of :func:`model.io.open_asset.read_part_files`.
 
     Returns:
@@ -72,7 +77,7 @@ def predict(
     segmented = read_part_files(folder, up_axis=up_axis, unit_scale=unit_scale)
     if category:
         segmented = replace(segmented, category=category)
-    answer = chosen.predict(segmented, seed=seed, progress=scaled_progress(progress, 0.1, 0.7))
+    answer = chosen.predict(segmented, seed=seed, progress=scaled_progress(progress, 0.1, 0.65))
     report = prediction_json(segmented, answer)
     if remark := category_remark(category):
         report["problems"].insert(0, remark)
@@ -85,6 +90,9 @@ def predict(
         why = "; ".join(answer.problems) or "no reason was given"
         raise NothingPredicted(f"{predictor} found no kinematic tree for {folder}: {why}")
     obj = _articulated(segmented, answer.tree)
+    if scanned(obj.parts) if complete is None else complete:
+        obj = completion.complete(obj, scaled_progress(progress, 0.65, 0.7))
+        report["completed"] = {p.link: list(p.completed) for p in obj.parts if p.completed}
     physics = _physics(obj, collision, scaled_progress(progress, 0.7, 0.8))
     report["kilograms"] = round(sum(i.mass for i in physics.inertials.values()), 4)
     report["collision_shapes"] = sum(map(len, physics.collision.values()))

@@ -102,6 +102,7 @@ class ObjectContext(Observable):
             names,
             doc.category,
             self.record.name,  # a working copy's folder is named after its content, too
+            doc.complete,
         )
 
     def part_of(self, element: int) -> int | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ from model.core.lru_cache import LruCache
 from model.core.progress import Progress, no_progress
 from model.core.shapes import Shape
 from model.core.tree import KinematicTree
+from model.geometry.completion import complete, scanned
 from model.geometry.parts import split
 from model.physics.collision.build import prepare_bodies as prepare
 from model.prediction.registry import load_predictor
@@ -26,7 +27,11 @@ from model.segmentation.prompts import BASE
 
 @dataclass(frozen=True)
 class PartSource:
-    """Everything a worker needs to cut an asset into parts."""
+    """Everything a worker needs to cut an asset into parts.
+
+    Attributes:
+        complete: whether parts with joints are completed; None: those of scans are.
+    """
 
     folder: Path
     workspace: Path
@@ -34,6 +39,7 @@ class PartSource:
     names: Mapping[int, str] = field(default_factory=dict)
     category: str | None = None
     title: str = "object"
+    complete: bool | None = None
 
 
 _cut: LruCache[Any, tuple[Part, ...]] = LruCache(2)
@@ -62,8 +68,29 @@ def segmented_object(source: PartSource) -> SegmentedObject:
     return SegmentedObject(source.title, tuple(map(named, parts_of(source))), source.category)
 
 
-def articulated_object(source: PartSource, tree: KinematicTree) -> ArticulatedObject:
-    """Return the parts with joints, and the declared masses and shapes of unchanged parts."""
+_completed: LruCache[Any, ArticulatedObject] = LruCache(2)
+
+
+def articulated_object(
+    source: PartSource, tree: KinematicTree, progress: Progress = no_progress
+) -> ArticulatedObject:
+    """Return the parts with joints, and the declared masses and shapes of unchanged parts.
+
+    They are completed where that is asked for; the last ones are cached.
+    """
+    obj = _uncompleted(source, tree)
+    if not _completes(source, obj.parts):
+        return obj
+    names = tuple(sorted(source.names.items()))
+    key = (source.folder, source.labels, names, source.category, source.title, tree)
+    return _completed.get(key, lambda: complete(obj, progress))
+
+
+def _completes(source: PartSource, parts: Sequence[Part]) -> bool:
+    return scanned(parts) if source.complete is None else source.complete
+
+
+def _uncompleted(source: PartSource, tree: KinematicTree) -> ArticulatedObject:
     inertials, shapes = _declared_physics(source)
     return ArticulatedObject(
         source.title, parts_of(source), tree, source.category,
@@ -92,9 +119,12 @@ def _declared_physics(
 
 
 def prepare_bodies(source: PartSource, progress: Progress = no_progress) -> None:
-    """Compute and cache the parts' collision shapes, which don't depend on the joints."""
+    """Compute and cache the parts' collision shapes, where they don't depend on the joints."""
+    parts = parts_of(source)
+    if _completes(source, parts):
+        return
     prepare(
-        parts_of(source), source.workspace / "collision", progress, _declared_physics(source)[1]
+        parts, source.workspace / "collision", progress, _declared_physics(source)[1]
     )
 
 

@@ -45,9 +45,9 @@ def prepare_asset(
         pass
     progress(0.02, "Cutting out the parts")
     asset = asset_of(source.folder)
-    obj = articulated_object(source, tree)
+    obj = articulated_object(source, tree, scaled_progress(progress, 0.02, 0.3))
     physics = physics_of(
-        obj, store=source.workspace / "collision", progress=scaled_progress(progress, 0.05, 0.7)
+        obj, store=source.workspace / "collision", progress=scaled_progress(progress, 0.3, 0.7)
     )
     fresh = target.with_name(f".{target.name}.{secrets.token_hex(6)}")
     try:
@@ -77,7 +77,8 @@ def prepare_asset(
 def _draft_name(source: PartSource, tree: KinematicTree) -> Path:
     key = fingerprint(
         "draft", version("artiworld"), source.folder.name, source.labels,
-        sorted(source.names.items()), source.category, source.title, tree.links, tree.joints,
+        sorted(source.names.items()), source.category, source.title, source.complete, tree.links,
+        tree.joints,
     )  # fmt: skip
     return source.workspace / "drafts" / key
 

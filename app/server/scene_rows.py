@@ -66,8 +66,9 @@ class Work:
             return None
         doc = self.document
         return PartSource(
-            self.drawn.folder, workspace, self.drawn.labels, doc.part_names, doc.category, self.name
-        )
+            self.drawn.folder, workspace, self.drawn.labels, doc.part_names, doc.category,
+            self.name, doc.complete,
+        )  # fmt: skip
 
     def source(self, scene: Path, workspace: Path) -> dict[str, Any]:
         """Return its source for ``provenance.json``: the asset, not the copy in the workspace.

@@ -20,8 +20,8 @@ from sessions.document import Document, link_problems
 REPORTS_KEPT = 16
 """Reports kept for undo and redo."""
 
-Revision = tuple[KinematicTree, str]
-"""The subject of a report: the tree, and the reference of the labels."""
+Revision = tuple[KinematicTree, str, bool | None]
+"""The subject of a report: the tree, the reference of the labels, whether parts are completed."""
 
 Confidences = tuple[tuple[str, float], ...]
 """Child link and confidence of each joint that no person edited."""
@@ -178,7 +178,7 @@ class Validation:
     def _revision(document: Document) -> Revision | None:
         if document.tree is None or document.segmentation is None or link_problems(document):
             return None
-        return document.tree, document.segmentation.labels
+        return document.tree, document.segmentation.labels, document.complete
 
     # --- accepting
 

@@ -12,7 +12,7 @@ from app.server.part_tasks import PartSource, articulated_object
 from model.core import codec
 from model.core.files import draft_of
 from model.core.installing import installed_versions
-from model.core.progress import Progress, no_progress
+from model.core.progress import Progress, no_progress, scaled_progress
 from model.core.resources import static_assets
 from model.core.tree import KinematicTree
 from model.physics.collision.store import fingerprint
@@ -34,7 +34,8 @@ def validate_joints(
     except (OSError, ValueError):
         pass
 
-    obj = articulated_object(source, tree)
+    obj = articulated_object(source, tree, scaled_progress(progress, 0.0, 0.2))
+    progress = scaled_progress(progress, 0.2, 1.0)
     report = validate(obj, store=source.workspace / "collision", progress=progress)
     with suppress(OSError, ValueError), draft_of(cached) as draft:  # it counts without the cache
         draft.write_text(json.dumps(codec.write(report)), encoding="utf-8")
@@ -44,7 +45,7 @@ def validate_joints(
 def _cache_file(source: PartSource, tree: KinematicTree) -> Path:
     key = fingerprint(
         "gate", validation_version(), source.folder.name, source.labels,
-        sorted(source.names.items()), source.category, tree.links, tree.joints,
+        sorted(source.names.items()), source.category, source.complete, tree.links, tree.joints,
     )  # fmt: skip
     return source.workspace / "cache" / "gate" / f"{key}.json"
 

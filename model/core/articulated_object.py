@@ -27,6 +27,8 @@ class Part:
         name: what it is in the field's words (door, drawer, lid, …), or None.
         remarks: what was passed over on reading the source it comes from (points that are no
             numbers, a missing texture), for people.
+        completed: what of the mesh was made up behind the cloud's surface, see
+            :func:`model.geometry.completion.complete`.
     """
 
     link: str
@@ -34,6 +36,7 @@ class Part:
     cloud: PointCloud | None = None
     name: str | None = None
     remarks: tuple[str, ...] = ()
+    completed: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if self.mesh is None and self.cloud is None:

@@ -49,12 +49,12 @@ def mesh_from_cloud(
     progress(0.1, "normals")
     if small.normals is None:
         small = estimate_normals(small)
-    spacing = _spacing(small.points)
+    spacing = spacing_of(small.points)
     found = None
     if spread[2] > 1e-4 * spread[0]:
         if len(small) >= _FEW:
             progress(0.3, "Poisson reconstruction")
-            found = _poisson(small, spacing)
+            found = poisson(small, spacing)
         elif len(small) < _VERY_FEW:
             found = _hull(small.points)
         if found is None:
@@ -79,7 +79,7 @@ def _centred(points: Array) -> Array:
     return out[:: max(1, len(out) // 20_000)]
 
 
-def _spacing(points: Array) -> float:
+def spacing_of(points: Array) -> float:
     """Metres between neighbours: the median distance to the fourth nearest, halved."""
     from scipy.spatial import KDTree
 
@@ -99,7 +99,16 @@ def _open3d_cloud(cloud: PointCloud, shift: Array, scale: float) -> Any:
     return out
 
 
-def _poisson(cloud: PointCloud, spacing: float) -> tuple[Array, Array] | None:
+def poisson(cloud: PointCloud, spacing: float, reach: float = _REACH) -> tuple[Array, Array] | None:
+    """Screened Poisson reconstruction (Kazhdan and Hoppe, 2013), with the cloud's normals.
+
+    Args:
+        spacing: metres between neighbours.
+        reach: largest distance of the surface from the points, in spacings.
+
+    Returns:
+        Vertices (V, 3) and faces (F, 3); None where there is no surface.
+    """
     import open3d as o3d
     from scipy.spatial import KDTree
 
@@ -114,9 +123,10 @@ def _poisson(cloud: PointCloud, spacing: float) -> tuple[Array, Array] | None:
     faces = np.asarray(mesh.triangles)
     if not len(faces):
         return None
-    away = KDTree(cloud.points).query(vertices)[0]
-    good = away <= max(_REACH * spacing, 1.5 * scale / 2**depth)
-    faces = faces[good[faces].all(axis=1)]
+    if np.isfinite(reach):
+        away = KDTree(cloud.points).query(vertices)[0]
+        good = away <= max(reach * spacing, 1.5 * scale / 2**depth)
+        faces = faces[good[faces].all(axis=1)]
     return (vertices, faces) if len(faces) >= 4 else None
 
 
@@ -168,16 +178,21 @@ def _flat(points: Array) -> tuple[Array, Array]:
 
 
 def _colored(vertices: Array, faces: Array, cloud: PointCloud) -> Mesh:
-    from scipy.spatial import KDTree
-
     used, inverse = np.unique(faces, return_inverse=True)
     vertices, faces = vertices[used], inverse.reshape(-1, 3).astype(np.int32)
     if cloud.colors is None:
         return Mesh(vertices, faces)
+    return mesh_of_scan(vertices, faces, colored_by(vertices, cloud))
+
+
+def colored_by(vertices: Array, cloud: PointCloud) -> npt.NDArray[np.uint8]:
+    """(V, 4) colours of the cloud's nearest points, weighted by distance."""
+    from scipy.spatial import KDTree
+
+    assert cloud.colors is not None
     k = min(3, len(cloud))
     distance, index = KDTree(cloud.points).query(vertices, k=k)
     weight = 1.0 / np.maximum(distance, 1e-9)
     weight /= weight.sum(axis=1, keepdims=True)
     rgb = np.einsum("nk,nkc->nc", weight, cloud.colors[index].astype(np.float64))
-    rgba = np.column_stack([np.rint(rgb), np.full(len(rgb), 255)]).astype(np.uint8)
-    return mesh_of_scan(vertices, faces, rgba)
+    return np.column_stack([np.rint(rgb), np.full(len(rgb), 255)]).astype(np.uint8)

@@ -78,6 +78,7 @@ class ReviewStep:
             words.accept(False, False, False), icon=viser.Icon.CHECK, color="green"
         )
         self._reject = RejectButtons(tab, rejecting, actions.reject)
+        self._complete = gui.add_checkbox(words.COMPLETE, True, hint=words.COMPLETE_HINT)
         self.validation_list.build_list()
         self._summary = gui.add_markdown("")
         self._comment = gui.add_text(words.COMMENT, "", multiline=True)
@@ -90,6 +91,7 @@ class ReviewStep:
             words.DOWNLOAD, icon=viser.Icon.DOWNLOAD, color="gray", visible=False
         )
         self._accept.on_click(lambda _: actions.accept())
+        tab.on_update(self._complete, lambda: tab.do(cmd.SetCompletion(self._complete.value)))
         self._reopen.on_click(lambda _: tab.act(lambda: tab.do(cmd.Reopen(self.comment_text))))
         self._download.on_click(lambda _: tab.act(self._send))
 
@@ -215,6 +217,7 @@ class ReviewStep:
             doc.tree,
             doc.review,
             doc.saved,
+            doc.complete,
             report,
             "save" in obj.busy,
             self.validation_list.looked_at(obj) is not None,
@@ -244,6 +247,9 @@ class ReviewStep:
     ) -> None:
         decided = doc.review.state in DECIDED
         broken = report is not None and report.severity == Severity.ERROR and not decided
+        put(self._complete, "value", doc.complete is not False)
+        put(self._complete, "disabled", decided or "save" in obj.busy)
+        put(self._complete, "visible", obj.asset is not None and obj.asset.element_kind == "point")
         put(self._override, "visible", broken)
         warned = (
             report is not None and self.validation_list.looked_at(obj) is report and not decided

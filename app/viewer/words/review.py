@@ -15,6 +15,11 @@ OVERRIDE_HINT: Final = "Required where the checks found errors"
 COMMENT: Final = "Comment"
 AUTO_ADVANCE: Final = "Auto-advance"
 AUTO_ADVANCE_HINT: Final = "Go to the next object after a decision, lowest confidence first"
+COMPLETE: Final = "Complete what the scan doesn't show"
+COMPLETE_HINT: Final = (
+    "The saved asset gets closed surfaces, thick doors, trays behind drawers and openings for "
+    "them. The scanned points are saved as they are"
+)
 REOPEN: Final = "Reopen"
 DOWNLOAD: Final = "Download asset"
 HISTORY: Final = "History"

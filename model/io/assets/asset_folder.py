@@ -16,12 +16,14 @@ when, versions) and an entry ``asset`` of this module::
      "original": {"faces", "points", "area"} | null, "give_way": [joint, ...],
      "told": {"masses": [link, ...], "dynamics": {joint: ["damping", ...]},
               "collision": [link, ...]},
+     "completed": {link: ["closed surface", ...]},
      "files": {file: sha256}, "versions": {package: version}}
 
 Files are relative to the folder, areas in m² are those of the parts' own meshes; ``give_way`` are
 the joints whose collision shapes were to be shrunk; ``told`` names the links whose mass, the
 joints of whose dynamics something, and the links whose collision shapes the source told; all else
-was worked out.
+was worked out. ``completed``, where it is there, names what of the parts' meshes was made up (see
+:mod:`model.geometry.completion`); their clouds are what was scanned.
 """
 
 from __future__ import annotations
@@ -42,6 +44,7 @@ from model.core.files import file_sha256
 from model.core.installing import installed_versions
 from model.core.progress import Progress, no_progress
 from model.io.assets.reader import (
+    COMPLETED,
     DECLARED,
     FORMAT,
     PROVENANCE,
@@ -249,6 +252,8 @@ def _write_texts(
         "files": {p.relative_to(folder).as_posix(): file_sha256(p) for p in files},
         "versions": installed_versions("artiworld", "numpy", "scipy", "open3d", "trimesh"),
     }
+    if completed := {p.link: list(p.completed) for p in obj.parts if p.completed}:
+        entry[COMPLETED] = completed
     _write_json(folder / PROVENANCE, {"asset": entry})
 
 
