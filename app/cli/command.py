@@ -47,6 +47,7 @@ class Option:
         nargs: "+" or "*" for several words; the field is a tuple.
         negatable: whether a flag has a ``--no-`` form.
         synonym: a second option that sets the same field.
+        instead_of: the field of a required option that isn't needed where this one is given.
     """
 
     help: str
@@ -57,6 +58,7 @@ class Option:
     nargs: str | None = None
     negatable: bool = False
     synonym: Option | None = None
+    instead_of: str = ""
 
 
 def required(help: str, metavar: str, **settings: Any) -> Any:
@@ -152,6 +154,8 @@ def _settings(spec: Option, hint: Any, default: Any) -> dict[str, Any]:
     if hint is bool:
         return text | {"action": argparse.BooleanOptionalAction if spec.negatable else "store_true"}
     settings: dict[str, Any] = text | {"metavar": spec.metavar}
+    if spec.instead_of:
+        settings |= {"action": _InsteadOf, "const": spec.instead_of}
     if spec.repeat:
         settings["action"] = "append"
     elif spec.nargs:
@@ -165,6 +169,15 @@ def _settings(spec: Option, hint: Any, default: Any) -> dict[str, Any]:
     return (
         settings if spec.parse is None and hint is str else settings | {"type": spec.parse or hint}
     )
+
+
+class _InsteadOf(argparse.Action):
+    """Stores its value; the option of the field ``const`` isn't required any more."""
+
+    def __call__(self, parser: Any, namespace: Any, values: Any, option: Any = None) -> None:
+        setattr(namespace, self.dest, values)
+        for each in parser._actions:
+            each.required &= each.dest != self.const
 
 
 def _default_text(help: str, default: Any) -> str:

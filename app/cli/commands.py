@@ -133,8 +133,8 @@ class SegmentCommand(Command):
     """Cut a scan into parts by clicks from a file, or by masks of another system."""
 
     scan: Path = argument("a mesh, a point cloud or a folder of parts", "SCAN")
-    prompts: Path | None = option("JSON file of clicks", "FILE")
-    masks: Path | None = option(MASKS_HELP, "FILE")
+    prompts: Path | None = required("JSON file of clicks; not needed with --masks", "FILE")
+    masks: Path | None = option(MASKS_HELP, "FILE", instead_of="prompts")
     out: Path = required("folder for the parts", "DIR")
     segmenter: str = segmenter_option()
     reading: ReadingOptions = group(ReadingOptions)
