@@ -45,6 +45,11 @@ class WorkspaceLease:
         self._file.close()
 
 
+def unfinished(workspace: Path) -> list[Path]:
+    """Files and folders that aren't whole: being written, or left by a process that was killed."""
+    return [path for pattern in _UNFINISHED for path in workspace.glob(pattern)]
+
+
 def remove_leftovers(workspace: Path) -> list[Path]:
     """Remove what is unfinished, and put back assets whose replacement was cut off.
 
@@ -53,7 +58,7 @@ def remove_leftovers(workspace: Path) -> list[Path]:
     Returns:
         What was removed.
     """
-    found = [path for pattern in _UNFINISHED for path in workspace.glob(pattern)]
+    found = unfinished(workspace)
     for path in found:
         if path.name.endswith(OLD) and path.parent.name == "assets":
             recover(path.with_name(path.name[1:].removesuffix(OLD).rpartition(".")[0]))

@@ -24,7 +24,11 @@ def limit_memory(share: float) -> None:
 
     Its data counts, not what it maps from files; macOS knows no such limit.
     """
-    most = max(int(share * machine_memory()), LEAST)
+    limit_process(max(int(share * machine_memory()), LEAST))
+
+
+def limit_process(most: int) -> None:
+    """As :func:`limit_memory`, with the limit in bytes."""
     _, hard = resource.getrlimit(resource.RLIMIT_DATA)
     if hard != resource.RLIM_INFINITY:
         most = min(most, hard)

@@ -1,0 +1,79 @@
+"""``artiworld bench faults``: damaged files and killed servers."""
+
+from __future__ import annotations
+
+import json
+import random
+from pathlib import Path
+
+import pytest
+
+from app.cli.benchmarks import faults
+from app.cli.benchmarks.fault_samples import FaultSample, damaged, fault_samples
+from app.cli.main import main
+from model.io.geometry_files import SUFFIXES
+
+
+def test_every_sample_can_be_read_and_the_formats_are_all_there(tmp_path: Path) -> None:
+    samples = fault_samples()
+    for number, sample in enumerate(samples):
+        folder = tmp_path / f"{number}"
+        folder.mkdir()
+        for name, data in sample.files.items():
+            (folder / name).write_bytes(data)
+        assert faults.read_source(folder / sample.main, sample.is_scene) > 0, sample.name
+    made = {Path(sample.main).suffix for sample in samples}
+    same = {".xyzrgb", ".xyzn", ".pts", ".asc", ".laz", ".usd", ".usdz", ".e57"}
+    assert set(SUFFIXES) - same <= made and {".zip", ".urdf", ".xml", ".sdf"} <= made
+
+
+def test_a_seed_says_what_is_damaged() -> None:
+    data = bytes(range(256)) * 4
+    for seed in range(50):
+        once, again = (damaged(data, random.Random(f"{seed}")) for _ in range(2))
+        assert once == again
+    assert len({damaged(data, random.Random(f"{seed}")) for seed in range(50)}) > 40
+
+
+def test_some_of_every_format(capfd) -> None:
+    assert main(["bench", "faults", "--limit", "62", "--seed", "7", "--json"]) == 0
+    report = json.loads(capfd.readouterr().out)
+    assert sum(row["files"] for row in report["rows"]) == 62 and not report["bad"]
+    assert all(row["read"] + row["refused"] == row["files"] for row in report["rows"])
+
+
+def read_badly(path: Path, is_scene: bool) -> int:
+    """What a broken reader does, by the file's content."""
+    match path.read_bytes():
+        case b"crash":
+            import os
+
+            os.abort()
+        case b"hang":
+            while True:
+                pass
+        case b"blow-up":
+            return len(bytearray(64 << 30))
+        case _:
+            raise KeyError("chapter")
+
+
+@pytest.mark.parametrize("kind", ["crash", "hang", "blow-up", "our fault"])
+def test_bad_readings_are_told_apart_with_their_seed(kind, capfd, monkeypatch) -> None:
+    monkeypatch.setattr(faults, "read_source", read_badly)
+    monkeypatch.setattr(faults, "damaged", lambda data, rng: data)
+    monkeypatch.setattr(faults, "SECONDS", 1.0)
+    sample = FaultSample("odd", {"a.odd": kind.encode()}, "a.odd")
+    monkeypatch.setattr(faults, "fault_samples", lambda: [sample])
+    assert main(["bench", "faults", "--limit", "1", "--seed", "41"]) == 1
+    said = capfd.readouterr().out
+    assert f"seed 41: {kind}: odd" in said
+    assert kind != "our fault" or "chapter" in said
+
+
+@pytest.mark.slow
+def test_killed_servers_lose_nothing_and_leave_nothing(capfd) -> None:
+    assert main(["bench", "faults", "--limit", "0", "--kills", "2", "--json"]) == 0
+    kills = json.loads(capfd.readouterr().out)["kills"]
+    assert kills["kills"] == 2 and kills["uploaded"] > 0
+    assert not kills["lost"] and not kills["left over"]
