@@ -38,11 +38,9 @@ def prepare_asset(
         ArtiworldError: where the written asset doesn't load correctly.
     """
     target = _draft_name(source, tree)
-    try:
+    with suppress(OSError):  # the place to write to is judged where it is written
         os.utime(target)  # now the newest, it is kept longest
         return target
-    except FileNotFoundError:
-        pass
     progress(0.02, "Cutting out the parts")
     asset = asset_of(source.folder)
     obj = articulated_object(source, tree, scaled_progress(progress, 0.02, 0.3))
