@@ -288,7 +288,7 @@ class _SomethingElse(http.server.BaseHTTPRequestHandler):
 
 def test_what_is_no_backend():
     with http.server.ThreadingHTTPServer(("127.0.0.1", 0), _SomethingElse) as server:
-        threading.Thread(target=server.serve_forever, daemon=True).start()
+        threading.Thread(target=server.serve_forever, args=(0.01,), daemon=True).start()
         address = f"http://127.0.0.1:{server.server_port}"
         with pytest.raises(BackendError, match="is no ArtiWorld backend"):
             HttpPredictor(address).predict(cupboard_object())

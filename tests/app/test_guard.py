@@ -300,7 +300,7 @@ def test_a_broken_route_tells_no_details(client, caplog):
 
 
 def test_a_slow_route_holds_nobody_up(client):
-    slow = threading.Thread(target=client.get, args=("/api/slow?seconds=3",))
+    slow = threading.Thread(target=client.get, args=("/api/slow?seconds=1",))
     slow.start()
     assert client.get("/healthz")[0] == 200
     assert slow.is_alive()

@@ -51,7 +51,7 @@ def backend(answer: Callable[[Write], object], health: bytes = HEALTH) -> Iterat
 
     with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler) as server:
         server.daemon_threads = True
-        threading.Thread(target=server.serve_forever, daemon=True).start()
+        threading.Thread(target=server.serve_forever, args=(0.01,), daemon=True).start()
         yield HttpPredictor(f"http://127.0.0.1:{server.server_port}", silence_seconds=1.0)
         server.shutdown()
 
@@ -191,7 +191,7 @@ def test_an_answer_that_drips_is_not_waited_for() -> None:
 
     with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler) as server:
         server.daemon_threads = True
-        threading.Thread(target=server.serve_forever, daemon=True).start()
+        threading.Thread(target=server.serve_forever, args=(0.01,), daemon=True).start()
         asked = load_finder(
             "openai:tiny",
             FinderOptions(f"http://127.0.0.1:{server.server_port}/v1", 4, 0.5, 0, None),

@@ -213,6 +213,7 @@ class Tab:
         return self.row(label).locator("input, textarea").nth(index)
 
     def set_number(self, label: str, value: float, index: int = 0) -> None:
+        self.drawn()  # what the field is to show would replace what is typed
         box = self.field(label, index)
         box.fill(str(value))
         box.press("Enter")

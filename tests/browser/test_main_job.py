@@ -161,7 +161,6 @@ def test_click_predict_move_edit_accept(
     # Edit by number, then undo.
     tab.choose("Joint", "door 1")
     wait_until(lambda: tab.selection.child == "link_1", "the door is chosen")
-    tab.drawn()
     tab.set_number("Upper [°]", 110)
     upper = math.radians(110)
     wait_until(
