@@ -29,6 +29,8 @@ GROOVE = 7
 """Voxels; gaps up to this wide at which nothing was seen were not scanned."""
 ALIKE = 0.5
 """Cosine above which a point nearby is of the same surface: the border's normals are coarse."""
+TRIES = ((1.2, 1.1), (1.2, 1.17), (2.4, 1.1))
+"""Cells in spacings, and margins of their cube: some surfaces leak, or touch themselves."""
 SMALL = 0.002
 """Loose pieces below this share of the largest one's volume are noise."""
 
@@ -55,8 +57,8 @@ def closed_solid(
     points = np.concatenate([cloud.points, made]).astype(np.float32)
     whole = PointCloud(points, np.concatenate([cloud.normals, normals]).astype(np.float32))
     low, high = cloud.bounds
-    for coarse in (1.2, 1.7, 2.5):  # fine surfaces may leak, or touch themselves
-        found = poisson(whole, coarse * spacing_of(cloud.points), reach=np.inf)
+    for coarse, margin in TRIES:
+        found = poisson(whole, coarse * spacing_of(cloud.points), np.inf, margin)
         solid = None if found is None else manifold(*found)
         if solid is not None and not solid.is_empty():
             return largest(solid ^ box(low - wall, high + wall))

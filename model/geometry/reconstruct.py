@@ -99,12 +99,15 @@ def _open3d_cloud(cloud: PointCloud, shift: Array, scale: float) -> Any:
     return out
 
 
-def poisson(cloud: PointCloud, spacing: float, reach: float = _REACH) -> tuple[Array, Array] | None:
+def poisson(
+    cloud: PointCloud, spacing: float, reach: float = _REACH, margin: float = 1.1
+) -> tuple[Array, Array] | None:
     """Screened Poisson reconstruction (Kazhdan and Hoppe, 2013), with the cloud's normals.
 
     Args:
         spacing: metres between neighbours.
         reach: largest distance of the surface from the points, in spacings.
+        margin: size of the cube of cells, in that of the points' box.
 
     Returns:
         Vertices (V, 3) and faces (F, 3); None where there is no surface.
@@ -115,9 +118,9 @@ def poisson(cloud: PointCloud, spacing: float, reach: float = _REACH) -> tuple[A
     low, high = cloud.bounds
     shift, scale = (low + high) / 2, float((high - low).max())
     # Cells about as large as the spacing; finer ones only cost time.
-    depth = int(np.clip(np.rint(np.log2(1.1 * scale / (2.0 * spacing))), 5, 9))
+    depth = int(np.clip(np.rint(np.log2(margin * scale / (2.0 * spacing))), 5, 9))
     mesh, _ = o3d.geometry.TriangleMesh.create_from_point_cloud_poisson(
-        _open3d_cloud(cloud, shift, scale), depth=depth, scale=1.1, n_threads=1
+        _open3d_cloud(cloud, shift, scale), depth=depth, scale=margin, n_threads=1
     )
     vertices = np.asarray(mesh.vertices) * scale + shift
     faces = np.asarray(mesh.triangles)

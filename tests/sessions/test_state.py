@@ -29,6 +29,7 @@ from sessions.commands import (
     ResetJoint,
     Saved,
     SetCategory,
+    SetCompletion,
     SetFrame,
     SetJoint,
     SetRoot,
@@ -114,6 +115,7 @@ def test_undo_and_redo_walk_over_everything(predicted, cabinet):
         SetCategory("cabinet"),
         LockJoint("link_1", True),
         SetRoot("link_1"),
+        SetCompletion(False),
         Accept("good"),
     )
     states = [predicted]
