@@ -154,14 +154,14 @@ def _rival(
     if (folder := config.predictions) is not None:
         config = replace(config, frame=find_frame(config, ids))
     report = evaluate(config, progress=progress)
-    seconds = float(np.mean(report.seconds)) if folder is None else _told(folder, ids)
+    seconds = float(np.mean(report.seconds)) if folder is None else _seconds(folder, ids)
     found = robust_map(partial(_kept, config), ids, config.jobs)
     kept = [pair for _, pair in found if pair is not None]
     shown = draw_objects(config, [s for s in report.scores if s.object_id in drawn])
     return Rival(label, report, kept, shown, seconds)
 
 
-def _told(folder: Path, ids: list[str]) -> float:
+def _seconds(folder: Path, ids: list[str]) -> float:
     path = folder / "seconds.json"
     if not path.is_file():
         return math.nan

@@ -142,8 +142,8 @@ def read_masks(path: str | Path) -> Masks:
             raise InputFileError(path, "is not made of several meshes", "a mesh a part is needed")
         names, sizes = zip(*loaded.pieces, strict=True)
         return _pieces(path, [path], names, sizes, loaded)
-    told = "holds no masks that are known" if path.exists() else "no such file or folder"
-    raise InputFileError(path, told, REMEDY)
+    problem = "holds no masks that are known" if path.exists() else "no such file or folder"
+    raise InputFileError(path, problem, REMEDY)
 
 
 # --- files
@@ -151,7 +151,7 @@ def read_masks(path: str | Path) -> Masks:
 
 def _of_arrays(path: Path) -> Masks:
     """A single array of labels, or an archive with names and maybe geometry."""
-    with _told(path):
+    with _damage_named(path):
         loaded = np.load(io.BytesIO(read_bytes(path)), allow_pickle=False)
         held = {"its array": loaded}
         if path.suffix.lower() == ".npz":
@@ -253,7 +253,7 @@ def _beside(path: Path, count: int) -> Loaded | None:
 
 
 @contextmanager
-def _told(path: Path) -> Iterator[None]:
+def _damage_named(path: Path) -> Iterator[None]:
     """Turn what numpy says of damaged files into an error that names the file."""
     try:
         yield
