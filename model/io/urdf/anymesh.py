@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from model.core.errors import InputFileError
+from model.io.formats.loaded import read_bytes
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
@@ -38,18 +39,19 @@ def robot_of(path: Path) -> Element:
     from xml.etree import ElementTree as ET  # makes elements; nothing is parsed
 
     try:
-        if path.stat().st_size > _MOST_BYTES:
-            raise ValueError("it is far too large")
-        entries: Any = json.loads(path.read_text("utf-8"))
-        named = {str(e["name"]): e for e in entries}
-        origins = {name: _origin(e) for name, e in named.items()}
-    except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
+        entries: Any = json.loads(read_bytes(path, _MOST_BYTES))
+        axes = {str(e["name"]): (e.get("jointData") or {}).get("axis") or {} for e in entries}
+        origins = {n: np.array(a.get("origin") or (0, 0, 0), float) for n, a in axes.items()}
+        ways = {n: " ".join(map(str, a["direction"])) for n, a in axes.items() if "direction" in a}
+        if any(o.shape != (3,) for o in origins.values()) or len(axes) < len(entries):
+            raise ValueError("each part needs a name of its own, an origin three numbers")
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
         raise InputFileError(
             path, f"is no list of parts with name and jointData ({error!r})",
             "give what Articulate AnyMesh wrote",
         ) from None  # fmt: skip
     robot = ET.Element("robot", name=path.absolute().parent.name)
-    for name, entry in named.items():
+    for name, entry in zip(axes, entries, strict=True):
         visual = ET.SubElement(ET.SubElement(robot, "link", name=name), "visual")
         ET.SubElement(visual, "origin", xyz=_text(-origins[name]))
         shape = ET.SubElement(visual, "geometry")
@@ -62,21 +64,11 @@ def robot_of(path: Path) -> Element:
         ET.SubElement(joint, "child", link=name)
         above = origins.get(str(parent), np.zeros(3))
         ET.SubElement(joint, "origin", xyz=_text(origins[name] - above))
-        axis = (entry.get("jointData") or {}).get("axis") or {}
-        if "direction" in axis:
-            ET.SubElement(joint, "axis", xyz=" ".join(map(str, axis["direction"])))
+        if name in ways:
+            ET.SubElement(joint, "axis", xyz=ways[name])
         ET.SubElement(joint, "limit", effort="100", velocity="1")
     return robot
 
 
 def _text(values: np.ndarray) -> str:
     return " ".join(f"{v:.17g}" for v in values.tolist())
-
-
-def _origin(entry: Any) -> np.ndarray:
-    """(3,) of an entry's joint; a slide has none."""
-    axis = (entry.get("jointData") or {}).get("axis") or {}
-    out = np.array(axis.get("origin") or (0.0, 0.0, 0.0), np.float64)
-    if out.shape != (3,):
-        raise ValueError(f"the origin of {entry['name']!r} is not three numbers")
-    return out

@@ -21,7 +21,8 @@ from typing import Any
 import numpy as np
 
 from model.core.errors import InputFileError
-from model.io.formats.loaded import Loaded, join
+from model.core.rotations import affine
+from model.io.formats.loaded import DEFAULT_MAX_BYTES, Loaded, join
 from model.io.geometry_files import load_geometry, turned_up
 from model.scenes.poses import about_z, pose
 from model.scenes.readers.holodeck import BUILDING
@@ -42,8 +43,6 @@ from model.scenes.values import Place, collect, maybe_text, numbers, read_json, 
 MODELS, MOBILITY_MODELS = "ThreedFront", "GPN"
 _UP = turned_up("y")[:3, :3]
 _REMEDY = "give a room that PhyScene wrote: ThreedFront and GPN, or objects with rot_degree"
-_MOST_BYTES = 64 * 2**20
-"""Bytes of a floor plan, which has a few hundred triangles."""
 
 
 class PhySceneReader:
@@ -60,24 +59,24 @@ class PhySceneReader:
     def read(self, path: Path) -> Scene:
         """See :class:`~model.scenes.protocol.SceneReader`."""
         room = _room(path)
-        boxes = isinstance(room.get("objects"), list)
-        found = _boxes(room) if boxes else _models(path, room)
-        objects, problems = collect(found, _box if boxes else _model, _label)
+        if isinstance(room.get("objects"), list):
+            boxes = [(("objects", i), entry) for i, entry in enumerate(room["objects"])]
+            objects, problems = collect(boxes, _box, _label)
+        else:
+            objects, problems = collect(_models(path, room), _model, _label)
         solids, broken = _building(path, room)
         if solids:
-            objects = (*objects, SceneObject(
-                BUILDING, BUILDING, np.eye(4), np.ones(3), asset=_building_asset(path), static=True
-            ))  # fmt: skip
-        frame = SceneFrame("y")
-        return Scene(path.stem, path, self.name, objects, (*problems, *broken), frame)
+            asset, still = f"{path.name}#{BUILDING}", (np.eye(4), np.ones(3))
+            objects = (*objects, SceneObject(BUILDING, BUILDING, *still, asset=asset, static=True))
+        every = (*problems, *broken)
+        return Scene(path.stem, path, self.name, objects, every, SceneFrame("y"))
 
     def unpack(self, scene: Scene, folder: Path) -> Unpacked:
         """See :class:`~model.scenes.embedded.GeometryReader`."""
         made = Unpacker(folder)
         solids, _ = _building(scene.path, _room(scene.path))
         if solids:
-            whole = join(solids)
-            made.add(_building_asset(scene.path), BUILDING, lambda: [(None, whole)])
+            made.add(f"{scene.path.name}#{BUILDING}", BUILDING, lambda: [(None, join(solids))])
         return made.result()
 
 
@@ -88,13 +87,6 @@ def _room(path: Path) -> dict[str, Any]:
     ):
         raise InputFileError(path, "is no PhyScene room", _REMEDY)
     return room
-
-
-def _building_asset(path: Path) -> str:
-    return f"{path.name}#{BUILDING}"
-
-
-# --- retrieved models
 
 
 def _models(path: Path, room: dict[str, Any]) -> Iterator[tuple[Place, Any]]:
@@ -115,39 +107,28 @@ def _model(place: Place, entry: Any) -> SceneObject:
     if not isinstance(entry, dict):
         raise SceneObjectError(f"is {shown(entry)}; an entry with theta and position is needed")
     kind, id = str(place[0]), text(place[1], "the model's id")
-    scale = _three(entry.get("scale"), "scale")
+    scale = entry.get("scale")
+    if isinstance(scale, int | float) and not isinstance(scale, bool):
+        scale = [scale] * 3
+    factors = numbers(scale, 3, "scale")[[0, 2, 1]]
     turn = about_z(float(numbers([entry.get("theta")], 1, "theta")[0]))
     centroid = numbers(entry.get("centroid"), 3, "centroid")
     where = numbers(entry.get("position"), 3, "position") + centroid
     shift = _UP @ where - turn @ (_UP @ centroid)
-    factors = scale[[0, 2, 1]]
     if kind == MOBILITY_MODELS:
         # The URDF's base joint turns the OBJ by (π/2, 0, -π/2), a quarter turn beyond "Y is up".
-        turn, factors = turn @ about_z(math.pi / 2), scale[[2, 0, 1]]
+        turn, factors = turn @ about_z(math.pi / 2), factors[[1, 0, 2]]
     if factors.all():
         turn, factors = upright(turn, factors)
-    label = maybe_text(entry.get("label"))
     return SceneObject(
         id="_".join(str(step) for step in place[1:]),
         description=readable(_label(entry) or id),
         world_from_object=pose(shift, turn),
         scale=factors,
         asset=id,
-        category=label or maybe_text(entry.get("query_label")),
+        category=maybe_text(entry.get("label")) or maybe_text(entry.get("query_label")),
         place=place,
     )
-
-
-def _three(value: Any, what: str) -> FloatArray:
-    single = isinstance(value, int | float) and not isinstance(value, bool)
-    return numbers([value] * 3 if single else value, 3, what)
-
-
-# --- boxes
-
-
-def _boxes(room: dict[str, Any]) -> list[tuple[Place, Any]]:
-    return [(("objects", i), entry) for i, entry in enumerate(room["objects"])]
 
 
 def _box(place: Place, entry: Any) -> SceneObject:
@@ -170,9 +151,6 @@ def _box(place: Place, entry: Any) -> SceneObject:
         box=(x, y, z),
         place=place,
     )
-
-
-# --- the building
 
 
 def _building(path: Path, room: dict[str, Any]) -> tuple[list[Loaded], list[SceneProblem]]:
@@ -200,25 +178,21 @@ def _floor_plan(path: Path) -> Path | None:
     """``room_<n>.obj`` beside ``House_<m>_room_<n>_<type>_bbox.json``, as PhyScene copies it, in
     its house's folder, or ``room_<scene>.obj``."""
     house, room = re.search(r"House_\d+", path.stem), re.search(r"room_\d+", path.stem)
-    names = [f"room_{path.stem}.obj"]
-    if room is not None:
-        names += [f"{room[0]}.obj", *([f"{house[0]}/{room[0]}.obj"] if house else [])]
+    names = [f"room_{path.stem}.obj"] + ([f"{room[0]}.obj"] if room else [])
+    names += [f"{house[0]}/{room[0]}.obj"] if house and room else []
     return next((path.parent / n for n in names if (path.parent / n).is_file()), None)
 
 
 def _floor(path: Path, center: FloatArray | None) -> Loaded:
     """The plan about the room's middle, +z up; its flat axis tells which way is up in the file:
     some versions of the public code have y and z exchanged."""
-    plan = load_geometry(path, _MOST_BYTES)
+    plan = load_geometry(path, DEFAULT_MAX_BYTES)
     if not len(plan.faces) or not np.isfinite(plan.vertices).all():
         raise InputFileError(path, "is no floor plan", "triangles with finite corners are needed")
     low, high = plan.vertices.min(axis=0), plan.vertices.max(axis=0)
-    matrix = np.eye(4)
-    matrix[:3, 3] = -((low + high) / 2 if center is None else center)
+    middle = (low + high) / 2 if center is None else center
     order = [0, 2, 1] if np.argmin(high - low) == 2 else [0, 1, 2]
-    swap = np.eye(4)
-    swap[:3, :3] = _UP @ np.eye(3)[order]
-    return plan.moved(swap @ matrix)
+    return plan.moved(affine(_UP @ np.eye(3)[order]) @ affine(shift=-middle))
 
 
 def _door(box: FloatArray, floor: Loaded | None) -> Loaded:

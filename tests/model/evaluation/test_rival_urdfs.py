@@ -274,9 +274,10 @@ def test_the_same_files_open_with_their_parts_and_joints(name: str, tmp_path: Pa
 
 def test_a_broken_mobility_json_is_told(tmp_path: Path) -> None:
     home = anymesh(tmp_path)
-    (home / "mobility.json").write_text('[{"id": 0}]')
-    with pytest.raises(InputFileError, match=r"mobility\.json.*list of parts"):
-        open_asset(home)
+    for text in ('[{"id": 0}]', '[{"name": "a"}, {"name": "a"}]', "[", '{"name": 1}'):
+        (home / "mobility.json").write_text(text)
+        with pytest.raises(InputFileError, match=r"mobility\.json.*list of parts"):
+            open_asset(home)
     entry = {"id": 0, "parent": "nobody", "joint": "hinge", "name": "door@0", "jointData": {}}
     (home / "mobility.json").write_text(json.dumps([entry]))
     with pytest.raises(InputFileError, match="nobody"):
