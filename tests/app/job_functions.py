@@ -129,3 +129,15 @@ def hold_the_interpreter(started: str) -> None:
 
 def reads_for_ever(*_: object, **__: object) -> None:
     time.sleep(1000)
+
+
+def read_badly(path: Path, is_scene: bool) -> int:
+    """What a broken reader does, by the file's content."""
+    match path.read_bytes():
+        case b"crash":
+            os.abort()
+        case b"hang":
+            time.sleep(1000)
+        case b"blow-up":
+            return len(bytearray(64 << 30))
+    raise KeyError("chapter")

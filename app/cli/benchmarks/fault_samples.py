@@ -198,8 +198,17 @@ def _clouds(root: Path) -> Iterator[FaultSample]:
 
         las = laspy.create(point_format=3)
         las.x, las.y, las.z = points.T.astype(np.float64)
-        las.write(str(root / "a.las"))
-        yield FaultSample("las", {"a.las": (root / "a.las").read_bytes()}, "a.las")
+        for name in ("a.las", "a.laz"):
+            las.write(str(root / name))
+            yield FaultSample(name[2:], {name: (root / name).read_bytes()}, name)
+    if find_spec("pye57") is not None:
+        import pye57
+
+        file = pye57.E57(str(root / "a.e57"), mode="w")
+        x, y, z = points.T.astype(np.float64)
+        file.write_scan_raw({"cartesianX": x, "cartesianY": y, "cartesianZ": z})
+        file.close()
+        yield FaultSample("e57", {"a.e57": (root / "a.e57").read_bytes()}, "a.e57")
 
 
 def _models(root: Path) -> Iterator[FaultSample]:
