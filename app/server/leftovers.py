@@ -11,6 +11,7 @@ import logging
 import shutil
 from contextlib import suppress
 from pathlib import Path
+from typing import BinaryIO
 
 from model.io.assets.reader import OLD, recover
 
@@ -31,18 +32,20 @@ class WorkspaceLease:
     """
 
     def __init__(self, workspace: Path) -> None:
-        self._file = (workspace / LOCK).open("ab")
+        self._file: BinaryIO | None = None
         try:
+            self._file = (workspace / LOCK).open("ab")
             with suppress(BlockingIOError):
                 fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 remove_leftovers(workspace)
             fcntl.flock(self._file, fcntl.LOCK_SH)
-        except OSError as error:  # a file system without locks: nothing is removed
+        except OSError as error:  # read-only, or a file system without locks: nothing is removed
             log.info("%s can't be locked (%s)", workspace, error.strerror)
 
     def close(self) -> None:
         """Give it back."""
-        self._file.close()
+        if self._file is not None:
+            self._file.close()
 
 
 def unfinished(workspace: Path) -> list[Path]:

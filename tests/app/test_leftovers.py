@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.server.leftovers import WorkspaceLease, remove_leftovers
+from app.server.leftovers import LOCK, WorkspaceLease, remove_leftovers
 from sessions.arrays import ArrayFiles
 
 LEFT = (
@@ -71,3 +71,9 @@ def test_an_asset_whose_replacement_was_cut_off_is_put_back(tmp_path: Path) -> N
     remove_leftovers(tmp_path)
     assert [p.name for p in assets.iterdir()] == ["oven-3"]
     assert (assets / "oven-3" / "provenance.json").exists()
+
+
+def test_a_workspace_that_cannot_be_locked_is_used_as_it_is(workspace: Path) -> None:
+    (workspace / LOCK).mkdir()  # as if nothing could be written there
+    WorkspaceLease(workspace).close()
+    assert all(there(workspace, LEFT))
