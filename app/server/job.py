@@ -30,6 +30,10 @@ class JobFailed(RuntimeError):
         super().__init__(message)
 
 
+class WorkerDied(JobFailed):
+    """Its child process crashed, or was killed."""
+
+
 class OutOfTimeError(ArtiworldError):
     """A job took longer than it may."""
 

@@ -21,7 +21,7 @@ from multiprocessing.connection import wait
 from typing import Any, TypeVar
 
 from app.server.child_process import Child, death, error_of, finish
-from app.server.job import Job, JobFailed, OutOfTimeError
+from app.server.job import Job, JobFailed, OutOfTimeError, WorkerDied
 from app.server.worker import pack, receive, send, unpack
 
 T = TypeVar("T")
@@ -316,7 +316,7 @@ class WorkerProcess:
         elif job is not None:
             _log.warning("worker %s: %s while running %s", self.name, why, job.name)
             text = f"{job.name}: the worker process {why}; it has been started again"
-            job.end("failed", error=JobFailed(text))
+            job.end("failed", error=WorkerDied(text))
         elif not child.ready:
             self._fail_first(JobFailed(f"the worker process {self.name!r} {why} while starting"))
             return  # the next job tries again, which avoids an endless loop

@@ -6,6 +6,7 @@ import logging
 from collections.abc import Callable
 from typing import Any
 
+from app.server.job import WorkerDied
 from app.server.jobs import Job
 from model.core.errors import ArtiworldError
 from model.core.progress import Cancelled
@@ -82,5 +83,7 @@ class RunningJobs:
             return error
         except Exception as error:  # a job's boundary
             log.exception("job %s of %s failed", kind, self._owner)
+            if isinstance(error, WorkerDied):  # of a file, or for want of memory
+                return ArtiworldError(str(error))
             return ArtiworldError(f"{error} (a bug; the server's log has the details)")
         return None

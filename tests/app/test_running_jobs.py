@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from app.server.job import Job
+from app.server.job import Job, WorkerDied
 from app.server.running_jobs import RunningJobs
 from model.core.errors import CommandError
 from model.core.progress import Cancelled
@@ -55,5 +55,7 @@ def test_what_went_wrong_is_said_in_words(caplog: pytest.LogCaptureFixture):
     assert not caplog.records
     fault = jobs.deliver("save", ended(state="done", value=3), lambda value: value / 0)
     assert "division by zero (a bug" in str(fault)
+    died = jobs.deliver("open", ended(state="failed", error=WorkerDied("it crashed")), kept.append)
+    assert str(died) == "it crashed"  # often the file's fault
     assert "job save of the chest failed" in caplog.text
     assert kept == [3]

@@ -17,7 +17,7 @@ from app.cli.benchmarks.fault_samples import FaultSample, damaged, fault_samples
 from app.cli.benchmarks.kills import kill_servers
 from app.cli.printing import Result, console, print_records
 from app.cli.research_commands import BenchCommand
-from app.server.job import JobFailed, OutOfTimeError
+from app.server.job import JobFailed, OutOfTimeError, WorkerDied
 from app.server.jobs import WorkerProcess
 from app.server.uploads import keep_upload
 from model.core.errors import ArtiworldError
@@ -93,8 +93,10 @@ def _read(worker: WorkerProcess, sample: FaultSample, seed: int, root: Path) -> 
         return "hang", str(error)
     except ArtiworldError as error:
         return "blow-up" if "into memory" in str(error) else "refused", str(error)
+    except WorkerDied as error:
+        return "crash", str(error)
     except JobFailed as error:
-        return ("our fault" if error.details else "crash"), error.details or str(error)
+        return "our fault", error.details or str(error)
     finally:
         shutil.rmtree(folder, ignore_errors=True)
     return "read", ""
