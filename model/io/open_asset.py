@@ -35,6 +35,9 @@ from model.io.model_files import MODEL_SUFFIXES
 from model.io.part_folder import Manifest, find_manifest
 from model.io.source_checks import cleaned, far_shift, is_solid, shifted, to_cloud, to_mesh
 
+MOST_REMARKS = 50
+"""A person reads no more, and a browser shows each."""
+
 
 @one_reading()
 def open_asset(
@@ -69,6 +72,17 @@ def open_asset(
         turned_up(up_axis)
     if not (np.isfinite(unit_scale) and unit_scale > 0):
         raise ConfigurationError(f"unit scale {unit_scale} must be a positive number of metres")
+    asset = _opened(path, up_axis, unit_scale, max_bytes, files, progress)
+    if len(asset.warnings) <= MOST_REMARKS:
+        return asset
+    more = f"{len(asset.warnings) - MOST_REMARKS:,} more remarks of this kind"
+    return replace(asset, warnings=(*asset.warnings[:MOST_REMARKS], more))
+
+
+def _opened(
+    path: Path, up_axis: UpAxis | None, unit_scale: float, max_bytes: int,
+    files: MaterialFiles | None, progress: Progress,
+) -> Asset:  # fmt: skip
     try:
         if path.is_dir():
             model = model_of(path)

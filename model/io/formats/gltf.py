@@ -295,7 +295,7 @@ class Gltf:
         if key not in self._meshes:
             own = weights or self.tree["meshes"][index].get("weights") or []
             joints = None if skin is None else self._joint_matrices(skin)
-            found = []
+            found, corners = [], 0
             for primitive in self.tree["meshes"][index]["primitives"]:
                 compressed = set(primitive.get("extensions") or {}) & set(_UNREADABLE)
                 if compressed:
@@ -305,8 +305,12 @@ class Gltf:
                         "export it without compression",
                     )
                 piece = self._primitive(primitive, own, joints)
-                if piece is not None:
-                    found.append(piece)
+                if piece is None:
+                    continue
+                found.append(piece)
+                corners += piece.faces.size + len(piece.vertices)
+                if corners > MAX_VALUES:
+                    raise InputFileError(self.path, "its meshes repeat too many triangles")
             self._meshes[key] = found
         return self._meshes[key]
 

@@ -39,7 +39,7 @@ class _Lines:
     v_before: list[int] = field(default_factory=list)
     vt_before: list[int] = field(default_factory=list)
     material: list[int] = field(default_factory=list)
-    libraries: list[str] = field(default_factory=list)
+    libraries: dict[str, None] = field(default_factory=dict)  # in their order
     names: list[str] = field(default_factory=lambda: [""])
 
 
@@ -126,8 +126,8 @@ def _sort_lines(data: bytes) -> _Lines:
             material = numbers_of.setdefault(name, len(numbers_of))
             if material == len(out.names):
                 out.names.append(name)
-        elif head == "mtllib" and rest.strip() not in out.libraries:
-            out.libraries.append(rest.strip())
+        elif head == "mtllib":
+            out.libraries[rest.strip()] = None
     return out
 
 

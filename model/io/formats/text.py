@@ -89,21 +89,22 @@ def _decimal_commas(text: str) -> bool:
 
 def _heading(text: str) -> tuple[list[str] | None, str]:
     """Names of the columns and the remaining text; comments and a leading count are skipped."""
-    head = None
-    while True:
-        line, newline, rest = text.partition("\n")
+    head, at = None, 0
+    while (end := text.find("\n", at)) >= 0:
+        line = text[at:end]
         words = line.split()
-        if not newline:
-            return head, text
-        if words and not words[0].startswith(("#", "//")) and _all_numbers(words):
-            second = rest.partition("\n")[0].split()
-            return head, rest if len(words) == 1 and len(second) >= 3 else text
-        if words and head is not None and not words[0].startswith(("#", "//")):
-            return head, text
+        is_comment = not words or words[0].startswith(("#", "//"))
+        if not is_comment and _all_numbers(words):
+            after = text.find("\n", end + 1)
+            second = text[end + 1 : len(text) if after < 0 else after].split()
+            return head, text[end + 1 if len(words) == 1 and len(second) >= 3 else at :]
+        if not is_comment and head is not None:
+            break
         names = [w.strip('"').lower() for w in line.lstrip("#/ ").split()]
-        if names and (not words[0].startswith(("#", "//")) or "x" in names):
+        if names and (not is_comment or "x" in names):
             head = names
-        text = rest
+        at = end + 1
+    return head, text[at:]
 
 
 def _all_numbers(words: list[str]) -> bool:

@@ -35,6 +35,7 @@ FloatArray = npt.NDArray[np.float64]
 
 USD_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 SHAPES = ("Cube", "Sphere", "Cylinder", "Capsule", "Cone")
+MOST_PRIMS = 1_000_000
 WORLD_FROM_UP = {
     "y": np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]]),
     "z": np.eye(4),
@@ -122,7 +123,10 @@ class UsdStage:
         every = self.usd.TraverseInstanceProxies(self.usd.PrimDefaultPredicate)
         root = self.stage.GetPseudoRoot() if below is None else below
         walk = iter(self.usd.PrimRange(root, every))
-        for prim in walk:
+        for number, prim in enumerate(walk):
+            if number > MOST_PRIMS:  # instances of instances multiply
+                what = f"has more than {MOST_PRIMS:,} prims"
+                raise InputFileError(self.path, what, "cut the stage")
             image = self.geom.Imageable(prim)
             if image and (
                 image.GetVisibilityAttr().Get() == "invisible"

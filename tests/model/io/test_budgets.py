@@ -139,3 +139,49 @@ def test_a_process_with_a_limit_gets_a_clear_error_and_lives(tmp_path: Path) -> 
         capture_output=True, text=True, timeout=60, check=False,
     )  # fmt: skip
     assert "doesn't fit into memory" in done.stdout, done.stderr
+
+
+def test_many_comments_before_a_cloud_are_passed_over_at_once(tmp_path: Path) -> None:
+    path = tmp_path / "a.xyz"
+    path.write_text("# scanned\n" * 200_000 + "x y z\n" + "0 0 0\n1 0 0\n0 1 0\n0 0 1\n" * 20_000)
+    began = time.perf_counter()
+    assert open_asset(path).element_count == 80_000
+    assert time.perf_counter() - began < 5
+
+
+def test_remarks_without_number_are_counted(tmp_path: Path) -> None:
+    lines = "".join(f"mtllib gone{i}.mtl\n" for i in range(2000))
+    (tmp_path / "a.obj").write_text(f"{lines}{BOX}f 1 2 3\n")
+    began = time.perf_counter()
+    warnings = open_asset(tmp_path / "a.obj").warnings
+    assert len(warnings) == 51 and "1,950 more remarks" in warnings[-1]
+    assert time.perf_counter() - began < 20
+
+
+def test_a_mesh_that_names_its_points_many_times_is_refused(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr("model.io.formats.gltf.MAX_VALUES", 1000)
+    path = gltf(tmp_path / "a.gltf", [{"mesh": 0}])
+    tree = json.loads(path.read_text())
+    tree["meshes"][0]["primitives"] *= 400
+    path.write_text(json.dumps(tree))
+    with pytest.raises(InputFileError, match="repeat too many triangles"):
+        open_asset(path)
+
+
+def test_instances_of_instances_end(tmp_path: Path, monkeypatch) -> None:
+    pytest.importorskip("pxr")
+    monkeypatch.setattr("model.io.formats.usd.MOST_PRIMS", 3000)
+    levels = "".join(
+        f'def Xform "l{i}" {{\n'
+        + "".join(
+            f'def Xform "{side}" (\ninstanceable = true\nreferences = </l{i + 1}>\n) {{}}\n'
+            for side in "ab"
+        )
+        + "}\n"
+        for i in range(24)
+    )
+    (tmp_path / "a.usda").write_text(
+        f'#usda 1.0\n(\nupAxis = "Z"\n)\n{levels}def Xform "l24" {{\ndef Cube "c" {{}}\n}}\n'
+    )
+    with pytest.raises(InputFileError, match="more than 3,000 prims"):
+        open_asset(tmp_path / "a.usda")
