@@ -36,6 +36,8 @@ from sessions.store import Entry
 from sessions.tool_commands import ApplyTool, ObjectFrame
 
 FORMAT = 1
+MASKS = "masks "
+"""What the tool that took parts from masks is called, before the file."""
 
 _JOINT_EDITS = (SetJoint, SetRoot, ResetJoint, LockJoint)
 
@@ -150,8 +152,8 @@ def _segmenter(document: Document) -> dict[str, Any]:
 
 def _masks(kept: list[Entry]) -> list[str]:
     """The files of other systems' masks that parts were taken from."""
-    tools = (e.command for e in kept if isinstance(e.command, ApplyTool))
-    return [tool.source for tool in tools if tool.source]
+    tools = [e.command.tool for e in kept if isinstance(e.command, ApplyTool)]
+    return [tool for tool in tools if tool.startswith(MASKS)]
 
 
 def _predictor(document: Document, kept: list[Entry]) -> dict[str, Any] | None:

@@ -64,19 +64,15 @@ class ApplyTool:
         regions: gains and losses of the parts, in order.
         replaces: how many of the last prompts these regions take the place of.
         delete: parts that are gone after it.
-        source: the file that the regions were read from, with its hash, or "".
     """
 
     tool: str
     regions: tuple[ToolRegion, ...]
     replaces: int = 0
     delete: tuple[int, ...] = ()
-    source: str = ""
 
     def __post_init__(self) -> None:
         put_field(self, "tool", clean_text(self.tool, NAME_LIMIT, "tool"))
-        if self.source:
-            put_field(self, "source", clean_text(self.source, PATH_LIMIT, "source"))
         check_count(self.replaces, "replaces")
         for part in self.delete:
             check_part(part)

@@ -23,6 +23,7 @@ from model.io.find_assets import model_of
 from model.io.masks import read_masks, with_masks
 from model.io.write.glb import face_order, mesh_to_glb
 from sessions.checks import NAME_LIMIT
+from sessions.provenance import MASKS
 from sessions.text import clipped
 
 REMOVED_SHOWN = 30_000
@@ -48,7 +49,7 @@ class OpenedAsset:
         display_confidence: (D,) of the displayed cloud's points, or None.
         removed: (R, 3) some of what is left out, to be shown.
         shift: of the source; see :class:`~model.core.asset.Source`.
-        masks: file of masks that the parts come from, with its hash, or "".
+        masks: what the tool is called that took the parts from masks, their file in it, or "".
     """
 
     name: str
@@ -123,7 +124,8 @@ def open_asset(
         progress(0.7, f"Reading {masks.name}")
         read = read_masks(masks)
         cut = with_masks(working_copy(path, workspace, options.as_read)[0], read)
-        parts, names, origin = cut.element_part, cut.part_names, read.origin
+        parts, names = cut.element_part, cut.part_names
+        origin = MASKS + read.origin
         asset = replace(asset, element_part=parts, part_names=names, tree=None)
     progress(0.8, "Preparing the picture")
     opened = replace(_opened(asset, folder, path), masks=origin)

@@ -107,7 +107,7 @@ class Segmenting:
         """
         obj = self._obj
         names = dict(enumerate(asset.part_names))
-        who, tool = (MASKS, "masks") if asset.masks else (SOURCE, "source")
+        who, tool = (MASKS, asset.masks) if asset.masks else (SOURCE, "source")
         if BASE in asset.source_parts and names.get(BASE):
             obj.do(cmd.NamePart(BASE, names[BASE]), who)
         if asset.source_labels is None or not any(asset.source_parts):
@@ -120,7 +120,7 @@ class Segmenting:
         labels = asset.source_labels
         self._applying_source = True  # the segmenter must not run in between
         try:
-            obj.do(cmd.ApplyTool(tool, regions, source=asset.masks), who)
+            obj.do(cmd.ApplyTool(tool, regions), who)
             key = obj.document.key
             obj.do(cmd.RecordSegmentation(key, labels, tool, 0.0, counts), who)
         finally:

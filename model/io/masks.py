@@ -84,8 +84,8 @@ class Masks:
 
     @property
     def origin(self) -> str:
-        """The file and the start of its hash, as provenance has it."""
-        return f"{self.path.name} (sha256 {self.sha256[:12]})"
+        """The end of the file's name and the start of its hash, as provenance has it."""
+        return f"{self.path.name[-45:]} (sha256 {self.sha256[:12]})"
 
 
 def with_masks(asset: Asset, masks: Masks | str | Path) -> Asset:

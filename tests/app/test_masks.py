@@ -79,8 +79,8 @@ def test_parts_from_masks_are_corrected_by_clicks_and_undone(opened, scan, masks
     entries = list(obj.services.store.history(obj.record.id))
     told = provenance(obj.state, entries, None)
     (source,) = told["masks"]
-    assert source.startswith("mesh_1.0.npz (sha256 ")
-    assert {p["tool"] for p in told["prompts"] if p["kind"] == "region"} == {"masks"}
+    assert source.startswith("masks mesh_1.0.npz (sha256 ")
+    assert {p["tool"] for p in told["prompts"] if p["kind"] == "region"} == {source}
     while obj.state.can_undo:
         obj.do(cmd.Undo(), "ann")
     assert not obj.document.prompts
