@@ -12,10 +12,12 @@ import numpy as np
 import numpy.typing as npt
 import trimesh
 
+from model.core.articulated_object import ArticulatedObject, Part
 from model.core.asset import Asset
 from model.core.joint import Joint
 from model.core.mesh import Mesh
 from model.core.point_cloud import PointCloud
+from model.core.tree import KinematicTree
 from model.data.simulated.primitives import block
 
 
@@ -49,6 +51,27 @@ CABINET = (
 def box(low: Any, high: Any) -> trimesh.Trimesh:
     """An axis-parallel box between two corners."""
     return trimesh.creation.box(bounds=[low, high])
+
+
+def joined(*pieces: trimesh.Trimesh) -> Mesh:
+    """Several bodies as one mesh."""
+    whole = trimesh.util.concatenate(pieces)
+    return Mesh(np.asarray(whole.vertices), np.asarray(whole.faces, np.int32))
+
+
+def boxes(*spans: tuple[Any, Any]) -> Mesh:
+    """One mesh of boxes between two corners each."""
+    return joined(*(box(low, high) for low, high in spans))
+
+
+def part(link: str, *pieces: trimesh.Trimesh, name: str | None = None) -> Part:
+    """A part of several bodies."""
+    return Part(link, joined(*pieces), name=name)
+
+
+def two(joint: Joint, base: Part, moving: Part) -> ArticulatedObject:
+    """An object of two parts, ``link_0`` and ``link_1``."""
+    return ArticulatedObject("two", (base, moving), KinematicTree(("link_0", "link_1"), (joint,)))
 
 
 def mesh_of(triangles: npt.NDArray) -> Mesh:

@@ -5,20 +5,13 @@ from __future__ import annotations
 from types import SimpleNamespace
 from typing import Any, cast
 
-import numpy as np
 import pytest
 import trimesh
 
 from app.server import snapping_tasks
-from model.core.articulated_object import Part
 from model.core.joint import Joint
-from model.core.mesh import Mesh
 from model.core.tree import KinematicTree
-
-
-def part(link: str, *meshes: trimesh.Trimesh) -> Part:
-    whole = trimesh.util.concatenate(list(meshes))
-    return Part(link, Mesh(np.asarray(whole.vertices), np.asarray(whole.faces, np.int32)))
+from tests.builders import part
 
 
 @pytest.mark.parametrize("guess", [(0.01, -0.005), (0.1, -0.01)])

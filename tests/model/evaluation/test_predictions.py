@@ -9,12 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import trimesh
 
 from model.core.articulated_object import ArticulatedObject, Part
 from model.core.errors import ConfigurationError
 from model.core.joint import Joint
-from model.core.mesh import Mesh
 from model.core.tree import KinematicTree
 from model.data.registry import DatasetOptions
 from model.evaluation.alignment import ROTATIONS, Frame, Similarity
@@ -22,6 +20,7 @@ from model.evaluation.report import Report
 from model.evaluation.run import EvaluationConfig, evaluate
 from model.evaluation.summary import METRICS
 from model.io.export.urdf import UrdfExporter
+from tests.builders import boxes
 
 LOST_BY_A_TYPE = {"tc", "type_precision", "usable", "usable_joints"}
 RANGE = {"range_right", "ald", "ald_all", "usable", "usable_joints"}
@@ -33,29 +32,19 @@ PRECISION = {k for k in S2O if not k.endswith("recall")}
 ORIGIN_LEVEL = {k for k in S2O if k.startswith("mao")}
 
 
-def mesh(*boxes: tuple[tuple[float, ...], tuple[float, ...]]) -> Mesh:
-    made = []
-    for low, high in boxes:
-        one = trimesh.creation.box(np.subtract(high, low))
-        one.apply_translation(np.add(low, high) / 2)
-        made.append(one)
-    whole = trimesh.util.concatenate(made)
-    return Mesh(np.asarray(whole.vertices), np.asarray(whole.faces, np.int32))
-
-
 def cabinet() -> ArticulatedObject:
     """A body, a door on it with a knob, a drawer, and a shelf that is fixed."""
-    body = mesh(
+    body = boxes(
         ((0, 0, 0), (0.6, 1.0, 0.02)), ((0, 0, 1.18), (0.6, 1.0, 1.2)),
         ((0, 0, 0), (0.6, 0.02, 1.2)), ((0, 0.98, 0), (0.6, 1.0, 1.2)),
         ((0.58, 0, 0), (0.6, 1.0, 1.2)),
     )  # fmt: skip
     parts = (
         Part("link_0", body),
-        Part("link_1", mesh(((-0.02, 0, 0.4), (0, 1.0, 1.2)))),
-        Part("link_2", mesh(((-0.06, 0.9, 0.7), (-0.02, 0.94, 0.74)))),
-        Part("link_3", mesh(((-0.02, 0, 0), (0, 1.0, 0.38)), ((0, 0.1, 0.1), (0.4, 0.9, 0.12)))),
-        Part("link_4", mesh(((0.1, 0.05, 0.8), (0.5, 0.95, 0.82)))),
+        Part("link_1", boxes(((-0.02, 0, 0.4), (0, 1.0, 1.2)))),
+        Part("link_2", boxes(((-0.06, 0.9, 0.7), (-0.02, 0.94, 0.74)))),
+        Part("link_3", boxes(((-0.02, 0, 0), (0, 1.0, 0.38)), ((0, 0.1, 0.1), (0.4, 0.9, 0.12)))),
+        Part("link_4", boxes(((0.1, 0.05, 0.8), (0.5, 0.95, 0.82)))),
     )
     joints = (
         Joint("door", "revolute", "link_0", "link_1", (0, 0, -1), (0, 0, 0.8), 0.0, 1.6),
@@ -232,8 +221,8 @@ def test_what_cannot_be_read_is_a_failure_and_no_end(what: str, data: Path, tmp_
 def test_an_over_segmented_door_is_one_door(data: Path, tmp_path: Path) -> None:
     obj = cabinet()
     halves = (
-        Part("link_1", mesh(((-0.02, 0, 0.4), (0, 0.5, 1.2)))),
-        Part("link_9", mesh(((-0.02, 0.5, 0.4), (0, 1.0, 1.2)))),
+        Part("link_1", boxes(((-0.02, 0, 0.4), (0, 0.5, 1.2)))),
+        Part("link_9", boxes(((-0.02, 0.5, 0.4), (0, 1.0, 1.2)))),
     )
     tree = KinematicTree(
         (*obj.tree.links, "link_9"),

@@ -8,17 +8,12 @@ import trimesh
 
 from model.core.articulated_object import Part
 from model.core.joint import Joint
-from model.core.mesh import Mesh
 from model.core.point_cloud import PointCloud
 from model.kinematics.barrels import barrel_line, on_barrels
+from tests.builders import part
 
 AXIS = np.array((0.0, 0.0, 1.0))
 HINGE = Joint("j", "revolute", "link_0", "link_1", (0, 0, 1), (0, 0, 0.3), 0.0, 1.5)
-
-
-def part(link: str, *meshes: trimesh.Trimesh) -> Part:
-    whole = trimesh.util.concatenate(list(meshes))
-    return Part(link, Mesh(np.asarray(whole.vertices), np.asarray(whole.faces, np.int32)))
 
 
 def board() -> trimesh.Trimesh:

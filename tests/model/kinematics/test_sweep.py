@@ -17,7 +17,7 @@ from model.core.point_cloud import PointCloud
 from model.core.tree import KinematicTree
 from model.kinematics.surface import surface_of
 from model.kinematics.sweep import free_range, sweep_joint, sweep_path
-from tests.builders import box
+from tests.builders import box, two
 
 KINDS = ("mesh", "badly wound", "cloud")
 BOARD = 0.02
@@ -35,10 +35,6 @@ def part(link: str, kind: str, *pieces: trimesh.Trimesh, noise: float = 0.0) -> 
         over = rng.random(len(faces)) < 0.5
         faces[over] = faces[over, ::-1]
     return Part(link, Mesh(np.asarray(whole.vertices), faces))
-
-
-def two(joint: Joint, base: Part, moving: Part) -> ArticulatedObject:
-    return ArticulatedObject("scene", (base, moving), KinematicTree(("link_0", "link_1"), (joint,)))
 
 
 def door_and_wall(kind: str, noise: float = 0.0) -> ArticulatedObject:

@@ -30,21 +30,9 @@ from model.physics.collision.overlap import overlap
 from model.physics.part_mesh import part_mesh
 from model.physics.simulation_values import physics_of
 from model.validation.physics import run_physics
+from tests.builders import boxes, joined
 
 WALL = 0.01
-
-
-def mesh_of(body: trimesh.Trimesh) -> Mesh:
-    return Mesh(np.asarray(body.vertices), np.asarray(body.faces))
-
-
-def boxes(*spans: tuple[tuple[float, float, float], tuple[float, float, float]]) -> Mesh:
-    """One mesh of boxes from low to high corners."""
-    made = []
-    for low, high in spans:
-        box = trimesh.creation.box(np.subtract(high, low))
-        made.append(box.apply_translation(np.add(low, high) / 2))
-    return mesh_of(trimesh.util.concatenate(made))
 
 
 def tray(x: float = 0.4, y: float = 0.3, z: float = 0.1, w: float = WALL) -> Mesh:
@@ -98,7 +86,7 @@ def test_a_primitive_is_found_whatever_its_pose(body, kind, sizes):
     turned = body.copy()
     turned.apply_transform(trimesh.transformations.rotation_matrix(0.7, [1, 2, 3]))
     turned.apply_translation([1, 2, 3])
-    (shape,) = shapes_of(mesh_of(turned))
+    (shape,) = shapes_of(joined(turned))
     assert isinstance(shape, Primitive) and shape.kind == kind
     found = sorted(shape.sizes) if kind == "box" else shape.sizes
     assert found == pytest.approx(sizes, rel=0.03)
@@ -116,7 +104,7 @@ def test_a_solid_with_a_notch_is_filled_and_the_notch_is_free():
 @pytest.mark.parametrize("budget", [1, 3, 12])
 def test_the_budget_is_kept_and_the_surface_is_covered(budget):
     body = trimesh.creation.annulus(0.1, 0.2, 0.05)
-    mesh = mesh_of(body)
+    mesh = joined(body)
     shapes = shapes_of(mesh, max_hulls=budget, primitives=False)
     assert 1 <= len(shapes) <= budget
     points = sample_surface(mesh, 500, np.random.default_rng(0))[0].points.astype(float)
@@ -225,7 +213,7 @@ def telescope(reach: float, give_way: bool = False) -> ArticulatedObject:
     head.apply_translation([0, 0, -0.1])
     parts = []
     for i, pieces in enumerate(((tube, foot, brim), (rod, head))):
-        parts.append(Part(f"link_{i}", mesh_of(trimesh.util.concatenate(pieces))))
+        parts.append(Part(f"link_{i}", joined(trimesh.util.concatenate(pieces))))
     joint = Joint("up", "prismatic", "link_0", "link_1", lower=0, upper=reach, give_way=give_way)
     return ArticulatedObject("x", tuple(parts), KinematicTree(("link_0", "link_1"), (joint,)))
 

@@ -11,19 +11,7 @@ import numpy as np
 
 from model.core.mesh import Mesh
 from model.io.write.meshes import write_mesh
-
-CORNERS = np.array([[i >> k & 1 for k in range(3)] for i in range(8)], float)
-FACES = np.array(
-    [[0, 2, 1], [1, 2, 3], [4, 5, 6], [5, 7, 6], [0, 1, 4], [1, 5, 4],
-     [2, 6, 3], [3, 6, 7], [0, 4, 2], [2, 4, 6], [1, 3, 5], [3, 7, 5]], np.int32,
-)  # fmt: skip
-
-
-def boxes(*spans: tuple[tuple[float, float, float], tuple[float, float, float]]) -> Mesh:
-    """Axis-parallel boxes, each from its lowest to its highest corner."""
-    vertices = [np.array(a) + CORNERS * (np.array(b) - np.array(a)) for a, b in spans]
-    faces = [FACES + 8 * i for i in range(len(spans))]
-    return Mesh(np.concatenate(vertices), np.concatenate(faces).astype(np.int32))
+from tests.builders import boxes
 
 
 def cabinet_parts() -> dict[str, Mesh]:

@@ -16,6 +16,7 @@ from model.io.assets.asset_folder import write_asset
 from model.scenes.asset_parts import known_parts, scaled, scaled_tree
 from model.scenes.jobs import ANNOTATE, PREDICTED, usability
 from tests.app.test_scene_command import convert
+from tests.builders import boxes
 from tests.model.scenes import scenes_made as made
 
 HINGE = Joint("hinge", "revolute", "link_0", "link_1", (0.0, 0.0, -1.0), (0.3, 0.25, 0.0), 0.0, 1.6)
@@ -85,7 +86,7 @@ def test_the_summary_tells_both(tmp_path: Path) -> None:
     write_asset(cabinet(), assets / "moving", provenance={})
     urdf = assets / "moving" / "object.urdf"
     urdf.write_text(urdf.read_text().replace('<axis xyz="1 0 0"', '<axis xyz="2 0 0"'))
-    rock = Mesh(made.CORNERS * 0.2, made.FACES)
+    rock = boxes(((0, 0, 0), (0.2, 0.2, 0.2)))
     stone = ArticulatedObject("stone", (Part("link_0", rock),), KinematicTree(("link_0",)))
     write_asset(stone, assets / "stone", provenance={})
     objects = [

@@ -2,26 +2,15 @@
 
 from __future__ import annotations
 
-import numpy as np
 import trimesh
 
 from model.core.articulated_object import ArticulatedObject, Part
 from model.core.joint import Joint
-from model.core.mesh import Mesh
 from model.core.tree import KinematicTree
-from tests.builders import box
+from tests.builders import box, part
 
 W = 0.02
 """Boards."""
-
-
-def part(link: str, *pieces: trimesh.Trimesh, name: str | None = None) -> Part:
-    whole = trimesh.util.concatenate(pieces)
-    return Part(link, Mesh(np.asarray(whole.vertices), np.asarray(whole.faces)), name=name)
-
-
-def two(joint: Joint, base: Part, moving: Part) -> ArticulatedObject:
-    return ArticulatedObject("two", (base, moving), KinematicTree(("link_0", "link_1"), (joint,)))
 
 
 def carcass() -> list[trimesh.Trimesh]:

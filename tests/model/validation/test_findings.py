@@ -18,7 +18,8 @@ from model.core.progress import Cancelled
 from model.core.tree import KinematicTree
 from model.validation.report import Severity
 from model.validation.runner import validate
-from tests.model.validation.cabinets import DOOR, DRAWER, W, box, cabinet, part, two
+from tests.builders import box, part, two
+from tests.model.validation.cabinets import DOOR, DRAWER, W, cabinet
 
 
 def judge(obj: ArticulatedObject, **options):

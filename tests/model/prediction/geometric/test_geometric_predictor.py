@@ -23,6 +23,7 @@ from model.prediction.geometric.mechanisms import BUILDERS
 from model.prediction.geometric.predictor import GeometricPredictor
 from model.prediction.protocol import Predictor
 from model.prediction.registry import load_predictor
+from tests.builders import box, part
 from tests.model.prediction.geometric.archetypes import THINGS, cabinet
 from tests.model.validation.cabinets import cabinet as wooden_cabinet
 
@@ -43,10 +44,9 @@ def check(obj: SegmentedObject) -> ArticulatedObject:
     prediction = PREDICTOR.predict(obj)
     assert prediction.tree is not None, prediction.problems
     assert {p.link for p in obj.parts} <= set(prediction.tree.links)
-    for part in obj.parts:
-        if part.link != prediction.tree.root:
-            assert 0.0 <= prediction.confidence[part.link] <= 1.0
-            assert prediction.notes[part.link]
+    for link in {p.link for p in obj.parts} - {prediction.tree.root}:
+        assert 0.0 <= prediction.confidence[link] <= 1.0
+        assert prediction.notes[link]
     return ArticulatedObject(obj.name, obj.parts, prediction.tree, obj.category)
 
 
@@ -175,8 +175,7 @@ def test_a_locked_screw_keeps_its_helper() -> None:
 
 
 def board(link: str, low, high, name: str | None = None) -> Part:
-    size, center = np.subtract(high, low), np.add(low, high) / 2
-    return cube(link, center, size, name)
+    return part(link, box(low, high), name=name)
 
 
 def two_doors(gap: float, name: str | None = "door", seam: float = 0.0) -> SegmentedObject:
@@ -214,19 +213,15 @@ def test_a_door_turns_about_its_barrels(side: float, hung: str) -> None:
         trimesh.creation.cylinder(0.006, 0.06, sections=16).apply_translation(place + (0, 0, z))
         for z in (0.12, 0.68)
     ]
-    barrels = trimesh.util.concatenate(knuckles)
-    parts = []
-    for part in (
-        board("link_0", (-0.3, 0, 0), (0.3, 0.4, 0.8), "body"),
-        board("link_1", (-0.298, -0.02, 0.002), (0.298, -0.001, 0.798), "door"),
-    ):
-        assert part.mesh is not None
-        mesh = trimesh.Trimesh(part.mesh.vertices, part.mesh.faces, process=False)
-        if part.name == hung:
-            mesh = trimesh.util.concatenate([mesh, barrels])
-        found = Mesh(np.asarray(mesh.vertices), np.asarray(mesh.faces, np.int32))
-        parts.append(Part(part.link, found, name=part.name))
-    tree = PREDICTOR.predict(SegmentedObject("door", tuple(parts))).tree
+    panels = {
+        "body": box((-0.3, 0, 0), (0.3, 0.4, 0.8)),
+        "door": box((-0.298, -0.02, 0.002), (0.298, -0.001, 0.798)),
+    }
+    parts = tuple(
+        part(f"link_{k}", panel, *(knuckles if name == hung else ()), name=name)
+        for k, (name, panel) in enumerate(panels.items())
+    )
+    tree = PREDICTOR.predict(SegmentedObject("door", parts)).tree
     assert tree is not None
     joint = tree.joint_of["link_1"]
     assert abs(joint.axis[2]) > 0.999

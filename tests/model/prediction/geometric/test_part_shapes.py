@@ -7,16 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from model.core.articulated_object import Part, SegmentedObject
-from model.core.mesh import Mesh
+from model.core.articulated_object import SegmentedObject
 from model.prediction.geometric.sampled_object import sample_object
 from model.prediction.geometric.shape import fit_box, rotation, roundness
 from model.prediction.geometric.sweep import free_range
+from tests.builders import part
 from tests.model.prediction.geometric.archetypes import box, join, rod
-
-
-def part(link: str, mesh) -> Part:
-    return Part(link, Mesh(np.asarray(mesh.vertices), np.asarray(mesh.faces, np.int32)))
 
 
 def sampled(*meshes):
