@@ -9,6 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import trimesh
 
 from app.server.app_state import AppState
 from app.server.config import ServeConfig
@@ -22,39 +23,39 @@ from sessions import commands as cmd
 from sessions.store import Store
 from sessions.tool_commands import SOURCE_FRAME
 from tests.app.test_open_objects import settled
-from tests.builders import wait_until
+from tests.builders import cabinet_cloud, wait_until
 
 
 @pytest.fixture
 def app_state(tmp_path: Path):
-    examples = static_assets() / "examples"
-    paths = [examples / "refrigerator_scan.ply", examples / "kettle.glb"]
+    scan = cabinet_cloud(12_000).asset.cloud
+    assert scan is not None
+    trimesh.PointCloud(scan.points, scan.colors).export(tmp_path / "cabinet.ply")
+    paths = [tmp_path / "cabinet.ply", static_assets() / "examples" / "kettle.glb"]
     app_state = AppState(ServeConfig(workspace=tmp_path), Store(tmp_path), paths)
     yield app_state
     app_state.close()
 
 
 def test_clicks_of_others_and_of_other_tabs_come_between_the_steps_of_all_parts(app_state) -> None:
-    fridge, kettle = (settled(app_state, r.id) for r in app_state.queue.records())
+    cabinet, kettle = (settled(app_state, r.id) for r in app_state.queue.records())
     request = ToolRequest(PROPOSE, 1)
 
     def proposed() -> list[np.ndarray]:
         arrays = arrays_of(app_state.workspace)
-        return [np.asarray(arrays.get(p.elements)) for p in fridge.document.prompts]
+        return [np.asarray(arrays.get(p.elements)) for p in cabinet.document.prompts]
 
-    fridge.segmenting.use_tool(request, "alice")
-    alone = [
-        np.asarray(arrays_of(app_state.workspace).get(p.elements)) for p in fridge.document.prompts
-    ]
-    fridge.do(cmd.Undo(), "alice")
-    settled(app_state, fridge.record.id)
+    cabinet.segmenting.use_tool(request, "alice")
+    alone = proposed()
+    cabinet.do(cmd.Undo(), "alice")
+    settled(app_state, cabinet.record.id)
 
     found: list[int] = []
     thread = threading.Thread(
-        target=lambda: found.append(fridge.segmenting.use_tool(request, "alice"))
+        target=lambda: found.append(cabinet.segmenting.use_tool(request, "alice"))
     )
     thread.start()
-    wait_until(lambda: fridge.jobs.busy.get("tool", (0.0,))[0] > 0, "all parts is under way")
+    wait_until(lambda: cabinet.jobs.busy.get("tool", (0.0,))[0] > 0, "all parts is under way")
     x, y, _ = kettle.asset.bounds.mean(0)
     start = time.monotonic()
     kettle.do(cmd.AddClick(Click((x, y, float(kettle.asset.bounds[1, 2])), 1)), "bob")
@@ -62,9 +63,7 @@ def test_clicks_of_others_and_of_other_tabs_come_between_the_steps_of_all_parts(
     waited = time.monotonic() - start
     assert thread.is_alive(), f"the click waited for all parts, {waited:.1f} s"
     thread.join(60)
-    again = [
-        np.asarray(arrays_of(app_state.workspace).get(p.elements)) for p in fridge.document.prompts
-    ]
+    again = proposed()
     assert found and len(again) == len(alone)
     assert all(np.array_equal(a, b) for a, b in zip(alone, again, strict=True))
 

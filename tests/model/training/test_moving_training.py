@@ -25,7 +25,7 @@ from model.training.segmentation.visible_objects import MovingPartTraining
 
 FEW = Boosting(trees=8, leaves=4, least=5, forests=2)
 SMALL = MovingPartTraining(
-    parts=2, clicks=2, networks=1, held_out=2, workers=1, points=(30_000, 30_000, 30_000)
+    parts=2, clicks=2, networks=1, held_out=2, workers=1, points=(10_000, 10_000, 10_000)
 )
 
 
@@ -105,7 +105,7 @@ def test_the_scorer_of_later_clicks_is_fitted_measured_and_written(tmp_path) -> 
 
 def test_clicks_on_clouds_learn_from_rounds_of_all_kinds(tmp_path) -> None:
     rounds = (("drawers", 90_000, 90_002), ("small", 70_000, 70_002))
-    clicks = ClickTraining(parts=2, first_clicks=2, clicks=4, mesh_share=0.0, points=30_000)
+    clicks = ClickTraining(parts=2, first_clicks=2, clicks=4, mesh_share=0.0, points=10_000)
     config = CloudTraining(rounds, clicks, held_out=2, first=FEW, later=FEW, networks=1)
     scores = train_clouds(config, tmp_path)
     files = (*SCORERS["cloud"], SCORERS["local"][1])
