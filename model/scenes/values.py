@@ -54,6 +54,8 @@ def read_json(path: Path) -> Any:
             f"is not JSON: line {error.lineno}, column {error.colno}: {error.msg}",
             "give the scene's JSON file as it was written",
         ) from None
+    except ValueError as error:  # thousands of digits
+        raise InputFileError(path, f"its JSON can't be read: {error}", "it is no scene") from None
     except RecursionError:
         raise InputFileError(path, "its JSON is nested too deeply", "it is no scene") from None
 

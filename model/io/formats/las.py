@@ -12,6 +12,9 @@ from model.core.errors import InputFileError
 from model.core.installing import require
 from model.io.formats.loaded import DEFAULT_MAX_BYTES, Loaded, colors_from, read_bytes
 
+_PACKED = 0x80
+"""Bit of the point format that says that points are packed as LAZ."""
+
 
 def read_las(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
     """Read one LAS or LAZ file; +z up, in the unit of its coordinate system, mostly metres.
@@ -60,4 +63,19 @@ def _plausible(data: bytes) -> bool:
         and records * 54 <= start
         and extended[0] <= len(data)
         and extended[1] * 60 <= len(data)
+        and (not data[104] & _PACKED or _few_chunks(data, start))
     )
+
+
+def _few_chunks(data: bytes, start: int) -> bool:
+    """Whether a LAZ file can hold the chunks that its table declares: lazrs ends the process where
+    it gets no memory for them."""
+    if start + 8 > len(data):
+        return False
+    (at,) = struct.unpack_from("<q", data, start)
+    if at == -1:  # written to a stream
+        (at,) = struct.unpack_from("<q", data, len(data) - 8)
+    if not start <= at <= len(data) - 8:
+        return False
+    _, chunks = struct.unpack_from("<II", data, at)
+    return chunks <= len(data)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -116,3 +117,23 @@ def test_a_broken_file_is_named(name: str, damage: str, tmp_path: Path) -> None:
     with pytest.raises(ArtiworldError) as error:
         open_asset(path)
     assert isinstance(error.value, InputFileError) and name in str(error.value)
+
+
+def test_a_laz_that_declares_billions_of_chunks_is_refused(tmp_path: Path) -> None:
+    """lazrs would ask for 70 GB, get none, and end the process."""
+    path = las(tmp_path / "a.laz")
+    data = bytearray(path.read_bytes())
+    (start,) = struct.unpack_from("<I", data, 96)
+    (table,) = struct.unpack_from("<q", data, start)
+    for place, form, value in (
+        (table + 4, "<I", 2**32 - 1),
+        (start, "<q", 2**40),
+        (start, "<q", 0),
+    ):
+        damaged = bytearray(data)
+        struct.pack_into(form, damaged, place, value)
+        path.write_bytes(damaged)
+        with pytest.raises(InputFileError, match="damaged LAS header"):
+            open_asset(path)
+    path.write_bytes(data)
+    assert open_asset(path).element_count == len(POINTS)

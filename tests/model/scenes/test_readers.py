@@ -68,7 +68,9 @@ def test_written_as_our_own_it_reads_back_the_same(name: str, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("name", SCENE_READERS.built_in)
-@pytest.mark.parametrize("text", ["", "{", "garbage \x00", "[" * 100_000, "{}", "[1, 2]", "<sdf/>"])
+@pytest.mark.parametrize(
+    "text", ["", "{", "garbage \x00", "[" * 100_000, "9" * 5000, "{}", "[1, 2]", "<sdf/>"]
+)
 def test_garbage_is_one_clear_error(name: str, text: str, tmp_path: Path) -> None:
     path = tmp_path / (WHOLE[name][0] if name in WHOLE else "room.ply")
     path.write_text(text)
