@@ -84,8 +84,8 @@ class ServeCommand(Command):
 
     def run(self) -> int:
         """Serve until interrupted."""
-        end = EndSignals()  # first: trimesh swallows the KeyboardInterrupt of its imports
-        return at_place("app.cli.serve:serve")(self, end)
+        with EndSignals() as end:  # first: trimesh swallows the KeyboardInterrupt of its imports
+            return at_place("app.cli.serve:serve")(self, end)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -25,25 +25,60 @@ class EndSignals:
     from a pipe. It ends the process at once while nothing is served yet; later the process closes
     by itself, or is ended after :data:`END_SECONDS`. Every decision is on disk by then.
 
-    Make it in the main thread.
+    Make it in the main thread. As a context manager it gives the signals back if none came.
     """
 
     def __init__(self) -> None:
         self._serving = False
         self._lock = threading.Lock()
         self._came = threading.Event()
-        self._reader, writer = os.pipe()
-        os.set_blocking(writer, False)
-        signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
-        for number in SIGNALS:
-            if signal.getsignal(number) != signal.SIG_IGN:  # "nohup" has SIGHUP ignored
+        self._reader, self._writer = os.pipe()
+        os.set_blocking(self._writer, False)
+        self._fd_before = signal.set_wakeup_fd(self._writer, warn_on_full_buffer=False)
+        self._before = {number: signal.getsignal(number) for number in SIGNALS}
+        for number, handler in self._before.items():
+            if handler != signal.SIG_IGN:  # "nohup" has SIGHUP ignored
                 signal.signal(number, lambda *_: None)
+        masks = threading.local()
+
+        def block() -> None:
+            masks.before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
+
+        def unblock() -> None:
+            signal.pthread_sigmask(signal.SIG_SETMASK, masks.before)
+
+        def begin_child() -> None:
+            self._give_back()
+            unblock()
+
+        # A forked child would write the numbers of its own signals into this pipe.
+        os.register_at_fork(before=block, after_in_parent=unblock, after_in_child=begin_child)
         threading.Thread(target=self._read, name="signals", daemon=True).start()
+
+    def __enter__(self) -> EndSignals:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if not self._came.is_set():
+            self._give_back()
+
+    def _give_back(self) -> None:
+        if self._writer < 0:
+            return
+        signal.set_wakeup_fd(self._fd_before)
+        for number, handler in self._before.items():
+            signal.signal(number, handler or signal.SIG_DFL)
+        os.close(self._writer)  # ends the thread
+        self._writer = -1
 
     def _read(self) -> None:
         number = 0
         while number not in SIGNALS:
-            number = os.read(self._reader, 1)[0]
+            read = os.read(self._reader, 1)
+            if not read:
+                os.close(self._reader)
+                return
+            number = read[0]
         with self._lock:
             if not self._serving:
                 os._exit(128 + number)

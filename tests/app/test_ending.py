@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import random
 import signal
@@ -13,6 +14,7 @@ from pathlib import Path
 
 import pytest
 
+from app.server.ending import EndSignals
 from tests.app.test_interrupt import in_group
 
 MOST_SECONDS = 5.0
@@ -103,6 +105,19 @@ def test_the_end_is_forced_where_closing_hangs(
     time.sleep(0.2)
     os.kill(run.pid, signal.SIGTERM)
     assert "Timeout" in run.communicate(timeout=MOST_SECONDS)[0] and run.returncode == 1
+
+
+def test_the_end_of_a_forked_child_is_not_that_of_its_parent() -> None:
+    """Process pools end their children by SIGTERM when one of them dies."""
+    before = signal.getsignal(signal.SIGTERM)
+    with EndSignals():
+        child = multiprocessing.get_context("fork").Process(target=time.sleep, args=(60.0,))
+        child.start()
+        child.terminate()
+        child.join(MOST_SECONDS)
+        assert child.exitcode == -signal.SIGTERM
+        time.sleep(0.2)  # the thread that reads the signals would end this process
+    assert signal.getsignal(signal.SIGTERM) == before
 
 
 @pytest.mark.slow
