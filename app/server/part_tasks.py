@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +20,10 @@ from model.core.lru_cache import LruCache
 from model.core.progress import Progress, no_progress
 from model.core.shapes import Shape
 from model.core.tree import KinematicTree
-from model.geometry.completion import complete, scanned
+from model.geometry.completion import complete, completed_arrays, completed_with, scanned
 from model.geometry.parts import split
 from model.physics.collision.build import prepare_bodies as prepare
+from model.physics.collision.store import fingerprint, load_arrays, save_arrays
 from model.prediction.registry import load_predictor
 from model.segmentation.prompts import BASE
 
@@ -76,14 +79,30 @@ def articulated_object(
 ) -> ArticulatedObject:
     """Return the parts with joints, and the declared masses and shapes of unchanged parts.
 
-    They are completed where that is asked for; the last ones are cached.
+    They are completed where that is asked for, which is cached for the other workers.
     """
     obj = _uncompleted(source, tree)
     if not _completes(source, obj.parts):
         return obj
     names = tuple(sorted(source.names.items()))
     key = (source.folder, source.labels, names, source.category, source.title, tree)
-    return _completed.get(key, lambda: complete(obj, progress))
+    return _completed.get(
+        key, lambda: _complete(obj, source.workspace / "collision", key, progress)
+    )
+
+
+def _complete(
+    obj: ArticulatedObject, store: Path, key: tuple[Any, ...], progress: Progress
+) -> ArticulatedObject:
+    name = fingerprint("completed", version("artiworld"), *key[:-1], key[-1].joints)
+    path = store / f"surface-{name}.npz"  # removed as other surfaces are
+    kept = load_arrays(path)
+    if kept is not None:
+        with suppress(ValueError, KeyError):  # damaged
+            return completed_with(obj, kept)
+    done = complete(obj, progress)
+    save_arrays(path, completed_arrays(done))
+    return done
 
 
 def _completes(source: PartSource, parts: Sequence[Part]) -> bool:
@@ -123,9 +142,7 @@ def prepare_bodies(source: PartSource, progress: Progress = no_progress) -> None
     parts = parts_of(source)
     if _completes(source, parts):
         return
-    prepare(
-        parts, source.workspace / "collision", progress, _declared_physics(source)[1]
-    )
+    prepare(parts, source.workspace / "collision", progress, _declared_physics(source)[1])
 
 
 def predict(

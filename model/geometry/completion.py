@@ -7,7 +7,7 @@ as they are.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -102,7 +102,7 @@ def complete(obj: ArticulatedObject, progress: Progress = no_progress) -> Articu
     """
     clouds = _clouds(obj, progress)
     if not clouds:
-        return obj
+        return completed_with(obj, {})
     diagonal = float(np.linalg.norm(np.ptp(np.concatenate(
         [c.points for c in clouds.values()]), axis=0)))  # fmt: skip
     gap = GAP * diagonal
@@ -412,6 +412,33 @@ def _mesh(solid: Manifold, cloud: PointCloud) -> Mesh | None:
     far = near.max(axis=1) > BOARD  # one near point may be in the air
     rgba[far, :3] = np.median(cloud.colors, axis=0)
     return mesh_of_scan(vertices, faces, rgba)
+
+
+def completed_arrays(obj: ArticulatedObject) -> dict[str, Array]:
+    """What :func:`complete` made of an object, as arrays for a cache."""
+    out: dict[str, Array] = {}
+    for i, part in enumerate(obj.parts):
+        if part.completed and part.mesh is not None:
+            out[f"{i}_words"] = np.array(part.completed)
+            out[f"{i}_vertices"], out[f"{i}_faces"] = part.mesh.vertices, part.mesh.faces
+            if part.mesh.vertex_colors is not None:
+                out[f"{i}_colors"] = part.mesh.vertex_colors
+    return out
+
+
+def completed_with(obj: ArticulatedObject, arrays: Mapping[str, Array]) -> ArticulatedObject:
+    """Return the object that :func:`complete` made :func:`completed_arrays` of."""
+    parts: list[Part] = []
+    for i, part in enumerate(obj.parts):
+        words = arrays.get(f"{i}_words")
+        if words is None:
+            parts.append(_completed(part, None))
+            continue
+        mesh = mesh_of_scan(
+            arrays[f"{i}_vertices"], arrays[f"{i}_faces"], arrays.get(f"{i}_colors")
+        )
+        parts.append(replace(part, mesh=mesh, completed=tuple(map(str, words))))
+    return replace(obj, parts=tuple(parts))
 
 
 def scanned(parts: Sequence[Part]) -> bool:

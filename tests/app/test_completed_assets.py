@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from app.cli.export import ExportTask, export_one
-from app.server import tasks
+from app.server import part_tasks, tasks
 from app.server.display_tasks import open_asset
 from app.server.part_tasks import PartSource, articulated_object
 from app.server.saving_tasks import prepare_asset
 from app.server.tasks import ReadOptions
+from model.core.lru_cache import LruCache
 from model.geometry.completion import OPENING, SURFACE, THICKNESS, TRAY
 from model.io.assets.asset_folder import publish, write_draft
 from model.io.assets.reader import load_object, read_provenance
@@ -73,6 +74,18 @@ def test_its_drawer_and_its_door_open_in_mujoco_without_contact(asset):
     data.qpos[model.joint("pull").qposadr[0]] = -0.3  # through the back
     mujoco.mj_forward(model, data)
     assert any(c.dist < -1e-3 for c in data.contact[: data.ncon])
+
+
+def test_other_workers_have_it_from_the_cache(source, asset, monkeypatch):
+    here = {p.link: p for p in articulated_object(source, TREE).parts}
+    with monkeypatch.context() as patch:
+        patch.setattr(part_tasks, "_completed", LruCache(1))
+        patch.setattr(part_tasks, "complete", None)
+        for part in articulated_object(source, TREE).parts:
+            mesh, wanted = part.mesh, here[part.link].mesh
+            assert mesh is not None and wanted is not None
+            np.testing.assert_array_equal(mesh.vertices, wanted.vertices)
+            assert part.completed == here[part.link].completed
 
 
 def test_without_it_the_files_are_those_of_the_points_alone(source, asset, tmp_path):

@@ -393,7 +393,7 @@ class PrepareStep:
             return
         self._shown_for = now
         self._draw_widgets(obj, obj.document, found, marks)
-        if overlay is None:
+        if overlay is None or obj.asset is None:  # it is read anew meanwhile
             return
         self._picture.preview(frame)
         if found is not None:
