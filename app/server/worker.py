@@ -155,7 +155,7 @@ class _Worker:
             if "progress" not in kwargs and _takes_progress(function):
                 kwargs["progress"] = self._progress(number)
             return "done", function(*args, **kwargs)
-        except (Exception, SystemExit, KeyboardInterrupt) as error:  # the boundary of a job
+        except BaseException as error:  # the boundary of a job; Rust's panics are no Exception
             return "error", describe_error(error)
         finally:
             self._cancelled.discard(number)

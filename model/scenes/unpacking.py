@@ -73,14 +73,14 @@ def write_object(folder: Path, stem: str, pieces: Sequence[tuple[str | None, Loa
     if not pieces:
         raise SceneObjectError("it has no geometry")
     target = folder / stem
-    solid = [(n, cleaned(target, p, np.eye(4), 1.0)) for n, p in pieces if len(p.faces)]
+    clean = [(n, cleaned(target, p, np.eye(4), 1.0)) for n, p in pieces if len(p.faces)]
+    solid = [(n, p) for n, p in clean if is_solid(p)]  # none of a piece's faces may have an area
     if not solid:
         points = cleaned(target, join([p for _, p in pieces]), np.eye(4), 1.0)
         write_cloud(to_cloud(points), target.with_name(f"{stem}.ply"))
         return target.with_name(f"{stem}.ply")
     if not 2 <= len(solid) <= MOST_PIECES:
         whole = join([p for _, p in solid])
-        assert is_solid(whole)
         return _write_glb(whole, target.with_name(f"{stem}.glb"))
     target.mkdir(exist_ok=True)
     entries = []

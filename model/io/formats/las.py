@@ -12,6 +12,8 @@ from model.core.errors import InputFileError
 from model.core.installing import require
 from model.io.formats.loaded import DEFAULT_MAX_BYTES, Loaded, colors_from, read_bytes
 
+_PANIC = "PanicException"
+"""What Rust libraries raise where they fail; no ``Exception``."""
 _PACKED = 0x80
 """Bit of the point format that says that points are packed as LAZ."""
 
@@ -43,7 +45,9 @@ def read_las(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
             colors = colors_from(rgb) if rgb.any() else None
     except InputFileError:
         raise
-    except Exception as error:  # laspy and lazrs raise many kinds for damaged files
+    except BaseException as error:  # laspy and lazrs raise many kinds for damaged files
+        if not isinstance(error, Exception) and type(error).__name__ != _PANIC:
+            raise
         raise InputFileError(path, f"can't be read as LAS ({error})", "export it again") from None
     if not len(points):
         raise InputFileError(path, "has no points", "export the scan again")

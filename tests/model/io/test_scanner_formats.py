@@ -137,3 +137,22 @@ def test_a_laz_that_declares_billions_of_chunks_is_refused(tmp_path: Path) -> No
             open_asset(path)
     path.write_bytes(data)
     assert open_asset(path).element_count == len(POINTS)
+
+
+def test_a_panic_of_a_rust_library_is_a_damaged_file(tmp_path: Path, monkeypatch) -> None:
+    """lazrs panics at some damages; what it raises is no ``Exception``."""
+    laspy = pytest.importorskip("laspy")
+    panic = type("PanicException", (BaseException,), {})
+
+    def read(*_: object) -> None:
+        raise panic("capacity overflow")
+
+    path = las(tmp_path / "a.las")
+    monkeypatch.setattr(laspy.LasReader, "read", read)
+    with pytest.raises(InputFileError, match="capacity overflow"):
+        open_asset(path)
+    monkeypatch.setattr(
+        laspy.LasReader, "read", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt)
+    )
+    with pytest.raises(KeyboardInterrupt):
+        open_asset(path)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import base64
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -113,8 +115,6 @@ def test_a_broken_node_is_told_and_the_rest_goes_on(
 
 def _gltf_tree(path: Path) -> dict:
     """The tree with its buffer inside, as text."""
-    import base64
-
     data = path.read_bytes()
     size = int.from_bytes(data[12:16], "little")
     tree = json.loads(data[20 : 20 + size])
@@ -138,6 +138,35 @@ def test_unknown_meshes_and_equal_names(tmp_path: Path) -> None:
     path.write_text(json.dumps(cycle))
     with pytest.raises(InputFileError, match="cycle"):
         read_scene(path)
+
+
+def test_a_mesh_whose_faces_have_no_area_becomes_points(tmp_path: Path) -> None:
+    """The second object's corners all lie on one line."""
+    points = np.array(
+        [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 0], [1, 0, 0], [2, 0, 0], [3, 0, 0]], "<f4"
+    )
+    index = np.array([0, 1, 2, 3, 4, 5, 4, 5, 6], "<u2")
+    data = points.tobytes() + index.tobytes()
+
+    def mesh(first: int, count: int) -> dict[str, Any]:
+        accessor = {"bufferView": 1, "byteOffset": 2 * first, "componentType": 5123, "count": count}
+        tree["accessors"].append({**accessor, "type": "SCALAR"})
+        place = {"attributes": {"POSITION": 0}, "indices": len(tree["accessors"]) - 1}
+        return {"primitives": [place]}
+
+    tree: dict[str, Any] = {
+        "asset": {"version": "2.0"}, "scenes": [{"nodes": [0, 1]}],
+        "nodes": [{"mesh": 0, "name": "solid"}, {"mesh": 1, "name": "line"}],
+        "accessors": [{"bufferView": 0, "componentType": 5126, "type": "VEC3", "count": 7}],
+        "bufferViews": [{"buffer": 0, "byteLength": 84},
+                        {"buffer": 0, "byteOffset": 84, "byteLength": 18}],
+        "buffers": [{"byteLength": len(data), "uri": "data:application/octet-stream;base64,"
+                     + base64.b64encode(data).decode()}],
+    }  # fmt: skip
+    tree["meshes"] = [mesh(0, 3), mesh(3, 6)]
+    (tmp_path / "a.gltf").write_text(json.dumps(tree))
+    _, found = unpacked(tmp_path / "a.gltf", tmp_path / "out")
+    assert [p.suffix for p in found.files.values()] == [".glb", ".ply"] and not found.problems
 
 
 def test_broken_prims_are_told_and_the_rest_goes_on(tmp_path: Path) -> None:
