@@ -160,7 +160,9 @@ def test_wrong_tokens_are_refused_for_a_while_and_the_right_one_is_heard():
     def ask(token: str, address: str) -> int:
         header = (b"authorization", b"Bearer " + token.encode("latin-1"))
         scope = {"type": "http", "headers": [header], "client": (address, 1)}
-        return asyncio.run(backend.health(Request(scope))).status_code
+        # Playwright keeps a loop running in the main thread once a browser was used.
+        with ThreadPoolExecutor(1) as thread:
+            return thread.submit(asyncio.run, backend.health(Request(scope))).result().status_code
 
     assert [ask("wröng", "192.0.2.1") for _ in range(6)] == [401] * 5 + [429]
     assert ask(TOKEN, "192.0.2.1") == ask(TOKEN, "192.0.2.2") == 200
