@@ -341,7 +341,8 @@ def scanned_chest() -> ArticulatedObject:
 
 def test_what_is_made_of_parts_before_there_are_joints_is_taken(tmp_path, monkeypatch):
     """By whatever process asks: neither surfaces nor bodies of a scan are made twice."""
-    expected = physics_of(scanned_chest())
+    made_here = scanned_chest()
+    expected = physics_of(made_here)
     prepare_bodies(scanned_chest().parts, tmp_path)
     build.recent_objects.clear()
     obj = scanned_chest()
@@ -349,7 +350,7 @@ def test_what_is_made_of_parts_before_there_are_joints_is_taken(tmp_path, monkey
         patch.setattr(build, "hollow_bodies", None)
         patch.setattr(reconstruct, "mesh_from_cloud", None)
         found = physics_of(obj, store=tmp_path)
-    for fresh, part in zip(scanned_chest().parts, obj.parts, strict=True):
+    for fresh, part in zip(made_here.parts, obj.parts, strict=True):
         before, after = part_mesh(fresh), part_mesh(part)
         np.testing.assert_array_equal(before.vertices, after.vertices)
         np.testing.assert_array_equal(before.faces, after.faces)

@@ -290,9 +290,9 @@ def buttons(count: int) -> ArticulatedObject:
     return ArticulatedObject("buttons", tuple(parts), tree)
 
 
-def test_sixty_joints_are_all_judged():
-    report = validate(buttons(60))
-    assert len(report.joints) == 60
+def test_dozens_of_joints_are_all_judged():
+    report = validate(buttons(36))  # three in each group that is driven together
+    assert len(report.joints) == 36
     assert report.severity == Severity.OK
     assert report.physics is not None
 
