@@ -30,8 +30,8 @@ from model.scenes.registry import read_scene
 
 FILES = 2000
 """By default."""
-SECONDS = 20.0
-"""Longest reading of a file of some kilobytes; a busy machine needs two."""
+SECONDS = 60.0
+"""Longest reading of a file of some kilobytes; USD may take half of it by itself."""
 MEMORY = 4 << 30
 """Bytes that the reading process may take."""
 MOST_UNPACKED = 100_000_000

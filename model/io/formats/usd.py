@@ -6,6 +6,8 @@ preview surface has is kept; textures are not. What is invisible or a guide is p
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -36,6 +38,9 @@ FloatArray = npt.NDArray[np.float64]
 USD_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 SHAPES = ("Cube", "Sphere", "Cylinder", "Capsule", "Cone")
 MOST_PRIMS = 1_000_000
+OPEN_SECONDS = 30.0
+"""For starting pxr, on a busy machine, and a small stage."""
+_BYTES_A_SECOND = 5e6  # a tenth of what it opens
 WORLD_FROM_UP = {
     "y": np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]]),
     "z": np.eye(4),
@@ -73,6 +78,31 @@ def read_usd(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
         return _read(UsdStage(path))
 
 
+def _check_binary(path: Path) -> None:
+    """Open a binary stage in another process first: a damaged one may crash pxr, or hold it for
+    ever.
+
+    Raises:
+        InputFileError: where it does.
+    """
+    with path.open("rb") as file:
+        head = file.read(8)
+    if not head.startswith((b"PXR-USDC", b"PK")):
+        return
+    code = "import sys; from pxr import Usd; Usd.Stage.Open(sys.argv[1])"
+    seconds = OPEN_SECONDS + path.stat().st_size / _BYTES_A_SECOND
+    try:
+        done = subprocess.run(
+            [sys.executable, "-c", code, str(path)], capture_output=True, timeout=seconds,
+            check=False,
+        )  # fmt: skip
+    except subprocess.TimeoutExpired:
+        what = f"can't be opened within {seconds:.0f} s"
+        raise InputFileError(path, what, "it is damaged; export it again") from None
+    if done.returncode < 0:  # errors are told by who opens it here
+        raise InputFileError(path, "crashes pxr", "it is damaged; export it again")
+
+
 def _read(stage: UsdStage) -> Loaded:
     into = stage.turn.copy()
     into[:3, :3] *= stage.unit
@@ -103,6 +133,7 @@ class UsdStage:
         )
         if not path.is_file():
             raise InputFileError(path, "no such file", "check the path")
+        _check_binary(path)
         try:
             self.stage: Any = self.usd.Stage.Open(str(path))
         except tf.ErrorException as error:

@@ -185,3 +185,26 @@ def test_instances_of_instances_end(tmp_path: Path, monkeypatch) -> None:
     )
     with pytest.raises(InputFileError, match="more than 3,000 prims"):
         open_asset(tmp_path / "a.usda")
+
+
+def test_a_binary_stage_that_ends_or_holds_pxr_is_refused(tmp_path: Path, monkeypatch) -> None:
+    sdf = pytest.importorskip("pxr.Sdf")
+    layer = sdf.Layer.CreateAnonymous(".usda")
+    layer.ImportFromString('#usda 1.0\n(\nupAxis = "Z"\n)\ndef Cube "c" {\n}\n')
+    layer.Export(str(tmp_path / "a.usdc"))
+    assert open_asset(tmp_path / "a.usdc").element_count == 12
+    run = subprocess.run
+
+    def opened_by(code: str) -> None:
+        def instead(command: list[str], **more: object) -> object:
+            return run([sys.executable, "-c", code], **more)  # type: ignore[call-overload]
+
+        monkeypatch.setattr("model.io.formats.usd.subprocess.run", instead)
+
+    opened_by("import os; os.abort()")
+    with pytest.raises(InputFileError, match="crashes pxr"):
+        open_asset(tmp_path / "a.usdc")
+    monkeypatch.setattr("model.io.formats.usd.OPEN_SECONDS", 0.3)
+    opened_by("import time; time.sleep(60)")
+    with pytest.raises(InputFileError, match="can't be opened within"):
+        open_asset(tmp_path / "a.usdc")
