@@ -71,7 +71,7 @@ def segmented_object(source: PartSource) -> SegmentedObject:
     return SegmentedObject(source.title, tuple(map(named, parts_of(source))), source.category)
 
 
-_completed: LruCache[Any, ArticulatedObject] = LruCache(2)
+completed_objects: LruCache[Any, ArticulatedObject] = LruCache(2)
 
 
 def articulated_object(
@@ -86,7 +86,7 @@ def articulated_object(
         return obj
     names = tuple(sorted(source.names.items()))
     key = (source.folder, source.labels, names, source.category, source.title, tree)
-    return _completed.get(
+    return completed_objects.get(
         key, lambda: _complete(obj, source.workspace / "collision", key, progress)
     )
 

@@ -67,7 +67,7 @@ def test_its_drawer_and_its_door_open_in_mujoco_without_contact(asset):
     for joint in TREE.joints:
         for share in (0.0, 0.1, 0.5, 1.0):
             mujoco.mj_resetData(model, data)
-            data.qpos[model.joint(joint.name).qposadr[0]] = share * joint.upper
+            data.qpos[model.joint(joint.name).qposadr[0]] = share * joint.motion_range[1]
             mujoco.mj_forward(model, data)
             deep = [c.dist for c in data.contact[: data.ncon] if c.dist < -1e-3]
             assert not deep, (joint.name, share)
@@ -79,7 +79,7 @@ def test_its_drawer_and_its_door_open_in_mujoco_without_contact(asset):
 def test_other_workers_have_it_from_the_cache(source, asset, monkeypatch):
     here = {p.link: p for p in articulated_object(source, TREE).parts}
     with monkeypatch.context() as patch:
-        patch.setattr(part_tasks, "_completed", LruCache(1))
+        patch.setattr(part_tasks, "completed_objects", LruCache(1))
         patch.setattr(part_tasks, "complete", None)
         for part in articulated_object(source, TREE).parts:
             mesh, wanted = part.mesh, here[part.link].mesh
