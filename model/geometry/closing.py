@@ -170,10 +170,10 @@ def _free(surface: Array, cells: Array, normals: Array) -> tuple[Array, Array]:
     at = cells + 2.0 * normals  # not the second layer of a scan that drifted
     while len(at):
         index = np.floor(at).astype(np.int64)
-        inside = ((index >= 0) & (index < surface.shape)).all(axis=1)
-        index = np.where(inside[:, None], index, 0)
+        inside = np.asarray(((index >= 0) & (index < surface.shape)).all(axis=1), bool)
+        index[~inside] = 0
         free = inside & ~surface[tuple(index.T)]
         seen[tuple(index[free].T)] = True
         at, normals = at[free] + normals[free], normals[free]
-    open_axes = sum((~surface.any(axis=k, keepdims=True)).astype(np.int8) for k in range(3))
-    return seen, np.asarray(open_axes >= 2)
+    hit = [np.broadcast_to(surface.any(axis=k, keepdims=True), surface.shape) for k in range(3)]
+    return seen, np.sum(hit, axis=0) <= 1

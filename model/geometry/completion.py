@@ -119,6 +119,7 @@ def complete(obj: ArticulatedObject, progress: Progress = no_progress) -> Articu
         if solid is not None:
             solids[link] = solid, (THICKNESS if link in panels else SURFACE,)
     progress(0.9, "making room")
+    _free_knobs(obj, clouds, solids, gap)
     for link, panel in panels.items():
         parent = panel.joint.parent
         others = [c.points for k, c in clouds.items() if k not in (link, parent)]
@@ -383,6 +384,43 @@ def _cut(panel: Panel, room: float, gap: float) -> Manifold:
         hole = panel.outline.offset(-_inset(panel, gap), JoinType.Miter)
         cuts.append(panel.prism(hole, -room, 0.0))
     return Manifold.batch_boolean(cuts, OpType.Add)
+
+
+def _free_knobs(
+    obj: ArticulatedObject,
+    clouds: Mapping[str, PointCloud],
+    solids: dict[str, tuple[Manifold, tuple[str, ...]]],
+    gap: float,
+) -> None:
+    """Keep knobs and wheels within a cylinder about their axis, and their parent out of it."""
+    from manifold3d import Manifold
+
+    for joint in obj.tree.joints:
+        child, parent = joint.child, joint.parent
+        if not joint.rotates or child not in solids or THICKNESS in solids[child][1]:
+            continue
+        axis = np.asarray(joint.axis)
+        side = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
+        side /= np.linalg.norm(side)
+        frame = np.column_stack([side, np.cross(axis, side), axis, joint.origin])
+        local = (clouds[child].points - frame[:, 3]) @ frame[:, :3]
+        radius = float(np.percentile(np.linalg.norm(local[:, :2], axis=1), 95)) + gap / 2
+        if np.linalg.norm(local[:, :2].mean(axis=0)) > 0.3 * radius:
+            continue  # it swings
+        low, high = np.percentile(local[:, 2], (1, 99))
+
+        def cylinder(grown: float, low=low - gap, high=high + gap, r=radius, at=frame) -> Manifold:
+            made = Manifold.cylinder(high - low + 2 * grown, r + grown, circular_segments=64)
+            return made.translate((0, 0, low - grown)).transform(at)
+
+        own = largest(solids[child][0] ^ cylinder(0.0))
+        if own is None:
+            continue
+        solids[child] = own, solids[child][1]
+        host = solids.get(parent)
+        rest = None if host is None else largest(host[0] - cylinder(gap / 2))
+        if host is not None and rest is not None:
+            solids[parent] = rest, host[1]
 
 
 def _completed(part: Part, made: tuple[Manifold, tuple[str, ...]] | None) -> Part:

@@ -5,7 +5,7 @@ No inside is needed: thin shells, open and unoriented meshes, and clouds work.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -242,7 +242,11 @@ def surface_of(part: Part, count: int = POINTS) -> Surface | None:
 
 def _build(part: Part, count: int) -> Surface | None:
     if part.mesh is not None and len(part.mesh.faces):
-        return _of_mesh(part.link, part.mesh, count)
+        found = _of_mesh(part.link, part.mesh, count)
+        if part.completed and part.cloud is not None and len(part.cloud):
+            # Completed, it is no more precise than its scan.
+            found = replace(found, resolution=_of_cloud(part.link, part.cloud, count).resolution)
+        return found
     if part.cloud is not None and len(part.cloud):
         return _of_cloud(part.link, part.cloud, count)
     return None
