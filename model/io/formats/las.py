@@ -14,6 +14,10 @@ from model.io.formats.loaded import DEFAULT_MAX_BYTES, Loaded, colors_from, read
 
 _PANIC = "PanicException"
 """What Rust libraries raise where they fail; no ``Exception``."""
+_LASZIP = 22204
+"""Number of the record that says how points are packed (LASzip, Isenburg 2013)."""
+_LARGEST_CHUNK = 1 << 30
+"""Bytes; writers pack 50,000 points together, some two megabytes."""
 _PACKED = 0x80
 """Bit of the point format that says that points are packed as LAZ."""
 
@@ -82,4 +86,19 @@ def _few_chunks(data: bytes, start: int) -> bool:
     if not start <= at <= len(data) - 8:
         return False
     _, chunks = struct.unpack_from("<II", data, at)
-    return chunks <= len(data)
+    return chunks <= len(data) and _chunk_bytes(data) <= _LARGEST_CHUNK
+
+
+def _chunk_bytes(data: bytes) -> int:
+    """Unpacked bytes of a chunk, by the record of LASzip; 0 where their sizes vary."""
+    at, _, records = struct.unpack_from("<HII", data, 94)
+    (point,) = struct.unpack_from("<H", data, 105)
+    for _ in range(records):
+        if at + 70 > len(data):
+            break
+        number, size = struct.unpack_from("<HH", data, at + 18)
+        if data[at + 2 : at + 16] == b"laszip encoded" and number == _LASZIP:
+            (points,) = struct.unpack_from("<I", data, at + 54 + 12)
+            return 0 if points == 2**32 - 1 else points * point
+        at += 54 + size
+    return 0

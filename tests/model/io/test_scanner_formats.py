@@ -125,11 +125,9 @@ def test_a_laz_that_declares_billions_of_chunks_is_refused(tmp_path: Path) -> No
     data = bytearray(path.read_bytes())
     (start,) = struct.unpack_from("<I", data, 96)
     (table,) = struct.unpack_from("<q", data, start)
-    for place, form, value in (
-        (table + 4, "<I", 2**32 - 1),
-        (start, "<q", 2**40),
-        (start, "<q", 0),
-    ):
+    chunk = data.index(b"laszip encoded") - 2 + 54 + 12  # points of a chunk
+    wrong = ((table + 4, "<I", 2**32 - 1), (start, "<q", 2**40), (start, "<q", 0))
+    for place, form, value in (*wrong, (chunk, "<I", 2**31)):
         damaged = bytearray(data)
         struct.pack_into(form, damaged, place, value)
         path.write_bytes(damaged)
