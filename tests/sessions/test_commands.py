@@ -141,6 +141,7 @@ VERSION_1 = [
     {"kind": "delete_part", "part": 4},
     {"kind": "set_category", "category": "oven"},
     {"kind": "set_frame", "up_axis": "-y", "unit_scale": 0.001},
+    {"kind": "set_completion", "complete": False},
     {
         "kind": "prepare",
         "unit_scale": 0.001,
