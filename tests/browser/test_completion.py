@@ -1,0 +1,57 @@
+"""Whether a scan is completed is a choice of the review, with undo."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from model.core.joint import Joint
+from model.core.tree import KinematicTree
+from model.geometry.completion import SURFACE
+from model.io.assets.reader import read_provenance
+from tests.browser.browsing import wait_until
+from tests.browser.objects import write_cloud
+
+pytestmark = pytest.mark.browser
+
+LABEL = "Complete what the scan doesn't show"
+
+
+def test_a_scan_is_completed_unless_it_is_unchecked(start: Any, open_tab: Any, tmp_path: Path):
+    from model.core.articulated_object import Prediction
+    from sessions import commands as cmd
+
+    places = write_cloud(tmp_path / "chest.ply")
+    tab = open_tab(start(tmp_path / "chest.ply"))
+    tab.prompt(places["lid"])
+    lid = Joint("lid", "revolute", "link_0", "link_1", (1, 0, 0), (0, 0.2, 0.3), 0, 1)
+    tree = KinematicTree(("link_0", "link_1"), (lid,))
+    labels = tab.document.segmentation.labels
+    tab.app.tab.do(cmd.RecordPrediction(Prediction(tree, backend="test"), labels))
+    tab.step("Review")
+    box = tab.page.get_by_label(LABEL)
+    assert box.is_checked() and tab.document.complete is None
+    box.uncheck()
+    wait_until(lambda: tab.document.complete is False, "it is off")
+    tab.drawn()
+    tab.page.keyboard.press("Control+z")
+    wait_until(lambda: tab.document.complete is None, "undone")
+    wait_until(box.is_checked, "checked again")
+
+    def accepted() -> dict:
+        wait_until(lambda: tab.object.validation.report, "the checks")
+        who, at = "tester", "2026-01-01T00:00:00+00:00"
+        from app.server.accepting import accept
+
+        before = tab.document.saved
+        accept(tab.object, "", who, at, "fine", seen=tab.object.validation.report)
+        saved = wait_until(lambda: tab.document.saved is not before and tab.document.saved, "saved")
+        return read_provenance(Path(saved.folder))["asset"]
+
+    assert SURFACE in accepted()["completed"]["link_0"]
+    tab.drawn()
+    tab.app.tab.do(cmd.Reopen(""))
+    tab.app.tab.do(cmd.SetCompletion(False))
+    assert "completed" not in accepted()
