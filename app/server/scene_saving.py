@@ -55,7 +55,7 @@ class Saving:
         opened, items, copies, decided = self._plan(loose)
         record = scene.record
         out = scene.services.workspace / "scenes" / f"saved-{record.id}"
-        job = scene.services.workers.geometry.submit(
+        job = scene.services.workers.reading.submit(
             save_scene, record.path, opened.reader, tuple(i.obj.id for i in scene.read), items,
             copies, decided, out, on_progress=scene.jobs.progress("save"), priority=6,
             preempted_by=CLICKS,
@@ -127,7 +127,7 @@ class Saving:
         rows = [self._row(item) for item in scene.items.values()]
         record = scene.record
         path = scene.services.workspace / "scenes" / f"report-{record.id}" / f"{record.name}.html"
-        job = scene.services.workers.geometry.submit(
+        job = scene.services.workers.reading.submit(
             write_report, path, scene.scene.name, tuple(rows), scene.scene.problems,
             dict(scene.shapes), scene.services.workspace,
             saved=None if scene.document.saved is None else Path(scene.document.saved.folder),

@@ -47,7 +47,7 @@ class ObjectHeader:
             words.REMOVE, icon=viser.Icon.X, color="gray", visible=False,
             hint=words.REMOVE_HINT,
         )  # fmt: skip
-        self._progress = gui.add_progress_bar(0.0, visible=False, animated=True)
+        self._progress = gui.add_progress_bar(0.0, visible=False)
         self._cancel = gui.add_button(
             words.CANCEL, icon=viser.Icon.PLAYER_STOP, color="gray", visible=False
         )

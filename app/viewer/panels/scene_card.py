@@ -64,7 +64,7 @@ class SceneCard:
         self._tab, self._workspace, self._actions = tab, workspace, actions
         gui = tab.client.gui
         self._status = gui.add_markdown("")
-        self._progress = gui.add_progress_bar(0.0, visible=False, animated=True)
+        self._progress = gui.add_progress_bar(0.0, visible=False)
         self._pause = gui.add_button(words.PAUSE, icon=viser.Icon.PLAYER_PAUSE,
                                      color="gray", visible=False)  # fmt: skip
         self._history = gui.add_button_group(common.EDIT, common.HISTORY_ACTIONS)
