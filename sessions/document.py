@@ -186,7 +186,7 @@ class Document:
         articulable: of a scene: object id → whether it is articulable, where a person decided.
         decided: of a scene: the decisions about its objects, in order.
         picked: of a scene: objects that were picked out of others, in order.
-        complete: whether what a scan doesn't show is made up in the asset; None: of scans it is.
+        complete: whether what a scan doesn't show is made up in the asset; None: it isn't.
     """
 
     prompts: tuple[Click | RegionRef, ...] = ()

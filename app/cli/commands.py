@@ -175,10 +175,10 @@ class PredictCommand(Command):
     prediction: PredictPredictorOptions = group(PredictPredictorOptions)
     category: str | None = option("category of the object, such as cabinet", "NAME")
     collision: bool = flag("make collision shapes too, which takes seconds to a minute")
-    complete: bool | None = flag(
+    complete: bool = flag(
         "make up what a scan doesn't show: closed surfaces, thick doors, trays of drawers, "
-        "openings behind them (default: for parts that are point clouds)", None, negatable=True,
-    )  # fmt: skip
+        "openings behind them"
+    )
     seed: int = seed_option()
     reading: ReadingOptions = group(ReadingOptions)
     json: bool = json_flag()

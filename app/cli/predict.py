@@ -20,7 +20,6 @@ from model.core.point_cloud import PointCloud
 from model.core.progress import Progress, no_progress, scaled_progress
 from model.core.tree import KinematicTree
 from model.geometry import completion
-from model.geometry.completion import scanned
 from model.geometry.prepare import tilt_remark
 from model.io.assets.asset_folder import write_asset
 from model.io.open_asset import read_part_files
@@ -49,7 +48,7 @@ def predict(
     up_axis: UpAxis | None = None,
     unit_scale: float = 1.0,
     collision: bool = False,
-    complete: bool | None = None,
+    complete: bool = False,
     progress: Progress = no_progress,
 ) -> dict[str, Any]:
     """Predict the joints of a folder of part meshes.
@@ -90,7 +89,7 @@ def predict(
         why = "; ".join(answer.problems) or "no reason was given"
         raise NothingPredicted(f"{predictor} found no kinematic tree for {folder}: {why}")
     obj = _articulated(segmented, answer.tree)
-    if scanned(obj.parts) if complete is None else complete:
+    if complete:
         obj = completion.complete(obj, scaled_progress(progress, 0.65, 0.7))
         report["completed"] = {p.link: list(p.completed) for p in obj.parts if p.completed}
     physics = _physics(obj, collision, scaled_progress(progress, 0.7, 0.8))

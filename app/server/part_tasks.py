@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from importlib.metadata import version
@@ -20,7 +20,7 @@ from model.core.lru_cache import LruCache
 from model.core.progress import Progress, no_progress
 from model.core.shapes import Shape
 from model.core.tree import KinematicTree
-from model.geometry.completion import complete, completed_arrays, completed_with, scanned
+from model.geometry.completion import complete, completed_arrays, completed_with
 from model.geometry.parts import split
 from model.physics.collision.build import prepare_bodies as prepare
 from model.physics.collision.store import fingerprint, load_arrays, save_arrays
@@ -33,7 +33,7 @@ class PartSource:
     """Everything a worker needs to cut an asset into parts.
 
     Attributes:
-        complete: whether parts with joints are completed; None: those of scans are.
+        complete: whether scanned parts with joints are completed; None: they aren't.
     """
 
     folder: Path
@@ -82,7 +82,7 @@ def articulated_object(
     They are completed where that is asked for, which is cached for the other workers.
     """
     obj = _uncompleted(source, tree)
-    if not _completes(source, obj.parts):
+    if not source.complete:
         return obj
     names = tuple(sorted(source.names.items()))
     key = (source.folder, source.labels, names, source.category, source.title, tree)
@@ -103,10 +103,6 @@ def _complete(
     done = complete(obj, progress)
     save_arrays(path, completed_arrays(done))
     return done
-
-
-def _completes(source: PartSource, parts: Sequence[Part]) -> bool:
-    return scanned(parts) if source.complete is None else source.complete
 
 
 def _uncompleted(source: PartSource, tree: KinematicTree) -> ArticulatedObject:
@@ -139,10 +135,11 @@ def _declared_physics(
 
 def prepare_bodies(source: PartSource, progress: Progress = no_progress) -> None:
     """Compute and cache the parts' collision shapes, where they don't depend on the joints."""
-    parts = parts_of(source)
-    if _completes(source, parts):
+    if source.complete:
         return
-    prepare(parts, source.workspace / "collision", progress, _declared_physics(source)[1])
+    prepare(
+        parts_of(source), source.workspace / "collision", progress, _declared_physics(source)[1]
+    )
 
 
 def predict(

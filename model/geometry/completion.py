@@ -393,7 +393,6 @@ def _free_knobs(
     gap: float,
 ) -> None:
     """Keep knobs and wheels within a cylinder about their axis, and their parent out of it."""
-    from manifold3d import Manifold
 
     for joint in obj.tree.joints:
         child, parent = joint.child, joint.parent
@@ -408,19 +407,24 @@ def _free_knobs(
         if np.linalg.norm(local[:, :2].mean(axis=0)) > 0.3 * radius:
             continue  # it swings
         low, high = np.percentile(local[:, 2], (1, 99))
-
-        def cylinder(grown: float, low=low - gap, high=high + gap, r=radius, at=frame) -> Manifold:
-            made = Manifold.cylinder(high - low + 2 * grown, r + grown, circular_segments=64)
-            return made.translate((0, 0, low - grown)).transform(at)
-
-        own = largest(solids[child][0] ^ cylinder(0.0))
+        low, high = low - gap, high + gap
+        own = largest(solids[child][0] ^ _cylinder(low, high, radius, frame))
         if own is None:
             continue
         solids[child] = own, solids[child][1]
+        pocket = _cylinder(low - gap / 2, high + gap / 2, radius + gap / 2, frame)
         host = solids.get(parent)
-        rest = None if host is None else largest(host[0] - cylinder(gap / 2))
+        rest = None if host is None else largest(host[0] - pocket)
         if host is not None and rest is not None:
             solids[parent] = rest, host[1]
+
+
+def _cylinder(low: float, high: float, radius: float, frame: Array) -> Manifold:
+    """A cylinder about z between two heights, placed by (3, 4) ``frame``."""
+    from manifold3d import Manifold
+
+    made = Manifold.cylinder(high - low, radius, circular_segments=64)
+    return made.translate((0.0, 0.0, low)).transform(frame)
 
 
 def _completed(part: Part, made: tuple[Manifold, tuple[str, ...]] | None) -> Part:
@@ -477,11 +481,6 @@ def completed_with(obj: ArticulatedObject, arrays: Mapping[str, Array]) -> Artic
         )
         parts.append(replace(part, mesh=mesh, completed=tuple(map(str, words))))
     return replace(obj, parts=tuple(parts))
-
-
-def scanned(parts: Sequence[Part]) -> bool:
-    """Whether parts are a scan: clouds alone."""
-    return all(p.mesh is None for p in parts)
 
 
 def as_scanned(parts: Sequence[Part]) -> tuple[Part, ...]:

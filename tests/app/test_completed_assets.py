@@ -37,7 +37,7 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> PartSource:
     labels = np.repeat(np.arange(3, dtype=np.int16), [len(c) for c in clouds])
     reference = tasks.arrays_of(workspace).put(labels)
     names = {1: "drawer", 2: "door"}
-    return PartSource(opened.folder, workspace, reference, names, SCAN.category, "cabinet")
+    return PartSource(opened.folder, workspace, reference, names, SCAN.category, "cabinet", True)
 
 
 @pytest.fixture(scope="module")

@@ -19,7 +19,7 @@ pytestmark = pytest.mark.browser
 LABEL = "Complete what the scan doesn't show"
 
 
-def test_a_scan_is_completed_unless_it_is_unchecked(start: Any, open_tab: Any, tmp_path: Path):
+def test_a_scan_is_completed_where_it_is_checked(start: Any, open_tab: Any, tmp_path: Path):
     from model.core.articulated_object import Prediction
     from sessions import commands as cmd
 
@@ -32,13 +32,15 @@ def test_a_scan_is_completed_unless_it_is_unchecked(start: Any, open_tab: Any, t
     tab.app.tab.do(cmd.RecordPrediction(Prediction(tree, backend="test"), labels))
     tab.step("Review")
     box = tab.page.get_by_label(LABEL)
-    assert box.is_checked() and tab.document.complete is None
-    box.uncheck()
-    wait_until(lambda: tab.document.complete is False, "it is off")
+    assert not box.is_checked() and tab.document.complete is None
+    box.check()
+    wait_until(lambda: tab.document.complete, "it is on")
     tab.drawn()
     tab.page.keyboard.press("Control+z")
     wait_until(lambda: tab.document.complete is None, "undone")
-    wait_until(box.is_checked, "checked again")
+    wait_until(lambda: not box.is_checked(), "off again")
+    box.check()
+    wait_until(lambda: tab.document.complete, "on again")
 
     def accepted() -> dict:
         wait_until(lambda: tab.object.validation.report, "the checks")

@@ -78,7 +78,7 @@ class ReviewStep:
             words.accept(False, False, False), icon=viser.Icon.CHECK, color="green"
         )
         self._reject = RejectButtons(tab, rejecting, actions.reject)
-        self._complete = gui.add_checkbox(words.COMPLETE, True, hint=words.COMPLETE_HINT)
+        self._complete = gui.add_checkbox(words.COMPLETE, False, hint=words.COMPLETE_HINT)
         self.validation_list.build_list()
         self._summary = gui.add_markdown("")
         self._comment = gui.add_text(words.COMMENT, "", multiline=True)
@@ -247,7 +247,7 @@ class ReviewStep:
     ) -> None:
         decided = doc.review.state in DECIDED
         broken = report is not None and report.severity == Severity.ERROR and not decided
-        put(self._complete, "value", doc.complete is not False)
+        put(self._complete, "value", bool(doc.complete))
         put(self._complete, "disabled", decided or "save" in obj.busy)
         put(self._complete, "visible", obj.asset is not None and obj.asset.element_kind == "point")
         put(self._override, "visible", broken)
