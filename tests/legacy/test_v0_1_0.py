@@ -352,8 +352,9 @@ class InlineWorker:
     """Replaces a worker process: runs the jobs of ``RUN`` at once, leaves others in the queue."""
 
     submitted: set[Callable[..., Any]]
+    busy = False
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, **_: Any) -> None:
         self.name = name
 
     def submit(
