@@ -18,7 +18,13 @@ def serve(folder: str) -> None:
     config = ServeConfig(paths=(), workspace=Path(folder, "workspace"), port=free_port("127.0.0.1"))
     server = start_server(config)
     workers = server.app_state.workers
-    held = [*workers.readers, workers.geometry, workers.segmentation, workers.prediction, workers.saving]
+    held = [
+        *workers.readers,
+        workers.geometry,
+        workers.segmentation,
+        workers.prediction,
+        workers.saving,
+    ]
     started = [Path(folder, worker.name) for worker in held]
     for worker, mark in zip(held, started, strict=True):
         worker.submit(hold_the_interpreter, str(mark))
