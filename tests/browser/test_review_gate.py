@@ -269,6 +269,7 @@ def test_one_click_a_joint_mends_a_predicted_demo(start: Any, open_tab: Any) -> 
     tab.settled()
     tab.button("Predict joints (P)").first.click()
     tree = wait_until(lambda: obj.document.tree, "joints")
+    wait_until(lambda: tab.selection.step == "Joints", "the joints are shown")
     # A door about a line that lies askew in it, so that it runs into the body.
     door = tree.joint_of["link_1"]
     askew = replace(door, axis=(0.3, 0.0, -0.954), origin=np.add(door.origin, (0.03, 0.02, 0)))

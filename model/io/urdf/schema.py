@@ -10,7 +10,7 @@ URDF = XmlSchema.of(
         ("inertial", "origin mass inertia", ""),
         ("visual", "origin geometry material", "name"),
         ("collision", "origin geometry material", "name"),
-        ("geometry", "mesh box cylinder sphere capsule", ""),
+        ("geometry", None, ""),  # the reader says which shapes it knows
         ("material", "color texture", "name"),
         ("origin", "", "xyz rpy quat_xyzw"),
         ("mass", "", "value"),
