@@ -59,7 +59,7 @@ def predict(
 
     Args:
         complete: whether what a scan doesn't show is made up, see
-            :mod:`model.geometry.completion`; None: of point clouds it is.
+            :mod:`model.geometry.completion`.
         up_axis, unit_scale: of the files, as of :func:`model.io.open_asset.read_part_files`.
 
     Returns:

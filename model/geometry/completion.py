@@ -393,7 +393,6 @@ def _free_knobs(
     gap: float,
 ) -> None:
     """Keep knobs and wheels within a cylinder about their axis, and their parent out of it."""
-
     for joint in obj.tree.joints:
         child, parent = joint.child, joint.parent
         if not joint.rotates or child not in solids or THICKNESS in solids[child][1]:

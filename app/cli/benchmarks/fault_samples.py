@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import random
+import re
 import tempfile
 import zipfile
 from collections.abc import Iterator
@@ -271,9 +272,7 @@ def damaged(data: bytes, rng: random.Random) -> bytes:
 
 def _replace_word(out: bytearray, rng: random.Random) -> None:
     """Put a token or another word of the file in the place of a number or name."""
-    from re import finditer
-
-    words = [m.span() for m in finditer(rb"[\w.+-]+", bytes(out[: 1 << 16]))]
+    words = [m.span() for m in re.finditer(rb"[\w.+-]+", bytes(out[: 1 << 16]))]
     if words:
         start, end = rng.choice(words)
         first, last = rng.choice(words)
