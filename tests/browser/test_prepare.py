@@ -28,8 +28,14 @@ def tilt(source_from_object: np.ndarray) -> float:
     return float(np.degrees(np.arccos(up[2] / np.linalg.norm(up))))
 
 
-def read(tab: Tab) -> None:
-    wait_until(lambda: tab.object.asset is not None and not tab.object.busy, "it is read")
+def read(tab: Tab, before: Any) -> Any:
+    """Wait until another asset than ``before`` is read, and return it."""
+    asset = wait_until(
+        lambda: tab.object.asset is not before and not tab.object.busy and tab.object.asset,
+        "it is read",
+    )
+    tab.wait_for_keyboard()
+    return asset
 
 
 def proposed(tab: Tab) -> Any:
@@ -48,20 +54,23 @@ def test_one_key_levels_and_cleans_a_raw_scan(start: Any, open_tab: Any, tmp_pat
     tab = open_tab(start(tmp_path / "oven.ply"))
     wait_until(lambda: tab.selection.step == "Prepare", "a tilted scan is noticed")
     tab.page.get_by_text(f"Tilted by {tilt(frame):.0f}°").first.wait_for(timeout=60_000)
+    raw = tab.object.asset
     tab.key("Enter")
     wait_until(lambda: tab.selection.step == "Annotate", "annotating")
-    read(tab)
+    read(tab, raw)
     assert up_error(tab, frame) < 0.5
     true = 220_440
     assert abs(tab.object.asset.element_count - true) < 0.02 * true
     low, high = tab.object.asset.bounds
     np.testing.assert_allclose((low + high)[:2] / 2, 0, atol=0.05 * (high - low).max())
     assert tab.document.label == f"level by {tilt(frame):.0f}°; remove support, outliers"
+    prepared = tab.object.asset
     tab.page.keyboard.press("Control+z")
     wait_until(lambda: tab.document.left_out is None, "undone")
+    raw = read(tab, prepared)
     tab.page.keyboard.press("Control+Shift+z")
     wait_until(lambda: tab.document.left_out is not None, "done again")
-    read(tab)
+    read(tab, raw)
     assert up_error(tab, frame) < 0.5
 
 
@@ -105,10 +114,11 @@ def test_up_by_floor_and_size_by_length(start: Any, open_tab: Any, tmp_path: Pat
     tab.click_places(corner(-0.5, 0.5), corner(0.5, 0.5))
     tab.page.get_by_text("Length [m]").first.wait_for(timeout=60_000)
     tab.field("Length [m]").fill("1.0")
+    before = tab.object.asset
     tab.button("Set").click()
     wait_until(lambda: tab.document.frame.scale != 1.0, "scaled")
     assert tab.document.frame.scale == pytest.approx(0.5, rel=0.05)
-    read(tab)
+    read(tab, before)
     tab.key("r")
     wait_until(lambda: tab.document.label.startswith("rotate 90°"), "rotated")
 
@@ -117,9 +127,10 @@ def test_strokes_remove_and_restore(start: Any, open_tab: Any, tmp_path: Path) -
     raw_scan(tmp_path / "oven.ply", seed=3)
     tab = open_tab(start(tmp_path / "oven.ply"))
     wait_until(lambda: tab.selection.step == "Prepare", "a tilted scan is noticed")
+    raw = tab.object.asset
     tab.key("Delete")
     wait_until(lambda: tab.document.left_out is not None, "table and strays are removed")
-    read(tab)
+    asset = read(tab, raw)
     before = tab.document.left_out.count
     box = tab.page.locator("canvas").first.bounding_box()
     x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
@@ -134,12 +145,12 @@ def test_strokes_remove_and_restore(start: Any, open_tab: Any, tmp_path: Path) -
 
     drag()
     wait_until(lambda: tab.document.left_out.count > before, "the box removes")
-    read(tab)
+    asset = read(tab, asset)
     less = tab.document.left_out.count
     tab.page.keyboard.down("Shift")
     drag()
     tab.page.keyboard.up("Shift")
     wait_until(lambda: tab.document.left_out.count < less, "with Shift it restores")
-    read(tab)
+    read(tab, asset)
     tab.button("Restore").click()
     wait_until(lambda: tab.document.left_out is None, "all is back")

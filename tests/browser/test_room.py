@@ -50,9 +50,12 @@ class RoomTab(SceneTab):
     @property
     def origin(self) -> np.ndarray:
         """Of the open object's frame in the room; it isn't turned there."""
-        return self.scene_workspace.world_from_copy(
-            self.scene_workspace.items[self.scene.edit.inside]
-        )[:3, 3]
+        scene, id = self.scene_workspace, self.scene.edit.inside
+        world = wait_until(
+            lambda: (found := scene.world_from_copy(scene.items[id])) is not None and (found,),
+            "its size is known",
+        )
+        return world[0][:3, 3]
 
     def press(self, text: str) -> None:
         button = self.button(text).locator("visible=true").first
