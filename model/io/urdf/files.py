@@ -63,8 +63,8 @@ def named_meshes(path: Path) -> list[Path]:
     return list(map(Path, found))
 
 
-def resolve_mesh(filename: str, folder: Path, root: Path) -> Path:
-    """A mesh reference as a path inside ``root``.
+def resolve_mesh(filename: str, folder: Path, root: Path) -> tuple[Path, bool]:
+    """A mesh reference as a path inside ``root``, and whether only its end was found there.
 
     ``package://name/rest`` is looked for as ``rest`` and as ``name/rest`` in ``root``, then in
     ``folder``. A path of another machine, or of a folder that was moved, is looked for by its end.
@@ -76,19 +76,20 @@ def resolve_mesh(filename: str, folder: Path, root: Path) -> Path:
     text = filename.strip().replace("\\", "/")
     if not text.startswith(_PACKAGE_URI):
         try:
-            return resolve(text, folder, root)
+            return resolve(text, folder, root), False
         except ReferenceRefused:
             found = None if "://" in text else _by_its_end(text, folder, root)
             if found is None:
                 raise
-            return found
+            return found, True
     whole = text.removeprefix(_PACKAGE_URI)
     texts = [text for text in (whole.partition("/")[2], whole) if text]
     inside = [resolve(text, start, root) for start in (root, folder) for text in texts]
     if not inside:
         raise ReferenceRefused(f"{filename!r} is no file name")
     there = next((p for p in inside if p.exists()), None)
-    return there or _by_its_end(whole, folder, root) or inside[0]
+    found = there or _by_its_end(whole, folder, root)
+    return found or inside[0], there is None and found is not None
 
 
 def _by_its_end(text: str, folder: Path, root: Path) -> Path | None:

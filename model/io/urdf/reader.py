@@ -437,10 +437,11 @@ class _Reader:
         # Data sets of symbolic links: beside where the URDF really lies, too.
         for root in dict.fromkeys((self.root, self.path.resolve().parent)):
             try:
-                found = resolve_mesh(filename, self.path.parent, root)
-                if not self.moved and filename.strip().startswith("/"):
+                found, elsewhere = resolve_mesh(filename, self.path.parent, root)
+                if elsewhere and not self.moved:
                     self.moved = True
-                    self.notes.append(f"mesh paths of another machine: {filename!r} is {found}")
+                    what = "mesh paths of another machine or folder"
+                    self.notes.append(f"{what}: {filename!r} is {found}")
                 return found
             except ReferenceRefused as error:
                 refused = refused or error

@@ -320,6 +320,24 @@ def test_real_files_whose_numbers_are_separated_by_commas(shared_data):
     assert offset == pytest.approx(math.hypot(0.01, 0.33))
 
 
+@pytest.mark.parametrize(
+    "name", ["/data/robots/meshes/x.stl", "../meshes/x.stl", "package://other/a/meshes/x.stl"]
+)
+def test_meshes_that_are_found_only_by_the_end_of_their_path_are_noted_once(write, name):
+    path = write(
+        robot(links("a", "b", geometry=f'<mesh filename="{name}"/>') + joint("j", "a", "b"))
+    )
+    mesh = path.parent / "meshes" / "x.stl"
+    mesh.parent.mkdir()
+    trimesh.creation.box((1, 2, 3)).export(mesh)
+    model = read_urdf_model(path)
+    assert [v.file for v in model.visuals] == [mesh, mesh]
+    (note,) = model.notes
+    assert repr(name) in note and str(mesh) in note
+    plain = write(path.read_text().replace(name, "meshes/x.stl"))
+    assert read_urdf_model(plain).notes == ()
+
+
 @pytest.mark.parametrize("text", ["1,2,3", "1, 2, 3", "1 , 2 ,3"])
 def test_commas_between_numbers_are_read_and_noted(write, text):
     path = write(robot(links("a", geometry=f'<box size="{text}"/>')))
