@@ -58,6 +58,7 @@ class Job(Generic[T]):
         preempted_by: int | None = None,
         works_on: Hashable = None,
         most_seconds: float | None = None,
+        repeated: bool = False,
     ) -> None:
         self.name = name
         self.state: JobState = "queued"
@@ -81,6 +82,8 @@ class Job(Generic[T]):
         self._kill_at: float | None = None
         self._most_seconds = most_seconds
         self._deadline = math.inf
+        self._repeated = repeated
+        self._deaths = 0  # of its child while it ran
 
     @property
     def _ends_at(self) -> float:

@@ -83,6 +83,7 @@ class WorkerProcess:
         preempted_by: int | None = None,
         works_on: Hashable = None,
         most_seconds: float | None = None,
+        repeated: bool = False,
         **kwargs: Any,
     ) -> Job[T]:
         """Queue ``function(*args, **kwargs)``.
@@ -99,13 +100,14 @@ class WorkerProcess:
             works_on: the data that it makes or needs: a job never runs between the steps of
                 another one that works on the same data.
             most_seconds: the child is killed, and the job fails, where it takes longer.
+            repeated: it runs once more where its child dies: it answers a click, which isn't lost.
         """
         name = getattr(function, "__name__", repr(function))
         number = next(self._numbers)
         call = (function, args, kwargs)
         job: Job[T] = Job(
             self._cancel, number, name, call, on_progress, key, preempted_by, works_on,
-            most_seconds,
+            most_seconds, repeated,
         )  # fmt: skip
         replaced: Job[Any] | None = None
         with self._lock:
@@ -315,15 +317,24 @@ class WorkerProcess:
             job.end("failed", error=OutOfTimeError(text))
         elif job is not None:
             _log.warning("worker %s: %s while running %s", self.name, why, job.name)
-            text = f"{job.name}: the worker process {why}; it has been started again"
-            job.end("failed", error=WorkerDied(text))
+            self._repeat_or_fail(job, why)
         elif not child.ready:
             self._fail_first(JobFailed(f"the worker process {self.name!r} {why} while starting"))
             return  # the next job tries again, which avoids an endless loop
         self._child = self._start()
 
+    def _repeat_or_fail(self, job: Job[Any], why: str) -> None:
+        """Queue the job of which the child died once more, or end it."""
+        job._deaths += 1
+        if job._repeated and job._deaths == 1:
+            self._requeue(job)
+            return
+        times = ", the second time as well: it isn't tried again" if job._deaths > 1 else ""
+        text = f"{job.name}: the worker process {why}{times}; it has been started again"
+        job.end("failed", error=WorkerDied(text))
+
     def _requeue(self, job: Job[Any]) -> None:
-        """Queue a job again whose child died of another one, where it is still wanted."""
+        """Queue a job again whose child died, where it is still wanted."""
         with self._lock:
             newer = job._key is not None and job._key in self._of_key
             wanted = job._kill_at is None and not newer

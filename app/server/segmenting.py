@@ -155,6 +155,7 @@ class Segmenting:
                 key=("segment", obj.record.id),
                 preempted_by=CLICKS,
                 works_on=asset.folder,
+                repeated=True,
             )
             obj.start("segment", job, self._if_current(asset, self._keep))
             return
@@ -166,8 +167,9 @@ class Segmenting:
                 self.labels, self._labels_ref, self.shares = None, None, {}
                 return
         job = obj.services.workers.segmentation.submit(
-            segmenting_tasks.display_labels, obj.services.workspace, ref, asset.element, priority=9
-        )
+            segmenting_tasks.display_labels, obj.services.workspace, ref, asset.element,
+            priority=9, repeated=True,
+        )  # fmt: skip
         obj.start("labels", job, self._if_current(asset, lambda labels: self._show(ref, labels)))
 
     def _if_current(self, asset: OpenedAsset, keep: Callable[[T], None]) -> Callable[[T], None]:
@@ -246,6 +248,7 @@ class Segmenting:
             priority=PREVIEWS - 1 if long else 12,
             preempted_by=PREVIEWS if long else CLICKS,
             works_on=None if long else asset.folder,
+            repeated=True,
         )
         obj.jobs.add("tool", job, self._tool_ended)
         obj.changed()

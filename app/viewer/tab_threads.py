@@ -12,6 +12,7 @@ import threading
 import time
 from collections.abc import Callable
 
+from app.server.job import WorkerDied
 from app.viewer.words import common as words
 from model.core.errors import ArtiworldError
 from model.core.progress import Cancelled
@@ -63,7 +64,7 @@ class TabThreads:
                 action()
             except Cancelled:
                 pass
-            except ArtiworldError as error:
+            except (ArtiworldError, WorkerDied) as error:
                 self._notify(words.NOT_POSSIBLE, str(error), "yellow")
             except Exception:  # the boundary of an action: report and continue
                 if self.closed:

@@ -9,9 +9,11 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from app.server import segmenting_tasks
 from app.server.jobs import WorkerProcess
 from model.core.errors import InputFileError, KinematicsError
 from model.core.point_cloud import PointCloud
@@ -86,6 +88,23 @@ def kill_myself(number: int = signal.SIGKILL) -> None:
 
 
 def killed_while_opening(*_: object) -> None:
+    kill_myself()
+
+
+def held_at_first(mark: Path, value: int = 0) -> int:
+    """Wait to be killed in the first call; the mark says that it began."""
+    if not mark.exists():
+        mark.touch()
+        time.sleep(60)
+    return value
+
+
+def segment_held_at_first(folder: Path, workspace: Path, *more: Any, progress: Progress) -> Any:
+    held_at_first(workspace / "began")
+    return segmenting_tasks.segment(folder, workspace, *more, progress=progress)
+
+
+def segment_that_kills(*_: Any, progress: Progress) -> None:
     kill_myself()
 
 

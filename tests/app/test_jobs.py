@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.server.job import OutOfTimeError
+from app.server.job import OutOfTimeError, WorkerDied
 from app.server.jobs import CANCEL_SECONDS, Job, JobFailed, WorkerProcess
 from model.core.errors import InputFileError, KinematicsError
 from model.core.progress import Cancelled
@@ -338,3 +338,34 @@ def test_a_job_that_takes_too_long_is_ended(worker):
     stopped.cancel()
     with pytest.raises(Cancelled):
         stopped.result(120)
+
+
+def test_what_answers_a_click_is_repeated_once_where_the_child_dies(worker, tmp_path):
+    order: list[str] = []
+    job = worker.submit(functions.held_at_first, tmp_path / "began", 7, repeated=True)
+    job.add_done_callback(lambda _: order.append("first"))
+    wait_until((tmp_path / "began").exists)
+    after = worker.submit(functions.echo, 8)
+    after.add_done_callback(lambda _: order.append("second"))
+    os.kill(worker.pid, signal.SIGKILL)
+    assert (job.result(60), after.result(60)) == (7, 8)
+    wait_until(lambda: len(order) == 2)
+    assert order == ["first", "second"]
+    deadly = worker.submit(functions.kill_myself, repeated=True)
+    with pytest.raises(WorkerDied, match=r"kill_myself.*SIGKILL.*second time.*isn't tried again"):
+        deadly.result(60)
+    assert worker.submit(functions.echo, 9).result(60) == 9
+
+
+@pytest.mark.parametrize("by", ["the newest of its key", "a cancel"])
+def test_what_is_repeated_gives_way_to(by, worker, tmp_path):
+    mark = tmp_path / "began"
+    job = worker.submit(functions.held_at_first, mark, 1, key="click", repeated=True)
+    wait_until(mark.exists)
+    if by == "a cancel":
+        job.cancel()
+    newer = worker.submit(functions.echo, 2, key="click", repeated=True)
+    os.kill(worker.pid, signal.SIGKILL)
+    with pytest.raises(Cancelled):
+        job.result(60)
+    assert newer.result(60) == 2

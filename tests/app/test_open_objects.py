@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import gc
+import os
+import signal
 import time
 import weakref
 from collections.abc import Callable, Iterator
@@ -14,7 +16,7 @@ import pytest
 import trimesh
 
 from app.server import app_state as workbench
-from app.server import display_tasks, picking_tasks
+from app.server import display_tasks, picking_tasks, segmenting_tasks
 from app.server.app_state import AppState
 from app.server.config import ServeConfig
 from app.server.drafts import AssetDrafts
@@ -24,7 +26,12 @@ from model.segmentation.prompts import Click
 from sessions import commands as cmd
 from sessions.live import LiveSession
 from sessions.store import Store
-from tests.app.job_functions import killed_while_opening, reads_for_ever
+from tests.app.job_functions import (
+    killed_while_opening,
+    reads_for_ever,
+    segment_held_at_first,
+    segment_that_kills,
+)
 from tests.builders import wait_until
 
 GOOD = trimesh.creation.box((1, 0.5, 0.7))
@@ -238,6 +245,33 @@ def test_who_waits_for_a_draft_hears_how_far_it_is() -> None:
     assert heard == [print]  # what is looked at next doesn't stop it
     drafts.finish(source, "other joints", print)  # type: ignore[arg-type]
     assert heard == [print, "cancelled"]
+
+
+def test_a_click_whose_worker_is_killed_is_answered_by_the_next_one(
+    begin_app, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "box.ply"
+    GOOD.export(path)
+    app_state = begin_app(path)
+    obj = settled(app_state, app_state.queue.records()[0].id)
+    said: list[tuple[str, ...]] = []
+    obj.watch(lambda: None, lambda *words: said.append(words))
+    with monkeypatch.context() as patched:
+        patched.setattr(segmenting_tasks, "segment", segment_held_at_first)
+        obj.do(cmd.AddClick(Click((0.0, 0.0, 0.35), 1)), "ann")
+    wait_until((tmp_path / "workspace" / "began").exists, "it is being answered")
+    os.kill(app_state.workers.segmentation.pid, signal.SIGKILL)
+    wait_until(lambda: obj.document.segmentation_current and obj.labels is not None, "labels")
+    assert obj.labels is not None and (obj.labels == 1).any() and not said
+    with monkeypatch.context() as patched:
+        patched.setattr(segmenting_tasks, "segment", segment_that_kills)
+        obj.do(cmd.AddClick(Click((0.0, 0.0, -0.35), 2)), "ann")
+    wait_until(lambda: said, "it killed two")
+    ((title, body, _),) = said
+    assert title == "Failed" and "second time" in body and "isn't tried again" in body
+    assert len(obj.document.prompts) == 2 and not obj.document.segmentation_current
+    obj.do(cmd.AddClick(Click((0.5, 0.0, 0.0), 2)), "ann")  # the next click answers for both
+    wait_until(lambda: obj.document.segmentation_current, "both clicks")
 
 
 @pytest.mark.parametrize("by", ["a button", "leaving"])

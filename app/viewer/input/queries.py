@@ -66,7 +66,7 @@ class PointerQueries:
         """Give ``then`` the first visible element on a ray, or None."""
         job = self._geometry.submit(
             picking_tasks.pick, asset.folder, origin, direction, self._hidden(),
-            priority=PICK_PRIORITY,
+            priority=PICK_PRIORITY, repeated=True,
         )  # fmt: skip
         self._answer(job, then)
 
@@ -103,7 +103,7 @@ class PointerQueries:
         """Give ``then`` the visible elements in a rectangle of the picture."""
         job = self._geometry.submit(
             picking_tasks.select_box, asset.folder, self._workspace, camera, low, high,
-            one_piece=one_piece, hidden=self._hidden(), priority=PICK_PRIORITY,
+            one_piece=one_piece, hidden=self._hidden(), priority=PICK_PRIORITY, repeated=True,
         )  # fmt: skip
         self._answer(job, lambda found: then(*found))
 
@@ -111,7 +111,7 @@ class PointerQueries:
         """Give ``then`` the visible elements in a lasso or under a brush."""
         job = self._geometry.submit(
             picking_tasks.select_stroke, asset.folder, self._workspace, camera, stroke,
-            self._hidden(), priority=PICK_PRIORITY,
+            self._hidden(), priority=PICK_PRIORITY, repeated=True,
         )  # fmt: skip
         self._answer(job, lambda found: then(*found))
 
