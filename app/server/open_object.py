@@ -24,6 +24,7 @@ from app.server.segmenting import SOURCE, Segmenting
 from app.server.services import Services
 from app.server.tasks import Stamp, stamp_if_there
 from app.server.validating import JointCollision, Validation
+from app.server.workers import READ_CANCELLED, READ_SECONDS, too_slow
 from model.core.errors import ArtiworldError, CommandError
 from model.prediction.registry import DEFAULT as DEFAULT_PREDICTOR
 from model.prediction.remote.http_predictor import BackendError
@@ -32,11 +33,6 @@ from sessions.state import SessionState
 from sessions.store import ObjectRecord, PendingAcceptance
 
 INTERRUPTED = "Its server ended, or another one still works on it. Press Y to accept it"
-
-
-READ_SECONDS = 600.0
-"""Longest reading of a file; scans of 50 million points take one minute."""
-READ_CANCELLED = "Reading it was cancelled"
 
 
 class OpenObject(ObjectContext):
@@ -296,8 +292,7 @@ class OpenObject(ObjectContext):
         if what == "save" and not self.services.workers.closing:
             self.services.acceptances.end(self.record.id)
         if isinstance(error, OutOfTimeError):
-            minutes = READ_SECONDS / 60
-            self._failed(what, f"Reading took more than {minutes:g} minutes: simplify the file")
+            self._failed(what, too_slow(self.record.name))
         elif isinstance(error, BackendError):
             self.backend_away = True
             self._failed(what, f"{error}. Press “Predict on this machine”")

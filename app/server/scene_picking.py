@@ -20,6 +20,7 @@ from app.server.jobs import CLICKS
 from app.server.open_object import OpenObject
 from app.server.scene_state import SceneState
 from app.server.scene_tasks import SceneItem
+from app.server.workers import READ_SECONDS
 from model.core.errors import CommandError
 from model.scenes.finders import LexiconFinder
 from model.scenes.native_format import quaternion_wxyz
@@ -65,8 +66,9 @@ class Picking:
         job = scene.services.workers.reading.submit(
             scene_tasks.prepare_for_picking, item, scene.services.workspace,
             on_progress=scene.jobs.progress("copy"), priority=8, preempted_by=CLICKS,
+            most_seconds=READ_SECONDS,
         )  # fmt: skip
-        scene.start("copy", job, keep)
+        scene.start("copy", job, keep, files=(item.path or copy,))
         scene.changed()
 
     def take_out(

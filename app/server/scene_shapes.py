@@ -71,7 +71,8 @@ def shapes(
     end = time.perf_counter() + BATCH_SECONDS
     out: dict[Path, Shape | str] = {}
     for path in paths:
-        progress(len(out) / len(paths), path.name)
+        # A message of its own for each: the fraction then says at which one it stands.
+        progress(len(out) / len(paths), f"{path.name} ({len(out) + 1} of {len(paths)})")
         try:
             out[path] = _shape_of(path, workspace, max_faces)
         except ArtiworldError as error:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from app.server.job import Job
 from app.server.observable import Observable
 from app.server.running_jobs import RunningJobs
 from app.server.scene_rows import Work
@@ -97,9 +98,20 @@ class SceneState(Observable):
         keep: Callable[[Any], None],
         progress: tuple[float, str] = (0.0, ""),
         work: Work | None = None,
+        files: Sequence[Path] = (),
     ) -> None:
-        """Follow a job; ``keep`` gets its result. Failures are shown, and written into ``work``."""
-        self.jobs.add(kind, job, lambda ended: self._ended(kind, ended, keep, work), progress)
+        """Follow a job; ``keep`` gets its result. Failures are shown, and written into ``work``.
 
-    def _ended(self, kind: str, job: Any, keep: Callable[[Any], None], work: Work | None) -> None:
+        Args:
+            files: what it reads, one after the other: the one that it doesn't come to the end of
+                is named.
+        """
+        self.jobs.add(
+            kind, job, lambda ended: self._ended(kind, ended, keep, work, files), progress
+        )
+
+    def _ended(
+        self, kind: str, job: Job[Any], keep: Callable[[Any], None], work: Work | None,
+        files: Sequence[Path],
+    ) -> None:  # fmt: skip
         raise NotImplementedError

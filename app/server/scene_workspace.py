@@ -9,13 +9,14 @@ accepted as such.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from app.server import scene_shapes, scene_tasks
+from app.server.job import Job, OutOfTimeError, WorkerDied
 from app.server.jobs import CLICKS
 from app.server.observable import Notice
 from app.server.review_order import confidence
@@ -29,7 +30,9 @@ from app.server.scene_state import SceneState
 from app.server.scene_tasks import OpenedScene, Prepared, SceneItem
 from app.server.services import Services
 from app.server.tasks import ReadOptions
-from model.core.errors import ArtiworldError, CommandError
+from app.server.workers import READ_CANCELLED, READ_SECONDS, too_slow
+from model.core.errors import CommandError
+from model.core.progress import Cancelled
 from sessions import commands as cmd
 from sessions.document import Document
 from sessions.scene_commands import DecideObjects, PickOut, SetArticulable
@@ -63,6 +66,7 @@ class SceneWorkspace(SceneState):
         super().__init__(services, path)
         self.problem: str | None = None
         self.paused = False
+        self._stopped: set[Path] = set()  # assets that weren't read to their end
         self._preferred: int | None = None
         self._closed = False
         self._max_faces = MAX_SCENE_FACES
@@ -71,13 +75,38 @@ class SceneWorkspace(SceneState):
         self.saving = Saving(self, self.row, self.accepting.why_refused)
         self.picking = Picking(self)
         self.live.subscribe(self._decided)
-        config = services.config
-        job = services.workers.reading.submit(
-            scene_tasks.read, path, folders, format, config.finder, config.finder_url,
-            services.workspace, on_progress=self.jobs.progress("read"), priority=8,
-            preempted_by=CLICKS,
+        self._folders, self._format = folders, format
+        self._read()
+
+    def _read(self) -> None:
+        config = self.services.config
+        job = self.services.workers.reading.submit(
+            scene_tasks.read, self.path, self._folders, self._format, config.finder,
+            config.finder_url, self.services.workspace, on_progress=self.jobs.progress("read"),
+            priority=8, preempted_by=CLICKS, most_seconds=READ_SECONDS,
         )  # fmt: skip
-        self.start("read", job, self._opened)
+        self.start("read", job, self._opened, files=(self.path,))
+
+    def cancel(self) -> None:
+        """Stop reading: the scene, the asset at hand, or a working copy."""
+        for kind in ("read", "shapes", "copy"):
+            self.jobs.cancel(kind)
+
+    @property
+    def can_try_again(self) -> bool:
+        """Whether the scene, or an asset, isn't there because reading it failed or was stopped."""
+        return self.problem is not None or bool(self._stopped)
+
+    def try_again(self) -> None:
+        """Read again what failed or was stopped."""
+        if self.problem is not None:
+            self.problem = None
+            self._read()
+        self.shapes = {p: s for p, s in self.shapes.items() if p not in self._stopped}
+        self._stopped.clear()
+        for work in self.works.values():
+            work.prepared = work.prepared and work.item.path in self.shapes
+        self.go_on()
 
     # --- the state of each object
 
@@ -169,9 +198,10 @@ class SceneWorkspace(SceneState):
             done(work)
             return
         job = self.services.workers.reading.submit(
-            scene_tasks.make_working_copy, work.item, priority=8
+            scene_tasks.make_working_copy, work.item, priority=8, most_seconds=READ_SECONDS
         )
-        self.start("copy", job, lambda _: done(work))
+        files = (work.item.path or work.item.copy or self.path,)
+        self.start("copy", job, lambda _: done(work), files=files)
         self.changed()
 
     # --- opening
@@ -252,20 +282,23 @@ class SceneWorkspace(SceneState):
         paths = list(dict.fromkeys(paths))
         if not paths:
             return
+        done = 1 - len(paths) / len({i.path for i in self.items.values() if i.path})
+        report = self.jobs.progress("shapes")
         job = self.services.workers.reading.submit(
             scene_shapes.shapes,
             paths,
             self.services.workspace,
             self._max_faces,
+            on_progress=lambda fraction, message: report(done + (1 - done) * fraction, message),
             priority=7,
             preempted_by=CLICKS,
+            most_seconds=READ_SECONDS,
         )
 
         def keep(made: Mapping[Path, Shape | str]) -> None:
             self.shapes = {**self.shapes, **made}
 
-        total = len({i.path for i in self.items.values() if i.path})
-        self.start("shapes", job, keep, (len(self.shapes) / total, ""))
+        self.start("shapes", job, keep, (done, ""), files=paths)
 
     def _draw_parts(self) -> None:
         if "parts" in self.jobs:
@@ -292,12 +325,19 @@ class SceneWorkspace(SceneState):
             return
         works = list(self.wanted())
         waiting = [w for w in works if not w.prepared and w.document.tree is None]
+        # What can't be read is found out where no click waits for it.
+        for work in waiting:
+            shape = self.shapes.get(work.item.path) if work.item.path else None
+            if isinstance(shape, str):
+                work.prepared, work.reason = True, shape
+        waiting = [w for w in waiting if not w.prepared and w.item.path in self.shapes]
         if not waiting:
             return
         work = next((w for w in waiting if w.id == self._preferred), waiting[0])
         job = self.services.workers.prediction.submit(
             scene_tasks.prepare, work.item, self.services.workspace, self.services.config.segmenter,
             self.services.config.predictor, priority=-5, preempted_by=0,
+            most_seconds=READ_SECONDS,
         )  # fmt: skip
 
         def keep(prepared: Prepared) -> None:
@@ -306,7 +346,8 @@ class SceneWorkspace(SceneState):
 
         done = len(works) - len(waiting)
         message = f"{work.item.obj.id} ({done + 1} of {len(works)})"
-        self.start("prepare", job, keep, (done / len(works), message), work)
+        files = (work.item.path or self.path,)
+        self.start("prepare", job, keep, (done / len(works), message), work, files)
 
     def _record(self, work: Work, prepared: Prepared) -> None:
         """Record what was found as commands, unless a person was first."""
@@ -343,16 +384,25 @@ class SceneWorkspace(SceneState):
             self.jobs.cancel("prepare")
         self.go_on()
 
-    def _ended(self, kind: str, job: Any, keep: Callable[[Any], None], work: Work | None) -> None:
+    def _ended(
+        self, kind: str, job: Job[Any], keep: Callable[[Any], None], work: Work | None,
+        files: Sequence[Path],
+    ) -> None:  # fmt: skip
         with self._lock:  # no undo while a result is recorded
             error = self.jobs.deliver(kind, job, keep)
-        if isinstance(error, ArtiworldError):
-            self._failed(kind, str(error), work)
+        at = _stopped_at(job, files)
+        if isinstance(error, Cancelled):
+            if at is not None and kind in ("read", "shapes"):
+                self._failed(kind, READ_CANCELLED, work, at)
+        elif isinstance(error, OutOfTimeError) and at is not None and kind != "prepare":
+            self._failed(kind, too_slow(at.name), work, at)
+        elif error is not None:
+            self._failed(kind, str(error) if at is None else f"{at.name}: {error}", work, at)
         # Only now: recording the result must not start the same job again.
         self.jobs.drop(kind, job)
         self.go_on()
 
-    def _failed(self, kind: str, message: str, work: Work | None) -> None:
+    def _failed(self, kind: str, message: str, work: Work | None, at: Path | None) -> None:
         if kind == "read":
             self.problem = message
         elif kind == "prepare" and work is not None:
@@ -364,8 +414,20 @@ class SceneWorkspace(SceneState):
                 work.undrawable = work.document.segmentation.labels
             if kind == "shapes":
                 left = {i.path for i in self.items.values() if i.path} - set(self.shapes)
+                if at is not None:
+                    left = {at}
+                    self._stopped.add(at)
                 self.shapes = {**self.shapes, **dict.fromkeys(left, message)}
             self.notify("Failed", message, "red")
+
+
+def _stopped_at(job: Job[Any], files: Sequence[Path]) -> Path | None:
+    """The file that a job was reading when its time was up, it was stopped, or its process died;
+    None where it ended by itself."""
+    stopped = isinstance(job.error, (OutOfTimeError, WorkerDied)) or job.state == "cancelled"
+    if not stopped or not files:
+        return None
+    return files[min(round(job.fraction * len(files)), len(files) - 1)]
 
 
 def _options(doc: Document) -> ReadOptions:

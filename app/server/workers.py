@@ -8,6 +8,15 @@ from model.core.memory import limit_memory
 READ_MEMORY = 0.75
 """Share of the machine's memory that reading one file may take."""
 
+READ_SECONDS = 600.0
+"""Longest reading of a file; scans of 50 million points take one minute."""
+READ_CANCELLED = "Reading it was cancelled"
+
+
+def too_slow(name: str) -> str:
+    """What is said where reading the file ``name`` took longer."""
+    return f"Reading {name} took more than {READ_SECONDS / 60:g} minutes: simplify the file"
+
 
 class Workers:
     """The worker processes.

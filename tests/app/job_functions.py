@@ -8,12 +8,13 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from app.server import segmenting_tasks
+from app.server import scene_shapes, segmenting_tasks
 from app.server.jobs import WorkerProcess
 from model.core.errors import InputFileError, KinematicsError
 from model.core.point_cloud import PointCloud
@@ -148,6 +149,17 @@ def hold_the_interpreter(started: str) -> None:
 
 def reads_for_ever(*_: object, **__: object) -> None:
     time.sleep(1000)
+
+
+def shapes_without_end_of_rocks(paths: Sequence[Path], *more: Any, progress: Progress) -> Any:
+    """Hang in a rock, as a reader does that finds no end."""
+
+    def hang(fraction: float, message: str) -> None:
+        progress(fraction, message)
+        if message.startswith("rock"):
+            time.sleep(1000)
+
+    return scene_shapes.shapes(paths, *more, progress=hang)
 
 
 def read_badly(path: Path, is_scene: bool) -> int:

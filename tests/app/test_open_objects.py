@@ -20,7 +20,8 @@ from app.server import display_tasks, picking_tasks, segmenting_tasks
 from app.server.app_state import AppState
 from app.server.config import ServeConfig
 from app.server.drafts import AssetDrafts
-from app.server.open_object import READ_CANCELLED, OpenObject
+from app.server.open_object import OpenObject
+from app.server.workers import READ_CANCELLED
 from model.core.errors import CommandError
 from model.segmentation.prompts import Click
 from sessions import commands as cmd

@@ -67,6 +67,10 @@ class SceneCard:
         self._progress = gui.add_progress_bar(0.0, visible=False)
         self._pause = gui.add_button(words.PAUSE, icon=viser.Icon.PLAYER_PAUSE,
                                      color="gray", visible=False)  # fmt: skip
+        self._cancel = gui.add_button(common.CANCEL, icon=viser.Icon.PLAYER_STOP, color="gray",
+                                      visible=False)  # fmt: skip
+        self._again = gui.add_button(common.RETRY, icon=viser.Icon.REFRESH, color="gray",
+                                     visible=False)  # fmt: skip
         self._history = gui.add_button_group(common.EDIT, common.HISTORY_ACTIONS)
         self._play = gui.add_button(words.PLAY, icon=viser.Icon.PLAYER_PLAY)
         with gui.add_folder(words.SELECTED):
@@ -100,6 +104,8 @@ class SceneCard:
         self._pause.on_click(
             lambda _: act(lambda: self._workspace.pause(not self._workspace.paused))
         )
+        self._cancel.on_click(lambda _: self._workspace.cancel())  # whatever the tab waits for
+        self._again.on_click(lambda _: act(self._workspace.try_again))
         self._history.on_click(
             lambda e: act(do.undo if e.target.value == common.HISTORY_ACTIONS[0] else do.redo)
         )
@@ -165,6 +171,10 @@ class SceneCard:
         put(self._status, "content", "\n\n".join(lines))
         put(self._progress, "visible", bool(shown))
         put(self._progress, "value", round(100 * fraction, 1))
+        reading = {"read", "shapes", "copy"} & set(busy)
+        put(self._cancel, "visible", bool(reading))
+        put(self._cancel, "label", words.SKIP if "shapes" in reading else common.CANCEL)
+        put(self._again, "visible", workspace.can_try_again and not reading)
         put(self._pause, "visible", workspace.paused or "prepare" in workspace.busy)
         put(self._pause, "label", words.RESUME if workspace.paused else words.PAUSE)
 

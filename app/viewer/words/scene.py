@@ -25,6 +25,7 @@ JOBS: Final[dict[str, str]] = {
 }
 """Running jobs, the most important one first."""
 PAUSE, RESUME = "Pause prediction", "Resume prediction"
+SKIP: Final = "Skip this asset"
 PLAY, STOP = "Play all joints (Shift+Space)", "Stop (Space)"
 SELECTED: Final = "Selected object"
 KIND: Final = "Kind"
