@@ -18,7 +18,7 @@ from model.prediction.arti4urdf.decoding import Answer, decode, same_motion
 from model.prediction.arti4urdf.evidence import joint_evidence, parent_probability
 from model.prediction.arti4urdf.geometric_prior import geometric_prior
 from model.prediction.arti4urdf.grammar import Lock
-from model.prediction.arti4urdf.motion_check import rerank_by_motion
+from model.prediction.arti4urdf.motion_ranker import load_motion_ranker
 from model.prediction.arti4urdf.network import ArtiModel, Prompt
 from model.prediction.arti4urdf.structure import (
     MECHANISMS,
@@ -43,13 +43,13 @@ class HybridSettings:
             probability; 0 never asks geometry, 1 always does.
         weight: of geometry's probabilities of joint types and candidates, in a product of experts.
         swept: log-odds in favour of a candidate's own limits, from rules and motion sweep.
-        motion: exponent of the collision-free share of a candidate's range.
+        ranked: learned trees overrule the candidates that were chosen.
     """
 
     tree: float = 0.999
     weight: float = 5.0
     swept: float = 10.0
-    motion: float = 1.0
+    ranked: bool = True
 
 
 class Arti4UrdfPredictor:
@@ -113,7 +113,10 @@ class Arti4UrdfPredictor:
         rules, same = geometric_prior(structure), same_motion(prompt)
         locks = _locks(locked, links, builder.problems)
         progress(0.8, "writing the tree")
-        answer = self._decide(prompt, structure, locks, rules, same)
+        answer = self.answer(prompt, structure, locks, rules)
+        if self.hybrid is not None and self.hybrid.ranked:
+            rank = load_motion_ranker()
+            answer = rank(answer, structure, prompt.arrays, rules, same, frozenset(locks))
         assembly = None
         if self.hybrid is not None:
             parents = [d.parent for d in answer.decisions]
@@ -130,15 +133,20 @@ class Arti4UrdfPredictor:
         made = builder.build(backend, seed, lambda tree: write_answer(tree, segmented))
         return made, builder.evidence
 
-    def _decide(
+    def answer(
         self,
         prompt: Prompt,
         structure: Structure,
         locks: dict[int, Lock],
         rules: npt.NDArray[np.float64],
-        same: npt.NDArray[np.bool_],
     ) -> Answer:
-        """The network's answer; with geometry's prior, tree and motion check if hybrid."""
+        """The network's answer; with geometry's prior and tree if hybrid.
+
+        Args:
+            prompt, structure: of the object.
+            locks: parents and joints to keep, by part.
+            rules: (P, SIZE) of :func:`.geometric_prior`.
+        """
         if self.hybrid is None:
             return decode(self.model, prompt, locked=locks)
         prior = self.hybrid.weight * rules
@@ -148,8 +156,6 @@ class Arti4UrdfPredictor:
             parents = structure.assembly.parent
             by_geometry = {i: Lock(p) for i, p in enumerate(parents) if p >= 0}
             answer = decode(self.model, prompt, locked=by_geometry | locks, prior=prior)
-        if self.hybrid.motion:
-            answer = rerank_by_motion(answer, structure, same, self.hybrid.motion)
         return answer
 
     def _doubts_tree(self, answer: Answer, structure: Structure) -> bool:

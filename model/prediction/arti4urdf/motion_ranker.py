@@ -1,0 +1,216 @@
+"""A learned choice among the candidates of each part.
+
+Boosted trees read what the network and the geometric rules think of a candidate, where its axis
+lies in the part and how the part touches others. They were trained on our own procedural objects
+and on another generator's (:mod:`model.training.arti4urdf.motions`), and overrule the answer where
+they are clear enough.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from model.core.joint import JointType
+from model.core.resources import static_assets
+from model.prediction.arti4urdf import vocabulary as v
+from model.prediction.arti4urdf.decoding import Answer
+from model.prediction.arti4urdf.grammar import Decision
+from model.prediction.arti4urdf.structure import (
+    FEATURES,
+    FIRST_NAME_SCALAR,
+    MECHANISMS,
+    RANKS,
+    SIZES,
+    SLOTS,
+    VECTORS,
+    Structure,
+    StructureArrays,
+)
+from model.segmentation.models.trees import Trees, load_trees
+
+Array = npt.NDArray[np.float64]
+Floats = npt.NDArray[np.float32]
+Bools = npt.NDArray[np.bool_]
+
+SHIPPED = static_assets() / "arti4urdf" / "motions.npz"
+MARGIN = 0.5
+"""Least difference of log-probabilities that overrules; docs/research/predictor.md has others."""
+LEAST = -12.0
+"""Log-probability of what an expert excludes."""
+_SCORES = SIZES + FEATURES
+_VECTORS = ("outward", "exit", "contact", "handle", "normal")
+_EXPERTS = ("network", "rules")
+NAMES: tuple[str, ...] = (
+    "mechanism", "rank", "relative score", "score", "lower", "upper", "arm", "turns",
+    "axis up", "axis z", "along", "across", "slenderness", "reach",
+    *(f"axis on {name}" for name in _VECTORS), *(f"arm on {name}" for name in _VECTORS), "arm z",
+    "agreeing", "named", "named motion", "mechanism score", "mechanism score below best",
+    *(f"scalar {k}" for k in range(_SCORES)), "named fixed", "unnamed",
+    *(f"{expert} {what}" for expert in _EXPERTS for what in ("slot", "motion", "kind", "fixed")),
+)  # fmt: skip
+"""Features of a candidate; lengths in diagonals of the object."""
+_FIXED = v.TYPES.index("fixed")
+_TURNING = [v.TYPES.index(kind) for kind in ("revolute", "continuous", "screw")]
+_SLIDING = v.TYPES.index("prismatic")
+
+
+def motion_features(
+    arrays: StructureArrays, part: int, network: Array, rules: Array, same: Bools
+) -> tuple[npt.NDArray[np.int64], Floats]:
+    """The candidates of a part, and (K, len(NAMES)) their features.
+
+    Args:
+        arrays: the structure prompt.
+        part: index of the part.
+        network: (2, SIZE) log-odds of joint types and of candidates, -inf where excluded.
+        rules: (SIZE,) log-probabilities from geometry and names.
+        same: (SLOTS, SLOTS) candidates with the same motion.
+    """
+    scalars = arrays.candidate_scalars[part]
+    slots = np.flatnonzero(scalars[:, 0] > 0)
+    found, row = scalars[slots], arrays.scalars[part]
+    axis, arm = np.moveaxis(arrays.candidate_vectors[part, slots].astype(np.float64), 1, 0)
+    mechanism = slots // RANKS
+    points = arrays.points[part].astype(np.float64)
+    along = np.ptp(points @ axis.T, axis=0)
+    offset = points[:, None] - (points @ axis.T)[..., None] * axis
+    across = np.linalg.norm(offset - offset.mean(0), axis=-1).max(0)
+    length = np.linalg.norm(arm, axis=1)
+    toward = np.where(length[:, None] > 1e-3, arm / np.maximum(length, 1e-9)[:, None], 0.0)
+    half = np.maximum(np.ptp(points @ toward.T, axis=0) / 2, 1e-4)
+    reach = np.where(length > 1e-3, length / half, length)
+    vectors = arrays.vectors[part].astype(np.float64)
+    vectors /= np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-9)
+    named = row[FIRST_NAME_SCALAR:][: len(MECHANISMS)]
+    present = np.isin(np.arange(SLOTS), slots)
+    score = row[_SCORES:][: len(MECHANISMS)]
+    columns = [
+        mechanism, slots % RANKS, *found[:, 1:].T,
+        np.abs(axis[:, 2]), axis[:, 2], along, across, along / np.maximum(across, 1e-4), reach,
+        *np.abs(vectors @ axis.T), *(vectors @ toward.T), toward[:, 2],
+        same[slots].sum(1), named[mechanism],
+        same[slots] @ (named[np.arange(SLOTS) // RANKS] * present),
+        score[mechanism], score[mechanism] - score.max(),
+    ]  # fmt: skip
+    shared = [*row[:_SCORES], *row[FIRST_NAME_SCALAR + len(MECHANISMS) :]]
+    experts = [_expert(t, s, found[:, -1] > 0, slots, same) for t, s in (network, (rules, rules))]
+    features = np.concatenate(
+        [np.stack(columns, 1), np.tile(shared, (len(slots), 1)), *experts], 1
+    ).astype(np.float32)
+    assert features.shape[1] == len(NAMES) and len(_VECTORS) == VECTORS
+    return slots, features
+
+
+def _expert(
+    types: Array, words: Array, turns: Bools, slots: npt.NDArray[np.int64], same: Bools
+) -> Array:
+    """(K, 4) log-probabilities: of a candidate, its motion, its kind of joint, and of "fixed"."""
+    kinds = _log_softmax(types[v.TYPE_IDS])
+    own = _log_softmax(words[v.SLOT_IDS][slots])
+    motion = np.log(np.maximum(same[np.ix_(slots, slots)] @ np.exp(own), 1e-6))
+    turning = np.logaddexp.reduce(kinds[_TURNING])
+    kind = np.where(turns, turning, kinds[_SLIDING])
+    return np.stack([own, motion, kind, np.full(len(slots), kinds[_FIXED])], 1)
+
+
+def _log_softmax(values: Array) -> Array:
+    if not np.isfinite(values).any():
+        return np.full(len(values), LEAST)
+    return np.maximum(values - np.logaddexp.reduce(values), LEAST)
+
+
+@dataclass(frozen=True, eq=False)
+class MotionRanker:
+    """Overrules an answer's motions.
+
+    Attributes:
+        trees: log-odds that a candidate has the axis and the line of the true joint.
+        margin: least difference of log-probabilities that overrules.
+    """
+
+    trees: Trees
+    margin: float = MARGIN
+
+    def __call__(
+        self,
+        answer: Answer,
+        structure: Structure,
+        arrays: StructureArrays,
+        rules: Array,
+        same: Bools,
+        locked: frozenset[int] = frozenset(),
+    ) -> Answer:
+        """The answer with the likeliest motion of each part that moves; locked parts stay."""
+        decisions = list(answer.decisions)
+        parts = [
+            i for i, d in enumerate(decisions) if 0 <= d.slot < SLOTS and i not in locked
+        ]  # fmt: skip
+        read = [
+            motion_features(arrays, i, network_odds(answer, i), rules[i], same[i]) for i in parts
+        ]
+        if not read:
+            return answer
+        odds = self.trees(np.concatenate([features for _, features in read]))
+        ends = np.cumsum([len(slots) for slots, _ in read])[:-1]
+        for i, (slots, _), own in zip(parts, read, np.split(odds, ends), strict=True):
+            present = int(np.flatnonzero(slots == decisions[i].slot)[0])
+            among = same[i][np.ix_(slots, slots)]
+            chosen = self.chosen(present, own, rules[i][self.words(slots)], among)
+            if chosen != present:
+                decisions[i] = _moved(structure, i, decisions[i], int(slots[chosen]))
+        return replace(answer, decisions=tuple(decisions))
+
+    def chosen(self, present: int, odds: Floats, rules: Array, same: Bools) -> int:
+        """Index of the candidate to take, of a part's K.
+
+        Args:
+            present: index of the answer's.
+            odds: (K,) of the trees. rules: (K,) log-probabilities by the rules.
+            same: (K, K) which have the same motion.
+        """
+        likely = -np.logaddexp(0.0, -odds.astype(np.float64))
+        best = int(np.argmax(likely))
+        if likely[best] - likely[same[present]].max() < self.margin:
+            return present
+        # Of the candidates with this motion the rules know the one with the likeliest limits.
+        return int(np.argmax(np.where(same[best], rules, -np.inf)))
+
+    @staticmethod
+    def words(slots: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+        """Words of the vocabulary that stand for candidates."""
+        return np.asarray(v.SLOT_IDS)[slots]
+
+
+def network_odds(answer: Answer, part: int) -> Array:
+    """(2, SIZE) log-odds of the network alone for joint types and candidates of a part."""
+    out = np.full((2, v.SIZE), -np.inf)
+    for row, kind in enumerate(("type", "slot")):
+        record = answer.record(part, kind)
+        if record is not None:
+            out[row] = record.plain
+    return out
+
+
+def _moved(structure: Structure, part: int, decision: Decision, slot: int) -> Decision:
+    """The decision with another candidate, its type and its limits."""
+    found = structure.slots[part][slot]
+    assert found is not None
+    kind: JointType | str = found.type
+    if v.TYPES[decision.type] == "screw" and found.type != "prismatic":
+        kind = "screw"
+    return replace(decision, slot=slot, type=v.TYPES.index(kind), lower=-1, upper=-1, numbers=[])
+
+
+@lru_cache(maxsize=2)
+def load_motion_ranker(path: Path = SHIPPED) -> MotionRanker:
+    """The shipped ranker, or another file's.
+
+    Raises:
+        InputFileError: if the file is absent or damaged, or has other features.
+    """
+    return MotionRanker(load_trees(path, NAMES))

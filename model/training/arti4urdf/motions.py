@@ -1,0 +1,266 @@
+"""Fits the choice of motions: ``python -m model.training.arti4urdf.motions --help``.
+
+Procedural objects, corrupted as in the network's training, and a folder of URDF objects with and
+without names are predicted; trees learn which candidates have the axis and the line of the true
+joint. Two fits without a fold each show their quality: a fold of objects, and a fold of categories.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from model.core.errors import ArtiworldError
+from model.data.registry import DatasetOptions, open_dataset
+from model.evaluation.pool import robust_map
+from model.prediction.arti4urdf.decoding import same_motion
+from model.prediction.arti4urdf.geometric_prior import geometric_prior
+from model.prediction.arti4urdf.motion_ranker import (
+    NAMES,
+    SHIPPED,
+    MotionRanker,
+    motion_features,
+    network_odds,
+)
+from model.prediction.arti4urdf.predictor import hybrid, make_prompt
+from model.prediction.arti4urdf.structure import read_structure
+from model.segmentation.models.trees import Trees, save_trees
+from model.training.arti4urdf.labels import TYPES, label
+from model.training.arti4urdf.samples import (
+    BUDGET,
+    MOST_PARTS,
+    draw_truth,
+    family_of,
+    training_families,
+)
+from model.training.segmentation.fit import plain_trees
+
+Floats = npt.NDArray[np.float32]
+FIXED = TYPES.index("fixed")
+FOLDS = 5
+CHUNK = 50
+"""Objects of one file of a run."""
+OTHERS = 3.0
+"""Weight of the other generator's rows: its objects are fewer than ours. Not tuned."""
+BOOSTING = {
+    "objective": "binary", "learning_rate": 0.1, "num_leaves": 16, "min_data_in_leaf": 30,
+    "lambda_l2": 5.0, "feature_fraction": 0.4, "bagging_fraction": 0.7, "bagging_freq": 1,
+    "num_threads": 1, "deterministic": True, "force_row_wise": True, "verbosity": -1,
+}  # fmt: skip
+"""LightGBM's settings; chosen by us, not tuned."""
+TREES = 120
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """A part of a training object.
+
+    Attributes:
+        object_id, category: of the object; the category is "" for procedural ones.
+        named: whether names were given. moves: whether its true joint moves.
+        features: (K, F) of its candidates.
+        right: (K,) which have the true axis and line.
+        same: (K, K) which have the same motion.
+        rules: (K,) log-probabilities by the rules. present: index of the answer's, -1 for none.
+    """
+
+    object_id: str
+    category: str
+    named: bool
+    moves: bool
+    features: Floats
+    right: npt.NDArray[np.bool_]
+    same: npt.NDArray[np.bool_]
+    rules: npt.NDArray[np.float64]
+    present: int
+
+
+def parts_of(data: DatasetOptions | None, seed: int, task: tuple[str, bool, int]) -> list[Part]:
+    """The parts of one object; none where it can't be read or expressed.
+
+    Args:
+        data: the folder; None for procedural objects.
+        seed: of the procedural objects.
+        task: id, whether names are given, seed of the surface samples. A procedural object's id is
+            its index, and it decides on its names itself.
+    """
+    object_id, named, number = task
+    try:
+        if data is None:
+            index = int(object_id)
+            truth, named = draw_truth(family_of(training_families(), index), seed, index)
+            category = ""
+        else:
+            folder = open_dataset(data)
+            truth, category = folder.load(object_id), folder.category(object_id) or ""
+        segmented = truth.segmented(names=named)
+        if not 2 <= len(segmented.parts) <= MOST_PARTS:
+            return []
+        structure = read_structure(segmented, number, budget=BUDGET)
+        labels = label(structure, truth.object)
+    except ArtiworldError:
+        return []
+    if labels is None:
+        return []
+    prompt = make_prompt(structure, segmented, number)
+    rules, same = geometric_prior(structure), same_motion(prompt)
+    answer = hybrid().answer(prompt, structure, {}, rules)
+    out: list[Part] = []
+    for i in range(len(segmented.parts)):
+        odds = network_odds(answer, i)
+        slots, features = motion_features(prompt.arrays, i, odds, rules[i], same[i])
+        if labels.parents[i] < 0 or not len(slots):
+            continue
+        present = np.flatnonzero(slots == answer.decisions[i].slot)
+        out.append(
+            Part(
+                truth.id, category, named, bool(labels.types[i] != FIXED), features,
+                labels.right[i, slots], same[i][np.ix_(slots, slots)],
+                rules[i][MotionRanker.words(slots)], int(present[0]) if len(present) else -1,
+            )
+        )  # fmt: skip
+    return out
+
+
+def _grow(parts: Sequence[Part], seed: int) -> Trees:
+    import lightgbm  # pyright: ignore[reportMissingImports]
+
+    weight = np.concatenate([np.full(len(p.right), OTHERS if p.category else 1.0) for p in parts])
+    right = np.concatenate([p.right for p in parts]).astype(np.int64)
+    data = lightgbm.Dataset(np.concatenate([p.features for p in parts]), right, weight=weight)
+    grown = lightgbm.train({**BOOSTING, "seed": seed}, data, TREES).dump_model()
+    return plain_trees(NAMES, grown["tree_info"])
+
+
+def accuracy(parts: Sequence[Part], fold: npt.NDArray[np.int64], seed: int) -> dict[str, float]:
+    """Share of moving joints with the true axis and line before and after, each fold left out."""
+    hits: dict[bool, list[tuple[bool, bool]]] = {True: [], False: []}
+    for left in sorted(set(fold[fold >= 0].tolist())):
+        ranker = MotionRanker(
+            _grow([p for p, f in zip(parts, fold, strict=True) if f != left], seed)
+        )
+        for p in (p for p, f in zip(parts, fold, strict=True) if f == left and p.moves):
+            odds = ranker.trees(p.features)
+            chosen = ranker.chosen(p.present, odds, p.rules, p.same) if p.present >= 0 else -1
+            before, after = (k >= 0 and bool(p.right[k]) for k in (p.present, chosen))
+            hits[p.named].append((before, after))
+    out: dict[str, float] = {}
+    for named, kind in ((True, "names"), (False, "no names")):
+        if hits[named]:
+            before, after = np.mean(hits[named], axis=0)
+            out |= {f"{kind}, before": round(before, 3), f"{kind}, after": round(after, 3)}
+    return out
+
+
+def folds(parts: Sequence[Part], key: str) -> npt.NDArray[np.int64]:
+    """(N,) fold of each part by its object or its category; -1 of procedural ones."""
+    values = [str(getattr(p, key)) for p in parts]
+    if key == "category":
+        place = {c: k for k, c in enumerate(sorted(set(values)))}
+        return np.array([place[c] if c else -1 for c in values])
+    return np.array(
+        [zlib.crc32(v.encode()) % FOLDS if p.category else -1
+         for v, p in zip(values, parts, strict=True)]
+    )  # fmt: skip
+
+
+def collect(
+    out: Path,
+    data: DatasetOptions | None,
+    tasks: Sequence[tuple[str, bool, int]],
+    seed: int,
+    jobs: int,
+) -> list[Part]:
+    """The parts of all objects; chunks that lie in ``out`` from an earlier run are kept."""
+    found: list[Part] = []
+    name = "made" if data is None else "data"
+    for begin in range(0, len(tasks), CHUNK):
+        path = out / f"{name}_{begin:06d}.npz"
+        if not path.exists():
+            work = partial(parts_of, data, seed)
+            chunk = sorted(
+                (p for _, got in robust_map(work, tasks[begin : begin + CHUNK], jobs)
+                 for p in got or ()), key=lambda p: p.object_id,
+            )  # fmt: skip
+            write_parts(chunk, path)
+        found += read_parts(path)
+        print(f"{name}: {begin + CHUNK} of {len(tasks)}", flush=True)
+    return found
+
+
+def write_parts(parts: Sequence[Part], path: Path) -> None:
+    """Write parts as one file; it appears whole or not at all."""
+    columns: dict[str, Any] = {
+        "ids": np.array([p.object_id for p in parts], np.str_),
+        "categories": np.array([p.category for p in parts], np.str_),
+        "flags": np.array([[p.named, p.moves] for p in parts], bool).reshape(-1, 2),
+        "present": np.array([p.present for p in parts], np.int64),
+        "sizes": np.array([len(p.right) for p in parts], np.int64),
+    }
+    for name in ("features", "right", "rules"):
+        columns[name] = np.concatenate([getattr(p, name) for p in parts]) if parts else np.empty(0)
+    columns["same"] = np.concatenate([p.same.ravel() for p in parts]) if parts else np.empty(0)
+    part = path.with_suffix(".part")
+    with part.open("wb") as stream:
+        np.savez_compressed(stream, **columns)
+    part.replace(path)
+
+
+def read_parts(path: Path) -> list[Part]:
+    """Read what :func:`write_parts` wrote."""
+    with np.load(path, allow_pickle=False) as data:
+        c = {k: data[k] for k in data.files}
+    sizes = c["sizes"]
+    rows, squares = np.cumsum(sizes), np.cumsum(sizes**2)
+    out: list[Part] = []
+    for k, n in enumerate(sizes.tolist()):
+        at = slice(rows[k] - n, rows[k])
+        same = c["same"][squares[k] - n * n : squares[k]].reshape(n, n)
+        named, moves = c["flags"][k].tolist()
+        out.append(
+            Part(
+                str(c["ids"][k]), str(c["categories"][k]), named, moves, c["features"][at],
+                c["right"][at], same, c["rules"][at], int(c["present"][k]),
+            )
+        )  # fmt: skip
+    return out
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Collect the samples, fit, and write the weights."""
+    parser = argparse.ArgumentParser(description="Fit the choice of motions.")
+    parser.add_argument("--run", type=Path, required=True, help="folder of samples; resumed")
+    parser.add_argument("--samples", type=int, default=2000, help="procedural objects")
+    parser.add_argument("--urdf", type=Path, help="folder of URDF objects to learn from as well")
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--seed", type=int, default=4242)
+    parser.add_argument("--out", type=Path, default=SHIPPED)
+    args = parser.parse_args(arguments)
+    args.run.mkdir(parents=True, exist_ok=True)
+    made = [(str(k), False, k) for k in range(args.samples)]
+    parts = collect(args.run, None, made, args.seed, args.jobs)
+    scores: dict[str, Any] = {"procedural": args.samples, "seed": args.seed}
+    if args.urdf is not None:
+        data = DatasetOptions("urdf", args.urdf)
+        ids = open_dataset(data).ids()
+        tasks = [(i, named, k) for k, i in enumerate(ids) for named in (True, False)]
+        parts += collect(args.run, data, tasks, args.seed, args.jobs)
+        scores["objects"] = len(ids)
+        for key in ("object_id", "category"):
+            scores[f"left out by {key}"] = accuracy(parts, folds(parts, key), args.seed)
+    scores["parts"] = len(parts)
+    save_trees(_grow(parts, args.seed), args.out, scores)
+    print(json.dumps(scores))
+
+
+if __name__ == "__main__":
+    main()
