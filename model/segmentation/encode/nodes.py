@@ -26,6 +26,8 @@ from model.segmentation.arrays import Float32, Int, Int16, Int32, Int64, Uint8
 TARGET_NODES = 100_000
 """Nodes per asset: 6 mm apart on a 1 m cabinet."""
 
+MOST_VOTES = 5_000_000
+"""Pairs of faces and nodes, 150 MB in all; with more, only one copy of a face has them."""
 _MIN_SHELL_NODES = 12
 _NODES_PER_FACE = 12
 _LEAST_MESH_NODES = 30_000
@@ -40,6 +42,7 @@ class ElementMap:
         vote_element, vote_node: (K,) int32 further (element, node) pairs of faces that hold
             several nodes; such a face takes the majority of its nodes.
         outliers: (S,) int32 ascending, elements on no surface; they follow their nearest node.
+        like: (E,) int32 the element whose label each one takes; None where that is its own.
     """
 
     node_of_element: Int32
@@ -47,6 +50,7 @@ class ElementMap:
     vote_node: Int32
     node_count: int
     outliers: Int32 = field(default_factory=lambda: np.zeros(0, np.int32))
+    like: Int32 | None = None
 
     @cached_property
     def _by_node(self) -> tuple[Int32, Int]:
@@ -93,7 +97,7 @@ class ElementMap:
             width = int(labels.max()) + 1
             votes = np.bincount(row * width + labels[self.vote_node], minlength=len(faces) * width)
             out[faces] = votes.reshape(len(faces), width).argmax(1)
-        return out
+        return out if self.like is None else out[self.like]
 
     def nodes_of(self, elements: Int) -> Int32:
         """Nodes more than half of whose elements are among ``elements``."""
@@ -254,13 +258,18 @@ def _mesh_nodes(mesh: Mesh, target: int) -> Nodes:
 
 def _repeated(elements: ElementMap, row: Int64) -> ElementMap:
     """``elements`` where each element (E,) takes the nodes of the one in ``row``."""
-    count, votes = len(elements.node_of_element), len(elements.vote_node)
-    at = (elements.vote_element, np.arange(votes))
-    found = csr_matrix((np.ones(votes, np.int8), at), (count, votes))[row].tocoo()
+    count = len(elements.node_of_element)
+    of, node = elements.vote_element, elements.vote_node
+    if np.bincount(row, minlength=count)[of].sum() > MOST_VOTES:
+        first = np.unique(row, return_index=True)[1].astype(np.int32)
+        of_element = elements.node_of_element[row]
+        return ElementMap(of_element, first[of], node, elements.node_count, like=first[row])
+    found = csr_matrix((np.ones(len(of), np.int8), (of, np.arange(len(of)))), (count, len(of)))
+    found = found[row].tocoo()
     return ElementMap(
         elements.node_of_element[row],
         found.row.astype(np.int32),
-        elements.vote_node[found.col],
+        node[found.col],
         elements.node_count,
     )
 

@@ -99,3 +99,18 @@ def test_the_parts_are_those_of_the_mesh_with_each_face_once(cabinet: DefaultSes
     twice = cabinet.segment(Prompts(clicks())).labels
     assert set(once.tolist()) == {0, 1, 2, 3, 4, 5}
     assert (once == twice[: len(once)]).mean() > 0.99
+
+
+def test_very_many_copies_of_a_face_cost_no_more_than_other_faces() -> None:
+    """So many that each of them with each of its nodes would be gigabytes."""
+    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0.5]], np.float32)
+    faces = np.array([[0, 1, 2]] * 200_000 + [[1, 3, 2]])
+    asset = Asset("copies", mesh=Mesh(corners, faces, np.zeros(len(faces), np.int32)))
+    elements = nodes_of_asset(asset).elements
+    assert elements.vote_element.nbytes < 50e6
+    labels = np.zeros(elements.node_count, np.int16)
+    labels[elements.vote_node[elements.vote_element == 0]] = 3
+    assert (elements.to_elements(labels) == [3] * 200_000 + [0]).all()
+    session = DefaultSegmenter().encode(asset)
+    found = session.segment(Prompts((Click((0.2, 0.2, 0.0), 1), Click((0.9, 0.9, 0.4), 2)))).labels
+    assert (found == [1] * 200_000 + [2]).all()
