@@ -190,6 +190,10 @@ class BenchCommand(Command):
     )
     seed: int = option("faults: seed of the first file; each has the next one", "SEED", 0)
     kills: int = option("faults: also kill a server at so many moments", "N", 0)
+    clients: int = option(
+        "faults: also let six people click for so long while one opens the worst files", "SECONDS",
+        0,
+    )  # fmt: skip
     offset: int | None = option("segment: object at which the subset begins", "N")
     parts: int | None = option("segment: most parts of an object", "N", parse=count)
     first: Literal["deepest", "random"] | None = option("segment: place of the first click")

@@ -13,6 +13,7 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
+from app.cli.benchmarks.clients import click_beside
 from app.cli.benchmarks.fault_samples import FaultSample, damaged, fault_samples
 from app.cli.benchmarks.kills import kill_servers
 from app.cli.printing import Result, console, print_records
@@ -66,8 +67,11 @@ def bench(options: BenchCommand, progress: Progress) -> Result:
     report = {"seed": options.seed, "files": files, "rows": rows, "bad": bad}
     if options.kills:
         report["kills"] = kill_servers(options.kills, options.seed, progress)
+    if options.clients:
+        report["clients"] = click_beside(options.clients, options.seed, progress)
     kills = report.get("kills", {})
-    report["failed"] = bool(bad or kills.get("lost") or kills.get("left over"))
+    lost = any(row["lost"] for row in report.get("clients", ()))
+    report["failed"] = bool(bad or lost or kills.get("lost") or kills.get("left over"))
     return report, lambda: _print(report)
 
 
@@ -128,3 +132,5 @@ def _print(report: dict[str, Any]) -> None:
         console().print(f"{len(report['bad']) - SHOWN} more, with --json")
     if "kills" in report:
         print_records("Servers killed at random moments", [report["kills"]])
+    if "clients" in report:
+        print_records("Clicks of six people", report["clients"])

@@ -139,7 +139,7 @@ def _objects(options: BenchCommand, root: Path) -> list[Path]:
     out = []
     for count in options.points:
         path = root / f"cloud_{count}.ply"
-        write_cloud(_cabinet_cloud(count, rng), path)
+        write_cloud(cabinet_cloud(count, rng), path)
         out.append(path)
     if options.faces:
         path = root / f"mesh_{options.faces}.ply"
@@ -155,7 +155,8 @@ def _panels() -> list[tuple[Array, Array]]:
     return [(np.array(c), np.array(s)) for c, s in boxes]
 
 
-def _cabinet_cloud(count: int, rng: np.random.Generator) -> PointCloud:
+def cabinet_cloud(count: int, rng: np.random.Generator) -> PointCloud:
+    """Make a noisy scan of a cabinet with three drawers."""
     points, shares = [], np.array([0.55, 0.15, 0.15, 0.15])
     for (center, size), share in zip(_panels(), shares, strict=True):
         n = int(count * share)
@@ -223,6 +224,15 @@ def _measure(path: Path, workspace: Path, options: BenchCommand) -> UiFigures:
         server.close()
 
 
+def drawer_ray(low: Array, drawer: int, rng: np.random.Generator) -> tuple[Any, Any]:
+    """A ray that meets a drawer of the cabinet from the front: origin and direction."""
+    target = np.array([rng.uniform(-0.3, 0.3), low[1], 0.15 + 0.3 * drawer])
+    target[2] += rng.uniform(-0.1, 0.1)
+    origin = np.array([target[0] + 0.3, low[1] - 2.0, target[2] + 0.3])
+    direction = (target - origin) / np.linalg.norm(target - origin)
+    return tuple(map(float, origin)), tuple(map(float, direction))
+
+
 def _click(app: Any, browser: SimulatedBrowser, figures: UiFigures, clicks: int) -> None:
     """Click on random visible points of three drawers, each for its own part."""
     rng = np.random.default_rng(1)
@@ -231,13 +241,9 @@ def _click(app: Any, browser: SimulatedBrowser, figures: UiFigures, clicks: int)
     low = asset.bounds[0]
     for k in range(clicks):
         shown.part = 1 + k % 3
-        target = np.array([rng.uniform(-0.3, 0.3), low[1], 0.15 + 0.3 * (k % 3)])
-        target[2] += rng.uniform(-0.1, 0.1)
-        origin = np.array([target[0] + 0.3, low[1] - 2.0, target[2] + 0.3])
-        direction = (target - origin) / np.linalg.norm(target - origin)
+        ray = drawer_ray(low, k % 3, rng)
         before, count = browser.quiet(0.3), len(shown.object.document.prompts)
         start = time.perf_counter()
-        ray = tuple(map(float, origin)), tuple(map(float, direction))
         app.tab.act(lambda ray=ray: app.pointing.click(*ray, True))
         wait_for(
             lambda count=count: len(app.tab.selection.object.document.prompts) > count, "the prompt"
