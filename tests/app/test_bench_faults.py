@@ -4,14 +4,20 @@ from __future__ import annotations
 
 import json
 import random
+import time
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
+import numpy as np
 import pytest
 
-from app.cli.benchmarks import faults
+from app.cli.benchmarks import clients, faults
 from app.cli.benchmarks.fault_samples import FaultSample, damaged, fault_samples
 from app.cli.main import main
+from model.core.errors import InputFileError
 from model.io.geometry_files import SUFFIXES
+from model.io.open_asset import open_asset
 from tests.app import job_functions as functions
 
 
@@ -63,3 +69,29 @@ def test_killed_servers_lose_nothing_and_leave_nothing(capfd) -> None:
     kills = json.loads(capfd.readouterr().out)["kills"]
     assert kills["kills"] == 2 and kills["uploaded"] > 0
     assert not kills["lost"] and not kills["left over"]
+
+
+@pytest.mark.parametrize("answers", [True, False])
+def test_a_click_without_its_labels_is_lost(answers: bool, monkeypatch) -> None:
+    monkeypatch.setattr(clients, "LOST", 0.2)
+    doc = SimpleNamespace(prompts=[], segmentation_current=True)
+    asset = SimpleNamespace(bounds=np.zeros((2, 3)))
+    app: Any = SimpleNamespace(drawing=SimpleNamespace(shows_labels=True))
+    app.tab = SimpleNamespace(
+        selection=SimpleNamespace(object=SimpleNamespace(document=doc, asset=asset)),
+        act=lambda action: action(),
+    )
+    app.pointing = SimpleNamespace(click=lambda *_: doc.prompts.append(1) if answers else None)
+    browser: Any = SimpleNamespace(last=time.perf_counter())
+    taken = clients._click(browser, app, np.random.default_rng(0))
+    assert (taken < 0.2) == answers and (taken == clients.LOST) != answers
+
+
+@pytest.mark.slow
+def test_the_worst_files_are_refused_or_opened(tmp_path: Path) -> None:
+    for path in clients.write_worst(tmp_path):
+        if path.stem in ("face", "shared", "line"):
+            with pytest.raises(InputFileError, match=r"corners|two parents|characters"):
+                open_asset(path)
+        else:
+            assert open_asset(path).element_count == {"nodes": 200_000, "map": 1}[path.stem]

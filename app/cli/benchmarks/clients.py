@@ -14,6 +14,7 @@ import threading
 import time
 from base64 import b64encode
 from collections import Counter
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -60,8 +61,9 @@ def click_beside(seconds: int, seed: int, progress: Progress) -> list[dict[str, 
             tabs = [_tab(server, id) for id in (*ids, ids[0])]
             progress(0.1, "alone")
             rows = [_phase(tabs[:-1], seconds * QUIET, seed, None)]
+            attack = partial(_open, server, tabs[-1][1], worst)
             progress(QUIET, "beside the worst files")
-            rows.append(_phase(tabs[:-1], seconds, seed + 1, (server, tabs[-1][1], worst)))
+            rows.append(_phase(tabs[:-1], seconds, seed + 1, attack))
         finally:
             server.close()
     return [{**row, "p95 ratio": round(row["p95 ms"] / rows[0]["p95 ms"], 2)} for row in rows]
@@ -81,8 +83,8 @@ def _tab(server: Any, id: int) -> tuple[SimulatedBrowser, Any]:
     return browser, app
 
 
-def _phase(tabs: list[Any], seconds: float, seed: int, attack: Any) -> dict[str, Any]:
-    """Let everybody click for so long beside ``attack``, the arguments of its opening; one row."""
+def _phase(tabs: list[tuple[Any, Any]], seconds: float, seed: int, attack: Any) -> dict[str, Any]:
+    """Let everybody click for so long, beside ``attack``, which gets the end; one row."""
     end, taken = time.perf_counter() + seconds, list[float]()
     threads = [
         threading.Thread(target=_work, args=(*tab, end, np.random.default_rng((seed, i)), taken))
@@ -90,7 +92,7 @@ def _phase(tabs: list[Any], seconds: float, seed: int, attack: Any) -> dict[str,
     ]
     for thread in threads:
         thread.start()
-    files = _open(*attack, end) if attack else Counter[str]()
+    files = Counter[str]() if attack is None else attack(end)
     for thread in threads:
         thread.join()
     times = [1000 * t for t in taken if t < LOST] or [1000 * LOST]
@@ -140,7 +142,7 @@ def _open(server: Any, app: Any, worst: list[Path], end: float) -> Counter[str]:
     files: Counter[str] = Counter()
     for number in itertools.count():
         if time.perf_counter() > end:
-            return files
+            break
         path = worst[number % len(worst)]
         again = path.with_name(f"{number}-{path.name}")
         os.link(path, again)
@@ -150,6 +152,7 @@ def _open(server: Any, app: Any, worst: list[Path], end: float) -> Counter[str]:
         while obj.asset is None and not obj.problem and time.perf_counter() < began + LOOK:
             time.sleep(0.05)
         files["opened" if obj.asset is not None else "refused" if obj.problem else "left"] += 1
+    return files
 
 
 def write_worst(folder: Path) -> list[Path]:

@@ -103,7 +103,7 @@ def test_the_parts_are_those_of_the_mesh_with_each_face_once(cabinet: DefaultSes
 
 def test_very_many_copies_of_a_face_cost_no_more_than_other_faces() -> None:
     """So many that each of them with each of its nodes would be gigabytes."""
-    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0.5]], np.float32)
+    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0.5]], np.float64)
     faces = np.array([[0, 1, 2]] * 200_000 + [[1, 3, 2]])
     asset = Asset("copies", mesh=Mesh(corners, faces, np.zeros(len(faces), np.int32)))
     elements = nodes_of_asset(asset).elements
