@@ -83,7 +83,7 @@ def test_a_click_without_its_labels_is_lost(answers: bool, monkeypatch) -> None:
     )
     app.pointing = SimpleNamespace(click=lambda *_: doc.prompts.append(1) if answers else None)
     browser: Any = SimpleNamespace(last=time.perf_counter())
-    taken = clients._click(browser, app, np.random.default_rng(0))
+    taken = clients.timed_click(browser, app, np.random.default_rng(0))
     assert (taken < 0.2) == answers and (taken == clients.LOST) != answers
 
 

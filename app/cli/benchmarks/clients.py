@@ -110,13 +110,13 @@ def _work(
 ) -> None:
     obj = app.tab.selection.object
     while time.perf_counter() < end:
-        taken.append(_click(browser, app, rng))
+        taken.append(timed_click(browser, app, rng))
         for _ in range(len(obj.document.prompts) // MOST_PROMPTS * MOST_PROMPTS):
             app.tab.act(app.commands.undo)
         time.sleep(rng.uniform(*PAUSE))
 
 
-def _click(browser: SimulatedBrowser, app: Any, rng: np.random.Generator) -> float:
+def timed_click(browser: SimulatedBrowser, app: Any, rng: np.random.Generator) -> float:
     """Seconds from a click until the browser has its labels, or :data:`LOST`."""
     obj, drawer = app.tab.selection.object, int(rng.integers(3))
     app.tab.selection.part = 1 + drawer
