@@ -165,9 +165,11 @@ def test_objects_that_nobody_looks_at_are_let_go_and_come_back(
         GOOD.export(path)
     app_state = begin_app(*paths)
     first, shown, other = [r.id for r in app_state.queue.records()]
-    before = weakref.ref(settled(app_state, first))
-    before().do(cmd.AddPart(1, "door"), "tester")
-    before().do(cmd.SetCategory("Oven"), "tester")
+    opened = settled(app_state, first)
+    opened.do(cmd.AddPart(1, "door"), "tester")
+    opened.do(cmd.SetCategory("Oven"), "tester")
+    before = weakref.ref(opened)
+    del opened  # nothing but the application holds it
     looked_at = settled(app_state, shown)
     stop = looked_at.watch(lambda: None, lambda *_: None)
     settled(app_state, other)
