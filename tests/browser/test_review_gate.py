@@ -51,13 +51,14 @@ def check_marks_leave(tab: Tab, contact: Any) -> None:
     """The mark of a moment goes with its pose, and with the step."""
     tab.page.evaluate("document.activeElement?.blur()")
     tab.key("r")
+    handle = tab.app.tab.client.scene.get_handle_by_name
     wait_until(lambda: not tab.app.motion.q, "back at rest")
-    assert tab.app.tab.client.scene.get_handle_by_name("/moment") is None
+    wait_until(lambda: handle("/moment") is None, "no moment at rest")
     wait_until(lambda: not contact.visible, "no contact at rest")
     joint_button(tab, r"part 1.*: error").click()
     tab.wait_node("/moment")
     tab.step("Joints")
-    assert tab.app.tab.client.scene.get_handle_by_name("/moment") is None
+    wait_until(lambda: handle("/moment") is None, "no moment in another step")
     tab.step("Review")
 
 
@@ -79,13 +80,13 @@ def test_see_the_worst_moment_mend_and_accept_with_a_reason(
     wait_until(lambda: tab.app.motion.q == dict(worst.q), "the worst pose")
     tab.wait_node("/moment")
     marker = tab.app.tab.client.scene.get_handle_by_name("/moment")
-    np.testing.assert_allclose(marker.position, worst.where)
+    wait_until(lambda: np.allclose(marker.position, worst.where), "the mark is in its place")
     frame = tab.app.tab.client.scene.get_handle_by_name("/part/1")
     expected = obj.document.tree.pose(worst.q)["link_1"][:3, 3]
     wait_until(lambda: np.allclose(frame.position, expected, atol=1e-6), "the posed link")
     tab.page.screenshot(path=str(tmp_path / "worst.png"))
     contact = tab.app.tab.client.scene.get_handle_by_name("/contact/0")
-    assert contact.visible
+    wait_until(lambda: contact.visible, "the contact is shown")
 
     check_marks_leave(tab, contact)
 
@@ -98,7 +99,9 @@ def test_see_the_worst_moment_mend_and_accept_with_a_reason(
     # One click fixes, and the checks run again; undo works as usual.
     tab.button("Flip").first.click()
     wait_until(lambda: obj.document.tree.by_name["door"] == DOOR, "flipped")
-    assert wait_until(lambda: obj.validation.report, "a new verdict").severity == Severity.OK
+    wait_until(
+        lambda: (found := obj.validation.report) and found.severity == Severity.OK, "a new verdict"
+    )
     wait_until(lambda: not tab.app.motion.q, "back at rest")
     tab.button("Undo").click()
     wait_until(lambda: obj.document.tree == TREE, "undone")
