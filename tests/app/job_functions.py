@@ -37,6 +37,12 @@ def pid() -> int:
     return os.getpid()
 
 
+def wait_for(path: Path) -> None:
+    """Keep the worker until a file is there."""
+    while not path.exists():
+        time.sleep(0.05)
+
+
 def count_calls() -> int:
     _state["calls"] = _state.get("calls", 0) + 1
     return _state["calls"]

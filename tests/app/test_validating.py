@@ -29,6 +29,7 @@ from model.validation.report import Severity
 from sessions import commands as cmd
 from sessions.live import LiveSession
 from sessions.store import PendingAcceptance, Store
+from tests.app import job_functions
 from tests.builders import CUPBOARD_DOOR as DOOR
 from tests.builders import wait_until, write_cupboard
 
@@ -47,13 +48,15 @@ def app_state(tmp_path_factory: pytest.TempPathFactory) -> Iterator[AppState]:
 
 
 @pytest.fixture(scope="module")
-def cupboard(app_state: AppState) -> OpenObject:
+def cupboard(app_state: AppState, tmp_path_factory: pytest.TempPathFactory) -> OpenObject:
     """The cupboard, open, with its joint."""
     obj = app_state.object(app_state.queue.records()[0].id)
     # The parts that the source is in come with it: nothing of them waits behind other work.
-    other = app_state.workers.geometry.submit(time.sleep, 5.0)
+    end = tmp_path_factory.mktemp("other") / "end"
+    other = app_state.workers.geometry.submit(job_functions.wait_for, end)
     wait_until(lambda: len(obj.document.parts) == 2, "the source's parts")
     assert not other.done
+    end.touch()
     wait_until(
         lambda: obj.document.segmentation is not None and obj.document.segmentation_current, "parts"
     )
