@@ -158,7 +158,7 @@ def cabinet(taking: Taking) -> None:
         tab.app.tab.do(cmd.AddPart(part, name))
     for click in told.prompts.clicks:
         tab.app.tab.do(cmd.AddClick(click))
-    tab.settled(LONG)
+    tab.settled()
     tab.button("Predict joints (P)").first.click()
     wait_until(lambda: tab.document.tree is not None, "joints", LONG)
     wait_until(lambda: tab.selection.step == "Joints", "the joints are shown")
