@@ -252,7 +252,7 @@ def test_options_in_documents_exist() -> None:
     option = re.compile(r"(?<![\w-])--[a-z][\w-]+[a-z]")
     known = set(option.findall(reference.read_text()))
     known |= {"--multi_gpu", "--num_processes", "--config_file", "--skip"}  # accelerate; training
-    known |= {"--run", "--urdf"}  # of modules in model.training
+    known |= {"--urdf"}  # of modules in model.training
     unknown = {
         (document.name, name)
         for document in DOCUMENTS

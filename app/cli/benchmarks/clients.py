@@ -45,8 +45,8 @@ def click_beside(seconds: int, seed: int, progress: Progress) -> list[dict[str, 
     """Measure clicks without and with somebody who opens the worst files.
 
     Returns:
-        One row each: clicks, those lost, times in ms, their 95th percentile by the one without,
-        and the number of worst files that opened, were refused, or were left.
+        One row each: clicks, those lost, times in ms of the others, their 95th percentile by the
+        one without, and the number of worst files that opened, were refused, or were left.
     """
     with tempfile.TemporaryDirectory(prefix="artiworld-clients-") as folder:
         root = Path(folder)

@@ -15,7 +15,6 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from model.core.joint import JointType
 from model.core.resources import static_assets
 from model.prediction.arti4urdf import vocabulary as v
 from model.prediction.arti4urdf.decoding import Answer
@@ -160,7 +159,7 @@ class MotionRanker:
         for i, (slots, _), own in zip(parts, read, np.split(odds, ends), strict=True):
             present = int(np.flatnonzero(slots == decisions[i].slot)[0])
             among = same[i][np.ix_(slots, slots)]
-            chosen = self.chosen(present, own, rules[i][self.words(slots)], among)
+            chosen = self.chosen(present, own, rules[i][v.SLOT_IDS][slots], among)
             if chosen != present:
                 decisions[i] = _moved(structure, i, decisions[i], int(slots[chosen]))
         return replace(answer, decisions=tuple(decisions))
@@ -180,11 +179,6 @@ class MotionRanker:
         # Of the candidates with this motion the rules know the one with the likeliest limits.
         return int(np.argmax(np.where(same[best], rules, -np.inf)))
 
-    @staticmethod
-    def words(slots: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
-        """Words of the vocabulary that stand for candidates."""
-        return np.asarray(v.SLOT_IDS)[slots]
-
 
 def network_odds(answer: Answer, part: int) -> Array:
     """(2, SIZE) log-odds of the network alone for joint types and candidates of a part."""
@@ -200,9 +194,8 @@ def _moved(structure: Structure, part: int, decision: Decision, slot: int) -> De
     """The decision with another candidate, its type and its limits."""
     found = structure.slots[part][slot]
     assert found is not None
-    kind: JointType | str = found.type
-    if v.TYPES[decision.type] == "screw" and found.type != "prismatic":
-        kind = "screw"
+    stays = v.TYPES[decision.type] == "screw" and found.type != "prismatic"
+    kind = "screw" if stays else found.type
     return replace(decision, slot=slot, type=v.TYPES.index(kind), lower=-1, upper=-1, numbers=[])
 
 

@@ -43,13 +43,11 @@ class HybridSettings:
             probability; 0 never asks geometry, 1 always does.
         weight: of geometry's probabilities of joint types and candidates, in a product of experts.
         swept: log-odds in favour of a candidate's own limits, from rules and motion sweep.
-        ranked: learned trees overrule the candidates that were chosen.
     """
 
     tree: float = 0.999
     weight: float = 5.0
     swept: float = 10.0
-    ranked: bool = True
 
 
 class Arti4UrdfPredictor:
@@ -114,11 +112,10 @@ class Arti4UrdfPredictor:
         locks = _locks(locked, links, builder.problems)
         progress(0.8, "writing the tree")
         answer = self.answer(prompt, structure, locks, rules)
-        if self.hybrid is not None and self.hybrid.ranked:
-            rank = load_motion_ranker()
-            answer = rank(answer, structure, prompt.arrays, rules, same, frozenset(locks))
         assembly = None
         if self.hybrid is not None:
+            rank = load_motion_ranker()
+            answer = rank(answer, structure, prompt.arrays, rules, same, frozenset(locks))
             parents = [d.parent for d in answer.decisions]
             assembly = replace(structure.assembly, root=answer.root, parent=parents)
         kept = {j.child for j in locked}

@@ -2,7 +2,8 @@
 
 Procedural objects, corrupted as in the network's training, and a folder of URDF objects with and
 without names are predicted; trees learn which candidates have the axis and the line of the true
-joint. Two fits without a fold each show their quality: a fold of objects, and a fold of categories.
+joint. The scores beside the weights are of trial fits, on what each left out: a fifth of the
+objects of that folder, or one of its categories.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ import numpy.typing as npt
 from model.core.errors import ArtiworldError
 from model.data.registry import DatasetOptions, open_dataset
 from model.evaluation.pool import robust_map
+from model.prediction.arti4urdf import vocabulary as v
 from model.prediction.arti4urdf.decoding import same_motion
 from model.prediction.arti4urdf.geometric_prior import geometric_prior
 from model.prediction.arti4urdf.motion_ranker import (
@@ -47,8 +49,7 @@ from model.training.segmentation.fit import plain_trees
 Floats = npt.NDArray[np.float32]
 FIXED = TYPES.index("fixed")
 FOLDS = 5
-CHUNK = 50
-"""Objects of one file of a run."""
+"""Shares of the objects, each of which one trial fit leaves out."""
 OTHERS = 3.0
 """Weight of the other generator's rows: its objects are fewer than ours. Not tuned."""
 BOOSTING = {
@@ -58,6 +59,7 @@ BOOSTING = {
 }  # fmt: skip
 """LightGBM's settings; chosen by us, not tuned."""
 TREES = 120
+"""Chosen by us, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +127,7 @@ def parts_of(data: DatasetOptions | None, seed: int, task: tuple[str, bool, int]
             Part(
                 truth.id, category, named, bool(labels.types[i] != FIXED), features,
                 labels.right[i, slots], same[i][np.ix_(slots, slots)],
-                rules[i][MotionRanker.words(slots)], int(present[0]) if len(present) else -1,
+                rules[i][v.SLOT_IDS][slots], int(present[0]) if len(present) else -1,
             )
         )  # fmt: skip
     return out
@@ -174,86 +176,30 @@ def folds(parts: Sequence[Part], key: str) -> npt.NDArray[np.int64]:
 
 
 def collect(
-    out: Path,
-    data: DatasetOptions | None,
-    tasks: Sequence[tuple[str, bool, int]],
-    seed: int,
-    jobs: int,
+    data: DatasetOptions | None, tasks: Sequence[tuple[str, bool, int]], seed: int, jobs: int
 ) -> list[Part]:
-    """The parts of all objects; chunks that lie in ``out`` from an earlier run are kept."""
-    found: list[Part] = []
-    name = "made" if data is None else "data"
-    for begin in range(0, len(tasks), CHUNK):
-        path = out / f"{name}_{begin:06d}.npz"
-        if not path.exists():
-            work = partial(parts_of, data, seed)
-            chunk = sorted(
-                (p for _, got in robust_map(work, tasks[begin : begin + CHUNK], jobs)
-                 for p in got or ()), key=lambda p: p.object_id,
-            )  # fmt: skip
-            write_parts(chunk, path)
-        found += read_parts(path)
-        print(f"{name}: {begin + CHUNK} of {len(tasks)}", flush=True)
-    return found
-
-
-def write_parts(parts: Sequence[Part], path: Path) -> None:
-    """Write parts as one file; it appears whole or not at all."""
-    columns: dict[str, Any] = {
-        "ids": np.array([p.object_id for p in parts], np.str_),
-        "categories": np.array([p.category for p in parts], np.str_),
-        "flags": np.array([[p.named, p.moves] for p in parts], bool).reshape(-1, 2),
-        "present": np.array([p.present for p in parts], np.int64),
-        "sizes": np.array([len(p.right) for p in parts], np.int64),
-    }
-    for name in ("features", "right", "rules"):
-        columns[name] = np.concatenate([getattr(p, name) for p in parts]) if parts else np.empty(0)
-    columns["same"] = np.concatenate([p.same.ravel() for p in parts]) if parts else np.empty(0)
-    part = path.with_suffix(".part")
-    with part.open("wb") as stream:
-        np.savez_compressed(stream, **columns)
-    part.replace(path)
-
-
-def read_parts(path: Path) -> list[Part]:
-    """Read what :func:`write_parts` wrote."""
-    with np.load(path, allow_pickle=False) as data:
-        c = {k: data[k] for k in data.files}
-    sizes = c["sizes"]
-    rows, squares = np.cumsum(sizes), np.cumsum(sizes**2)
-    out: list[Part] = []
-    for k, n in enumerate(sizes.tolist()):
-        at = slice(rows[k] - n, rows[k])
-        same = c["same"][squares[k] - n * n : squares[k]].reshape(n, n)
-        named, moves = c["flags"][k].tolist()
-        out.append(
-            Part(
-                str(c["ids"][k]), str(c["categories"][k]), named, moves, c["features"][at],
-                c["right"][at], same, c["rules"][at], int(c["present"][k]),
-            )
-        )  # fmt: skip
-    return out
+    """The parts of all objects, in the order of ``tasks``; see :func:`parts_of`."""
+    found = dict(robust_map(partial(parts_of, data, seed), tasks, jobs))
+    return [part for task in tasks for part in found[task] or ()]
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Collect the samples, fit, and write the weights."""
     parser = argparse.ArgumentParser(description="Fit the choice of motions.")
-    parser.add_argument("--run", type=Path, required=True, help="folder of samples; resumed")
     parser.add_argument("--samples", type=int, default=2000, help="procedural objects")
     parser.add_argument("--urdf", type=Path, help="folder of URDF objects to learn from as well")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--seed", type=int, default=4242)
     parser.add_argument("--out", type=Path, default=SHIPPED)
     args = parser.parse_args(arguments)
-    args.run.mkdir(parents=True, exist_ok=True)
     made = [(str(k), False, k) for k in range(args.samples)]
-    parts = collect(args.run, None, made, args.seed, args.jobs)
+    parts = collect(None, made, args.seed, args.jobs)
     scores: dict[str, Any] = {"procedural": args.samples, "seed": args.seed}
     if args.urdf is not None:
         data = DatasetOptions("urdf", args.urdf)
         ids = open_dataset(data).ids()
         tasks = [(i, named, k) for k, i in enumerate(ids) for named in (True, False)]
-        parts += collect(args.run, data, tasks, args.seed, args.jobs)
+        parts += collect(data, tasks, args.seed, args.jobs)
         scores["objects"] = len(ids)
         for key in ("object_id", "category"):
             scores[f"left out by {key}"] = accuracy(parts, folds(parts, key), args.seed)
