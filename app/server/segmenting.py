@@ -6,7 +6,7 @@ import threading
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -74,6 +74,7 @@ class Segmenting:
         self._masks_shown: deque[MaskShown] = deque(maxlen=_MASKS_KEPT)
         self._obj = obj
         self._labels_ref: str | None = None
+        self._asked: tuple[tuple[object, ...], Job[Any] | None] = ((), None)
         self._applying_source = False
         self._lock = threading.Lock()
 
@@ -137,27 +138,11 @@ class Segmenting:
         obj = self._obj
         doc, asset = obj.document, obj.asset
         assert asset is not None
-        key = doc.key
         record = doc.segmentation
         if self._applying_source:
             return
         if needed_jobs(obj.state):
-            job = obj.services.workers.segmentation.submit(
-                segmenting_tasks.segment,
-                asset.folder,
-                obj.services.workspace,
-                obj.services.config.segmenter,
-                stored_prompts(doc),
-                key,
-                asset.element,
-                on_progress=obj.jobs.progress("segment"),
-                priority=10,
-                key=("segment", obj.record.id),
-                preempted_by=CLICKS,
-                works_on=asset.folder,
-                repeated=True,
-            )
-            obj.start("segment", job, self._if_current(asset, self._keep))
+            self._segment(asset, doc)
             return
         ref = record.labels if record is not None and doc.prompts else None
         with self._lock:
@@ -171,6 +156,31 @@ class Segmenting:
             priority=9, repeated=True,
         )  # fmt: skip
         obj.start("labels", job, self._if_current(asset, lambda labels: self._show(ref, labels)))
+
+    def _segment(self, asset: OpenedAsset, doc: Document) -> None:
+        """Answer the prompts, unless that is under way: a click and an answer may ask at once."""
+        obj = self._obj
+        with self._lock:
+            asked, job = self._asked
+            if asked == (asset.folder, doc.key) and job is not None and not job.done:
+                return
+            job = obj.services.workers.segmentation.submit(
+                segmenting_tasks.segment,
+                asset.folder,
+                obj.services.workspace,
+                obj.services.config.segmenter,
+                stored_prompts(doc),
+                doc.key,
+                asset.element,
+                on_progress=obj.jobs.progress("segment"),
+                priority=10,
+                key=("segment", obj.record.id),
+                preempted_by=CLICKS,
+                works_on=asset.folder,
+                repeated=True,
+            )
+            self._asked = ((asset.folder, doc.key), job)
+        obj.start("segment", job, self._if_current(asset, self._keep))
 
     def _if_current(self, asset: OpenedAsset, keep: Callable[[T], None]) -> Callable[[T], None]:
         """Return ``keep``, which then ignores results for an asset that was replaced meanwhile."""

@@ -106,13 +106,19 @@ def held_at_first(mark: Path, value: int = 0) -> int:
     return value
 
 
-def segment_held_at_first(folder: Path, workspace: Path, *more: Any, progress: Progress) -> Any:
+def segment_and_die_of_two(
+    folder: Path,
+    workspace: Path,
+    segmenter: str,
+    prompts: tuple[Any, ...],
+    *more: Any,
+    progress: Progress,
+) -> Any:
+    """Wait to be killed in the first call, and die of two prompts; answer all others."""
     held_at_first(workspace / "began")
-    return segmenting_tasks.segment(folder, workspace, *more, progress=progress)
-
-
-def segment_that_kills(*_: Any, progress: Progress) -> None:
-    kill_myself()
+    if len(prompts) == 2:
+        kill_myself()
+    return segmenting_tasks.segment(folder, workspace, segmenter, prompts, *more, progress=progress)
 
 
 def append(path: str, text: str, seconds: float = 0.0) -> str:

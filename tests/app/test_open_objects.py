@@ -20,6 +20,7 @@ from app.server import display_tasks, picking_tasks, segmenting_tasks
 from app.server.app_state import AppState
 from app.server.config import ServeConfig
 from app.server.drafts import AssetDrafts
+from app.server.job import Job
 from app.server.open_object import OpenObject
 from app.server.workers import READ_CANCELLED
 from model.core.errors import CommandError
@@ -30,8 +31,7 @@ from sessions.store import Store
 from tests.app.job_functions import (
     killed_while_opening,
     reads_for_ever,
-    segment_held_at_first,
-    segment_that_kills,
+    segment_and_die_of_two,
 )
 from tests.builders import wait_until
 
@@ -259,22 +259,37 @@ def test_a_click_whose_worker_is_killed_is_answered_by_the_next_one(
     obj = settled(app_state, app_state.queue.records()[0].id)
     said: list[tuple[str, ...]] = []
     obj.watch(lambda: None, lambda *words: said.append(words))
-    with monkeypatch.context() as patched:
-        patched.setattr(segmenting_tasks, "segment", segment_held_at_first)
-        obj.do(cmd.AddClick(Click((0.0, 0.0, 0.35), 1)), "ann")
+    monkeypatch.setattr(segmenting_tasks, "segment", segment_and_die_of_two)
+    obj.do(cmd.AddClick(Click((0.0, 0.0, 0.35), 1)), "ann")
     wait_until((tmp_path / "workspace" / "began").exists, "it is being answered")
     os.kill(app_state.workers.segmentation.pid, signal.SIGKILL)
     wait_until(lambda: obj.document.segmentation_current and obj.labels is not None, "labels")
     assert obj.labels is not None and (obj.labels == 1).any() and not said
-    with monkeypatch.context() as patched:
-        patched.setattr(segmenting_tasks, "segment", segment_that_kills)
-        obj.do(cmd.AddClick(Click((0.0, 0.0, -0.35), 2)), "ann")
+    obj.do(cmd.AddClick(Click((0.0, 0.0, -0.35), 2)), "ann")
     wait_until(lambda: said, "it killed two")
     ((title, body, _),) = said
     assert title == "Failed" and "second time" in body and "isn't tried again" in body
     assert len(obj.document.prompts) == 2 and not obj.document.segmentation_current
     obj.do(cmd.AddClick(Click((0.5, 0.0, 0.0), 2)), "ann")  # the next click answers for both
     wait_until(lambda: obj.document.segmentation_current, "both clicks")
+
+
+def test_prompts_being_answered_are_not_asked_for_again(
+    begin_app, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    GOOD.export(tmp_path / "box.ply")
+    app_state = begin_app(tmp_path / "box.ply")
+    obj = settled(app_state, app_state.queue.records()[0].id)
+    worker = app_state.workers.segmentation
+    asked: list[Job[Any]] = []
+    submit = worker.submit
+    monkeypatch.setattr(
+        worker, "submit", lambda *a, **k: asked.append(submit(*a, **k)) or asked[-1]
+    )
+    obj.do(cmd.AddClick(Click((0.0, 0.0, 0.35), 1)), "ann")
+    obj.segmenting.update()  # as the end of an earlier answer does
+    wait_until(lambda: obj.document.segmentation_current and not obj.jobs, "labels")
+    assert [job.name for job in asked].count("segment") == 1
 
 
 @pytest.mark.parametrize("by", ["a button", "leaving"])
