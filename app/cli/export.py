@@ -18,7 +18,7 @@ from app.cli.physics_settings import physics_settings, shape_store
 from model.core.errors import ConfigurationError
 from model.core.progress import Progress, no_progress, scaled_progress
 from model.geometry.completion import as_scanned, complete
-from model.io.assets.reader import load_object, reading_notes
+from model.io.assets.reader import PROVENANCE, load_object, reading_notes
 from model.io.export.manifest import write_about
 from model.io.export.registry import (
     EXPORTERS,
@@ -27,6 +27,7 @@ from model.io.export.registry import (
     losses_of,
     write_object,
 )
+from model.io.file_names import FileNames
 from model.io.readback.compare import read_back
 from model.physics.simulation_values import PhysicsSettings, physics_of, whose_shapes
 
@@ -111,6 +112,9 @@ def export_one(task: ExportTask, progress: Progress = no_progress) -> dict[str, 
     physics = physics_of(
         obj, task.physics, store=task.store, progress=scaled_progress(progress, 0.05, 0.5)
     )
+    if (task.asset / PROVENANCE).is_file():  # others name their links themselves
+        names = FileNames.of(obj)
+        obj, physics = names.object(obj), names.physics(physics)
     whose = whose_shapes(obj, physics)
     notes = [*reading_notes(task.asset, obj), *([whose] if whose else ())]
     written: list[dict[str, Any]] = []

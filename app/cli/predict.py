@@ -22,6 +22,7 @@ from model.core.tree import KinematicTree
 from model.geometry import completion
 from model.geometry.prepare import tilt_remark
 from model.io.assets.asset_folder import write_asset
+from model.io.file_names import FileNames
 from model.io.open_asset import read_part_files
 from model.physics.collision.store import default_store
 from model.physics.simulation_values import Physics, physics_of, plain_physics
@@ -77,6 +78,8 @@ def predict(
     if category:
         segmented = replace(segmented, category=category)
     answer = chosen.predict(segmented, seed=seed, progress=scaled_progress(progress, 0.1, 0.65))
+    if answer.tree is not None:
+        segmented, answer = _named_for_files(segmented, answer, answer.tree)
     report = prediction_json(segmented, answer)
     if remark := category_remark(category):
         report["problems"].insert(0, remark)
@@ -121,6 +124,21 @@ def _articulated(segmented: SegmentedObject, tree: KinematicTree) -> Articulated
     shapes = {k: each for k, each in segmented.shapes.items() if k in tree.links}
     return ArticulatedObject(
         segmented.name, segmented.parts, tree, segmented.category, inertials, shapes
+    )
+
+
+def _named_for_files(
+    segmented: SegmentedObject, answer: Prediction, tree: KinematicTree
+) -> tuple[SegmentedObject, Prediction]:
+    """Parts and prediction with the names that the asset's files use."""
+    obj = _articulated(segmented, tree)
+    names = FileNames.of(obj)
+    parts = names.object(obj).parts
+    inertials, shapes = names.by_link(segmented.inertials), names.by_link(segmented.shapes)
+    confidence, notes = names.by_link(answer.confidence), names.by_link(answer.notes)
+    return (
+        replace(segmented, parts=parts, inertials=inertials, shapes=shapes),
+        replace(answer, tree=names.tree(tree), confidence=confidence, notes=notes),
     )
 
 

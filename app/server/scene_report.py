@@ -19,7 +19,7 @@ from app.server.part_tasks import PartSource, articulated_object
 from app.server.scene_shapes import Shape
 from app.server.scene_tasks import SceneItem
 from model.core.articulated_object import ArticulatedObject, Part
-from model.core.errors import ArtiworldError
+from model.core.errors import ArtiworldError, InputFileError
 from model.core.joint import Joint
 from model.core.mesh import Mesh
 from model.core.point_cloud import PointCloud
@@ -27,6 +27,7 @@ from model.core.progress import Progress, no_progress
 from model.core.tree import KinematicTree
 from model.evaluation import render
 from model.evaluation.html_page import write_page
+from model.io.assets.reader import read_provenance
 from model.io.urdf.meshes import merged
 from model.scenes.results import SCENE_JSON
 from model.scenes.scene import SceneProblem
@@ -121,9 +122,16 @@ def _saved_entries(folder: Path | None) -> dict[str, dict[str, Any]]:
         return {}
     try:
         entries = json.loads((folder / SCENE_JSON).read_text(encoding="utf-8"))
-        return {o["id"]: o for o in entries["objects"]}
-    except (OSError, ValueError, KeyError, TypeError):
+        found = {o["id"]: o for o in entries["objects"]}
+        for entry in found.values():
+            if shortened := entry.get("shortened"):  # under the names of the asset's files
+                kept = read_provenance(folder / entry["asset_folder"])["asset"].get("names", {})
+                own = kept.get("joints", {})
+                entry["shortened"] = [{**c, "joint": own.get(c["joint"], c["joint"])}
+                                      for c in shortened]  # fmt: skip
+    except (InputFileError, OSError, ValueError, KeyError, TypeError):
         return {}
+    return found
 
 
 def _notes(row: ReportRow, saved: Mapping[str, Any]) -> list[str]:

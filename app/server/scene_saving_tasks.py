@@ -20,6 +20,8 @@ from model.core.files import write_json
 from model.core.progress import Progress, no_progress
 from model.core.tree import KinematicTree
 from model.io.assets.asset_folder import write_asset
+from model.io.assets.reader import read_provenance
+from model.io.file_names import FileNames
 from model.physics.simulation_values import physics_of
 from model.scenes.assets import asset_digest
 from model.scenes.convert import ConvertSettings, asset_job, shorten_limits
@@ -187,14 +189,17 @@ def _moving_asset(item: SceneItem, moving: MovingCopy, out: Path) -> dict[str, A
     # Not read from the accepted files: the collision shapes of these very parts are cached.
     obj = articulated_object(moving.source, moving.tree)
     physics = physics_of(obj, store=store)
+    names = FileNames.of(obj)
     if moving.accepted is not None and Path(moving.accepted).is_dir():
         shutil.copytree(moving.accepted, folder)
+        names = FileNames.stored(read_provenance(folder)["asset"])
     else:
         source = {"path": item.path.name, "sha256": asset_digest(item.path)}
         write_asset(obj, folder, physics=physics,
                     provenance={"source": source, "review": "predicted, not accepted"})  # fmt: skip
-    write_formats(obj, folder, _formats(), physics)
-    joints = [{**asdict(j), "confidence": moving.confidence.get(j.child)}
+    obj, confidence = names.object(obj), names.by_link(moving.confidence)
+    write_formats(obj, folder, _formats(), names.physics(physics))
+    joints = [{**asdict(j), "confidence": confidence.get(j.child)}
               for j in obj.tree.joints if j.moves]  # fmt: skip
     state = PREDICTED if moving.accepted is None else ACCEPTED
     return {"key": key, "state": state if joints else STATIC, "reason": moving.reason,

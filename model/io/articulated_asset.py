@@ -7,7 +7,6 @@ all.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -27,6 +26,7 @@ from model.core.shapes import Shape, moved_shape
 from model.core.tree import KinematicTree
 from model.io.assets.reader import PROVENANCE, URDF, declared_links, load_object, reading_notes
 from model.io.export.manifest import declared_category
+from model.io.file_names import part_name_in, part_of_file_name
 from model.io.formats.mtl import MaterialFiles
 from model.io.merging import group_inertial, rigid_groups
 from model.io.model_files import read_model
@@ -36,7 +36,6 @@ from model.io.urdf.meshes import load_part, merged, merged_clouds, moved_mesh
 from model.io.urdf.model import UrdfModel
 from model.io.urdf.sidecar import description_beside, partnet_category, semantic_names
 
-_LINK = re.compile(r"link_(\d+)")
 _NOTES_SHOWN = 6
 
 
@@ -140,9 +139,10 @@ def _loaded(
         category, names = said.get("category"), said.get("names")
         names_of = {k: str(v) for k, v in names.items()} if isinstance(names, dict) else {}
         exported, ours = declared_category(path.parent)
-        if ours:  # exports of ArtiWorld name a visual after its part
+        if ours:  # exports of ArtiWorld name links, and visuals where they can, after parts
             category = category or exported
-            names_of = {p.link: p.name for p in parts if p.name} | names_of
+            own = {p.link: p.name or part_name_in(p.link) for p in parts}
+            names_of = {link: name for link, name in own.items() if name} | names_of
         names_of = dict(model.part_names) | names_of
     known = category if isinstance(category, str) else None
     return ArticulatedObject(model.name, tuple(parts), model.tree, known), names_of
@@ -175,7 +175,7 @@ def _opened(
     groups = rigid_groups(tree, apart)
     head = {link: top for top, links in groups.items() for link in links}
     holding = {head[p.link] for p in obj.parts}
-    number = _numbers([top for top in groups if top in holding], tree.root)
+    number = _numbers([top for top in groups if top in holding], tree.root, names_of)
     if max(number.values()) >= MAX_PARTS:
         raise InputFileError(path, f"has {len(number)} parts; {MAX_PARTS - 1} are possible")
     parts = np.repeat([number[head[p.link]] for p in obj.parts], sizes).astype(np.int32)
@@ -235,12 +235,13 @@ def _without_bare_ends(tree: KinematicTree, holding: set[str], notes: list[str])
     return KinematicTree(tuple(n for n in tree.links if n not in gone), joints)
 
 
-def _numbers(tops: Sequence[str], root: str) -> dict[str, int]:
+def _numbers(tops: Sequence[str], root: str, names_of: Mapping[str, str]) -> dict[str, int]:
     """Topmost link of each part → its number; 0 is the base.
 
     Objects that the app wrote keep the numbers that they have there.
     """
-    kept = {top: int(m[1]) for top in tops if (m := _LINK.fullmatch(top)) and len(m[1]) < 4}
+    told = {top: part_of_file_name(top, names_of.get(top)) for top in tops}
+    kept = {top: n for top, n in told.items() if n is not None and n < MAX_PARTS}
     based = kept.get(root) == 0 if root in tops else 0 not in kept.values()
     if len(set(kept.values())) == len(tops) and based:
         return kept
@@ -253,7 +254,8 @@ def _name(links: Sequence[str], names_of: Mapping[str, str]) -> str:
     chosen = next((n for n in links if n in names_of), None)
     if chosen is not None:
         return names_of[chosen]
-    return "" if _LINK.fullmatch(links[0]) else links[0].removeprefix("link_")
+    plain = links[0].removeprefix("link_")
+    return "" if plain.isdecimal() and plain != links[0] else plain
 
 
 def _numbered(

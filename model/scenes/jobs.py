@@ -21,6 +21,7 @@ from model.io.assets.asset_folder import write_asset
 from model.io.export.mjcf import MjcfExporter
 from model.io.export.sdf import SdfExporter
 from model.io.export.usd import UsdExporter
+from model.io.file_names import FileNames
 from model.physics.simulation_values import Physics, PhysicsSettings, physics_of, plain_physics
 from model.prediction.registry import load_predictor
 from model.scenes.asset_parts import (
@@ -158,6 +159,9 @@ def _convert(job: AssetJob, out: Path) -> dict[str, Any]:
         masses = masses_at(found, placement.scale)
         shapes = scaled_shapes(found.shapes, placement.scale)
     obj = ArticulatedObject(name, parts, tree, job.category, masses, shapes)
+    usable = usability(obj, found, placement.scale, state)
+    names = FileNames.of(obj)
+    obj, confidence = names.object(obj), names.by_link(confidence)
     physics: Physics = physics_of(obj, PhysicsSettings()) if job.collision else plain_physics(obj)
     folder = out / ASSETS / job.key
     # Of the source's path the name alone: the asset may be moved.
@@ -176,7 +180,7 @@ def _convert(job: AssetJob, out: Path) -> dict[str, Any]:
         "how": how,
         "notes": [*(() if found is None else found.notes), *remarks_of(parts)],
         "problems": list(problems),
-        "usable": usability(obj, found, placement.scale, state),
+        "usable": usable,
     }
 
 

@@ -213,7 +213,7 @@ def test_predict_takes_what_segment_wrote(segmented, tmp_path):
     assert "revolute" in done.stdout and "door" in done.stdout
     prediction = json.loads((out / "prediction.json").read_text())
     (joint,) = prediction["joints"]
-    assert (joint["type"], joint["parent"], joint["child"]) == ("revolute", "link_0", "link_1")
+    assert (joint["type"], joint["parent"], joint["child"]) == ("revolute", "base", "door_1")
     np.testing.assert_allclose(np.abs(joint["axis"]), [0, 0, 1], atol=1e-6)
     assert abs(joint["origin"][0]) < 0.03 and abs(joint["origin"][1]) < 0.05
     assert prediction["category"] == "cupboard"
@@ -289,8 +289,8 @@ def test_predict_writes_a_urdf_that_other_readers_open(parts, tmp_path):
     prediction = json.loads(done.stdout)
     assert prediction == json.loads((out / "prediction.json").read_text())
     robot = yourdfpy.URDF.load(str(out / "object.urdf"))
-    assert set(robot.link_map) == set(prediction["links"]) >= {"link_0", "link_1"}
-    assert robot.base_link == prediction["base"] == "link_0"
+    assert set(robot.link_map) == set(prediction["links"]) >= {"base", "link_1"}
+    assert robot.base_link == prediction["base"] == "base"
     (moving,) = [j for j in robot.joint_map.values() if j.type != "fixed"]
     (predicted,) = [j for j in prediction["joints"] if j["type"] != "fixed"]
     assert (moving.name, moving.type) == (predicted["name"], "revolute")
@@ -536,7 +536,7 @@ def test_a_joint_with_an_error_fails_the_check(cupboards, capfd):
     assert main([*words, "--allow-broken"]) == 0
     out = capfd.readouterr().out
     assert "validation: 0 fine, 0 with warnings, 1 with errors" in out
-    assert "joint_" in out
+    assert "_hinge" in out
 
 
 def test_a_worker_that_crashes_ends_nothing():

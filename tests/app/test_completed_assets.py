@@ -48,9 +48,9 @@ def asset(source: PartSource) -> Path:
 def test_an_accepted_scan_is_completed_and_marked(source, asset):
     kept = read_provenance(asset)["asset"]
     assert kept["completed"] == {
-        "link_0": [SURFACE, OPENING],
-        "link_1": [THICKNESS, TRAY],
-        "link_2": [THICKNESS],
+        "base": [SURFACE, OPENING],
+        "drawer_1": [THICKNESS, TRAY],
+        "door_2": [THICKNESS],
     }
     assert reload_check(asset) == []
     for part, before in zip(load_object(asset).parts, SCAN.parts, strict=True):
@@ -117,10 +117,10 @@ def test_an_export_takes_it_away_or_adds_it(source, asset, tmp_path):
         return {link: len(m.faces) for link, m in parts.items() if m is not None}
 
     as_saved, bare = exported(None, asset), exported(False, asset)
-    assert as_saved["link_1"] != bare["link_1"]
+    assert as_saved["drawer_1"] != bare["drawer_1"]
     plain = publish(
         prepare_asset(replace(source, complete=False), TREE), tmp_path / "plain", {}
     ).folder
     assert exported(None, plain) == bare
     assert exported(True, plain).keys() == as_saved.keys()
-    assert exported(True, plain)["link_1"] == pytest.approx(as_saved["link_1"], rel=0.1)
+    assert exported(True, plain)["drawer_1"] == pytest.approx(as_saved["drawer_1"], rel=0.1)

@@ -47,7 +47,7 @@ def test_the_example_of_the_readme_makes_an_oven_that_opens(
     oven = load_object(tmp_path / "oven")
     assert oven.category == "Oven"
     joints = {j.child: j for j in oven.tree.joints}
-    door, drawer = joints["link_1"], joints["link_2"]
+    door, drawer = joints["door_1"], joints["drawer_2"]
     assert door.type == "revolute" and np.abs(np.dot(door.axis, (1, 0, 0))) > 0.99
     assert drawer.type == "prismatic" and np.dot(drawer.axis, (0, -1, 0)) > 0.99
 

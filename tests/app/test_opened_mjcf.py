@@ -96,9 +96,9 @@ def test_commands_take_it(mjcf: Path, tmp_path: Path, capsys: pytest.CaptureFixt
     assert main(["predict", str(mjcf), "--out", str(tmp_path / "p"), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert [p["name"] for p in told["parts"]] == ["body", "door"]
-    assert told["collision_from_source"] == ["link_0", "link_1"]
+    assert told["collision_from_source"] == ["body_0", "door_1"]
     assert {k: i.mass for k, i in load_object(tmp_path / "p").inertials.items()} == {
-        "link_0": 7.0, "link_1": 2.5,
+        "body_0": 7.0, "door_1": 2.5,
     }  # fmt: skip
     words = ["export", str(mjcf), "--format", "urdf", "--out", str(tmp_path / "e"), "--check"]
     assert main([*words, "--json"]) == 0

@@ -171,14 +171,14 @@ def test_masses_dynamics_and_collision_shapes_of_the_file_are_kept(opened, urdf:
     asset = json.loads((folder / "provenance.json").read_text())["asset"]
     every = ["damping", "friction", "effort", "velocity"]
     assert asset["told"] == {
-        "masses": ["link_0", "link_1"], "dynamics": {"hinge": every}, "collision": ["link_1"],
+        "masses": ["body_0", "door_1"], "dynamics": {"hinge": every}, "collision": ["door_1"],
     }  # fmt: skip
     again = load_object(folder)
-    assert {k: shown(held) for k, held in again.shapes.items()} == {"link_1": DOOR_SHAPES}
+    assert {k: shown(held) for k, held in again.shapes.items()} == {"door_1": DOOR_SHAPES}
     assert {k: shown(held) for k, held in open_asset(folder).shapes.items()} == {
         "link_1": DOOR_SHAPES
     }
-    door = again.inertials["link_1"]
+    door = again.inertials["door_1"]
     assert door.mass == 2.5 and door.center == pytest.approx([0.0, -0.151, 0.0])
     assert np.diag(door.tensor) == pytest.approx([0.03, 0.04, 0.05])
     assert physics_of(again, PhysicsSettings(collision=None)).dynamics["hinge"] == JointDynamics(
@@ -220,9 +220,9 @@ def test_predict_keeps_the_masses_that_a_file_tells(urdf: Path, tmp_path: Path) 
     urdf.write_text(URDF.replace('name="door">', 'name="door">' + MASS))
     predict(urdf, tmp_path / "out")
     made = load_object(tmp_path / "out")
-    assert {k: i.mass for k, i in made.inertials.items()} == {"link_1": 2.5}
+    assert {k: i.mass for k, i in made.inertials.items()} == {"door_1": 2.5}
     told = json.loads((tmp_path / "out" / "provenance.json").read_text())["asset"]["told"]
-    assert told == {"masses": ["link_1"], "dynamics": {}, "collision": []}, "joints are predicted"
+    assert told == {"masses": ["door_1"], "dynamics": {}, "collision": []}, "joints are predicted"
 
 
 def test_predict_keeps_the_shapes_of_a_file_that_tells_all(urdf: Path, tmp_path: Path) -> None:
@@ -230,10 +230,10 @@ def test_predict_keeps_the_shapes_of_a_file_that_tells_all(urdf: Path, tmp_path:
     text = URDF.replace('name="door">', 'name="door">' + COLLISION)
     urdf.write_text(text.replace('name="body">', 'name="body">' + body))
     report = predict(urdf, tmp_path / "out")
-    assert report["collision_from_source"] == ["link_0", "link_1"]
+    assert report["collision_from_source"] == ["body_0", "door_1"]
     assert report["collision_shapes"] == 3
     made = load_object(tmp_path / "out")
-    assert shown(made.shapes["link_1"]) == DOOR_SHAPES
+    assert shown(made.shapes["door_1"]) == DOOR_SHAPES
 
 
 @pytest.mark.parametrize("source", ["urdf", "glb"])

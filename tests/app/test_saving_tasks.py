@@ -101,7 +101,7 @@ def _killed_at(source: PartSource, step: str) -> None:
     prepare_asset(source, TREE, dies)
 
 
-@pytest.mark.parametrize("step", ["writing link_1", "Checking the files"])
+@pytest.mark.parametrize("step", ["writing door_1", "Checking the files"])
 def test_a_kill_while_preparing_leaves_no_half_draft(source, tmp_path: Path, step):
     child = multiprocessing.get_context("fork").Process(target=_killed_at, args=(source, step))
     child.start()

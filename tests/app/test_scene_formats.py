@@ -252,20 +252,20 @@ def test_what_was_scanned_stays_where_it_was(tmp_path: Path) -> None:
     entries = objects_of(out)
     assert entries["chair 5"]["kind"] == "chair" and entries["chair 5"]["base"] == "fixed"
     passes = entries["cabinet 4"]["passes"]
-    assert {(p["link"], p["through"]) for p in passes} == {("link_1", "chair 5")}
+    assert {(p["link"], p["through"]) for p in passes} == {("door_1", "chair 5")}
     model = mujoco.MjModel.from_xml_path(str(out / "scene.xml"))
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     before, solid = data.xpos.copy(), model.geom_contype > 0
     touched = {model.body(model.geom_bodyid[g]).name for g in np.flatnonzero(solid)}
-    assert "building/link_0" in touched and "background/link_0" not in touched
+    assert "building/base" in touched and "background/base" not in touched
     mujoco.mj_step(model, data, nstep=750)
     assert np.abs(data.xpos - before).max() < 0.01
     stage = Usd.Stage.Open(str(out / "scene.usda"))
     filtered = [(str(p.GetPath()), str(t)) for p in stage.Traverse()
                 for t in p.GetRelationship("physics:filteredPairs").GetTargets()]  # fmt: skip
     apart = [pair for pair in filtered if len({path.split("/")[2] for path in pair}) > 1]
-    assert apart == [("/World/cabinet_4/link_1", "/World/chair_5/link_0")]
+    assert apart == [("/World/cabinet_4/door_1", "/World/chair_5/base")]
     ball = mujoco.MjSpec.from_file(str(out / "scene.xml"))
     body = ball.worldbody.add_body(name="ball", pos=[-0.5, 0.0, 0.2])
     body.add_freejoint()

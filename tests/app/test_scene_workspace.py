@@ -615,7 +615,7 @@ def test_the_saved_scene_loads_and_holds_what_was_accepted(accepted: World) -> N
     assert solid == set(range(1, model.nbody))  # every body can be touched
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
-    base = data.body("twin/link_0").xpos
+    base = data.body("twin/body_0").xpos
     np.testing.assert_allclose(base, [1.5, 0.5, 0.4], atol=0.02)  # its box has a handle in front
 
 

@@ -52,7 +52,7 @@ def test_a_scan_is_completed_where_it_is_checked(start: Any, open_tab: Any, tmp_
         saved = wait_until(lambda: tab.document.saved is not before and tab.document.saved, "saved")
         return read_provenance(Path(saved.folder))["asset"]
 
-    assert SURFACE in accepted()["completed"]["link_0"]
+    assert SURFACE in accepted()["completed"]["base"]
     tab.drawn()
     tab.app.tab.do(cmd.Reopen(""))
     tab.app.tab.do(cmd.SetCompletion(False))

@@ -196,15 +196,14 @@ def check_saved(folder: Path, tab: Tab) -> None:
     robot = yourdfpy.URDF.load(str(folder / "object.urdf"), load_meshes=True)
     tree = tab.document.tree
     q = {j.name: 0.4 * (j.upper or 1.0) for j in tree.joints if j.moves}
-    robot.update_cfg(q)
+    assert list(robot.joint_map) == ["door_1_hinge", "drawer_2_slide"]
+    robot.update_cfg(dict(zip(robot.joint_map, q.values(), strict=True)))
     posed = tree.pose(q)
-    for link in ("link_0", "link_1", "link_2"):
+    for link, name in {"link_0": "base", "link_1": "door_1", "link_2": "drawer_2"}.items():
         rest = np.eye(4)
         if link != tree.root:
             rest[:3, 3] = tree.joint_of[link].origin
-        np.testing.assert_allclose(
-            robot.get_transform(link, tree.root), posed[link] @ rest, atol=1e-6
-        )
+        np.testing.assert_allclose(robot.get_transform(name, "base"), posed[link] @ rest, atol=1e-6)
     record = json.loads((folder / "provenance.json").read_text())
     assert record["source"]["sha256"]
     assert len(record["prompts"]) == 2

@@ -3,8 +3,8 @@
 ::
 
     object.urdf        links, joints, inertia; see model.io.urdf.writer
-    meshes/            link_0.obj, link_0.mtl, texture_….png; link_0.ply beside it for a cloud
-    meshes/collision/  link_0_0.obj, …: convex hulls; other shapes are in the URDF itself
+    meshes/            door_1.obj, door_1.mtl, texture_….png; door_1.ply beside it for a cloud
+    meshes/collision/  door_1_0.obj, …: convex hulls; other shapes are in the URDF itself
     tree.json          the kinematic tree without numbers; see model.io.tree_json
     provenance.json    where it comes from
 
@@ -17,13 +17,16 @@ when, versions) and an entry ``asset`` of this module::
      "told": {"masses": [link, ...], "dynamics": {joint: ["damping", ...]},
               "collision": [link, ...]},
      "completed": {link: ["closed surface", ...]},
+     "names": {"links": {link: link in the session}, "joints": {joint: joint in the session}},
      "files": {file: sha256}, "versions": {package: version}}
 
 Files are relative to the folder, areas in m² are those of the parts' own meshes; ``give_way`` are
 the joints whose collision shapes were to be shrunk; ``told`` names the links whose mass, the
 joints of whose dynamics something, and the links whose collision shapes the source told; all else
-was worked out. ``completed``, where it is there, names what of the parts' meshes was made up (see
-:mod:`model.geometry.completion`); their clouds are what was scanned.
+was worked out. Links and joints have the names of :mod:`model.io.file_names`; what the caller gives
+has those of the session, ``link_1``, and ``names`` leads back to them. ``completed``, where it is
+there, names what of the parts' meshes was made up (see :mod:`model.geometry.completion`); their
+clouds are what was scanned.
 """
 
 from __future__ import annotations
@@ -59,6 +62,7 @@ from model.io.assets.reader import (
 from model.io.assets.reload import AREA_TOLERANCE, reload_check
 from model.io.export.part_files import PartFile, write_parts
 from model.io.export.urdf import write_urdf_of
+from model.io.file_names import FileNames
 from model.io.tree_json import tree_to_json
 from model.physics.simulation_values import Physics
 
@@ -99,7 +103,8 @@ def write_asset(
     physics: Physics | None = None,
     progress: Progress = no_progress,
 ) -> AssetFiles:
-    """Save ``obj``. An asset that is there already is replaced only by a complete new one.
+    """Save ``obj`` with links named after its parts. An asset that is there already is replaced
+    only by a complete new one.
 
     Args:
         obj: its parts hold the original geometry; a part with a cloud alone gets a mesh too.
@@ -147,9 +152,11 @@ def write_draft(
         OSError: where the folder is there already, or can't be written.
     """
     _check_sums(obj, original)
+    names = FileNames.of(obj)
+    obj, physics = names.object(obj), physics and names.physics(physics)
     draft.mkdir()
     parts = write_parts(obj, draft, progress=progress)
-    _write_texts(obj, draft, parts, original, physics)
+    _write_texts(obj, draft, parts, original, physics, names)
 
 
 def publish(draft: Path, folder: Path, provenance: Mapping[str, Any]) -> AssetFiles:
@@ -235,6 +242,7 @@ def _write_texts(
     parts: tuple[PartFile, ...],
     original: Asset | None,
     physics: Physics | None,
+    names: FileNames,
 ) -> None:
     write_urdf_of(obj, parts, folder / URDF, physics)
     _write_json(folder / TREE, tree_to_json(obj.tree))
@@ -245,6 +253,7 @@ def _write_texts(
         "category": obj.category,
         "written": _now(),
         "parts": [_entry(p) for p in parts],
+        "names": names.to_json(),
         "remarks": list(remarks_of(obj.parts)),
         "original": None if original is None else _sums(original),
         "give_way": [j.name for j in obj.tree.joints if j.give_way],

@@ -111,8 +111,6 @@ class _Scene(GlbTree):
             self._shared("extensionsUsed", extension)
         materials = [self._shared("materials", m) for m in tree.get("materials", [])]
         called = name or ("base" if link == self.obj.tree.root else link)
-        if called in self.node:  # link nodes are identified by their names
-            called = f"{link} mesh"
         for mesh in tree["meshes"]:
             mesh["name"] = called
             for primitive in mesh["primitives"]:
@@ -123,7 +121,9 @@ class _Scene(GlbTree):
         for key in base:
             self.tree[key] += tree.get(key, [])
         back = (-self.origins[link]).tolist()
-        node = {"name": called, "mesh": base["meshes"], "translation": back}
+        node = {"mesh": base["meshes"], "translation": back}
+        if called not in self.node:  # link nodes are identified by their names
+            node["name"] = called
         self._node(self.node[link], node)
 
     def _shared(self, key: str, entry: dict[str, Any] | str) -> int:

@@ -24,6 +24,7 @@ from model.geometry.parts import split
 from model.io.assets import asset_folder
 from model.io.assets.asset_folder import load_object, read_provenance, reload_check, write_asset
 from model.io.export.part_files import file_stems
+from model.io.file_names import FileNames
 from model.io.urdf.writer import read_urdf
 from model.physics.simulation_values import physics_of
 
@@ -96,7 +97,7 @@ def test_everything_is_there_and_comes_back(tmp_path):
     files = write_asset(obj, tmp_path / "out" / "ball", provenance=PROVENANCE, original=asset)
     assert files.urdf.is_file() and files.tree.is_file() and files.provenance.is_file()
     assert {link: p.name for link, p in files.meshes.items()} == {
-        f"link_{i}": f"link_{i}.obj" for i in range(3)
+        link: f"{link}.obj" for link in ("link_0", "door_1", "lid_2")
     }
     assert files.clouds == {}
     assert reload_check(files.folder) == []
@@ -105,8 +106,8 @@ def test_everything_is_there_and_comes_back(tmp_path):
     assert (back.name, back.category) == ("ball", "Ball")
     assert [(p.link, p.name) for p in back.parts] == [
         ("link_0", None),
-        ("link_1", "door"),
-        ("link_2", "lid"),
+        ("door_1", "door"),
+        ("lid_2", "lid"),
     ]
     for old, new in zip(obj.parts, back.parts, strict=True):
         assert old.mesh is not None and new.mesh is not None
@@ -200,8 +201,9 @@ def test_a_part_of_few_points_still_loads_everywhere(tmp_path, points):
 def test_shapes_that_were_to_give_way_are_known_when_the_asset_is_read(tmp_path):
     boxes = [Part(f"link_{i}", Mesh(np.asarray(b.vertices), np.asarray(b.faces))) for i, b in
              enumerate([trimesh.creation.box(), trimesh.creation.box()])]  # fmt: skip
-    joints = (Joint("slide", "prismatic", "link_0", "link_1", lower=0, upper=1, give_way=True),)
-    obj = ArticulatedObject("x", tuple(boxes), KinematicTree(("link_0", "link_1"), joints))
+    boxes[0] = replace(boxes[0], link="base")
+    joints = (Joint("slide", "prismatic", "base", "link_1", lower=0, upper=1, give_way=True),)
+    obj = ArticulatedObject("x", tuple(boxes), KinematicTree(("base", "link_1"), joints))
     write_asset(obj, tmp_path / "x", provenance={})
     assert load_object(tmp_path / "x").tree.joints == joints
     stored = replace(obj, tree=obj.tree.with_joint(replace(joints[0], give_way=False)))
@@ -242,6 +244,7 @@ def test_odd_names_become_safe_files(tmp_path):
 def test_yourdfpy_sees_the_parts_where_they_are(tmp_path):
     obj, _ = textured_object()
     files = write_asset(obj, tmp_path / "ball", provenance={})
+    names = FileNames.of(obj).links
     robot = yourdfpy.URDF.load(str(files.urdf))
     q = {"hinge": 0.7, "turn": 2.0}
     robot.update_cfg(q)
@@ -253,7 +256,7 @@ def test_yourdfpy_sees_the_parts_where_they_are(tmp_path):
             [
                 trimesh.transform_points(robot.scene.geometry[name].vertices, matrix)
                 for node in robot.scene.graph.nodes_geometry
-                if robot.scene.graph.transforms.parents[node] == part.link
+                if robot.scene.graph.transforms.parents[node] == names[part.link]
                 for matrix, name in [robot.scene.graph.get(node)]
             ]
         )
@@ -354,7 +357,7 @@ def damage_tree(folder: Path) -> None:
 
 
 def damage_mesh(folder: Path) -> None:
-    path = folder / "meshes" / "link_1.obj"
+    path = folder / "meshes" / "door_1.obj"
     lines = path.read_text().splitlines()
     path.write_text("\n".join(lines[:-40]))
 
@@ -368,10 +371,10 @@ def damage_urdf(folder: Path) -> None:
     ("damage", "word"),
     [
         (damage_tree, "prismatic"),
-        (damage_mesh, "link_1: area"),
+        (damage_mesh, "door_1: area"),
         (damage_urdf, "MuJoCo"),
         (lambda f: (f / "object.urdf").write_text("<robot"), "well-formed"),
-        (lambda f: (f / "meshes" / "link_2.obj").unlink(), "link_2"),
+        (lambda f: (f / "meshes" / "lid_2.obj").unlink(), "lid_2"),
         (lambda f: (f / "provenance.json").unlink(), "provenance.json"),
         (lambda f: (f / "tree.json").unlink(), "tree.json"),
         (lambda f: next((f / "meshes").glob("texture_*")).unlink(), "texture_"),

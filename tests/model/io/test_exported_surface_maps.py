@@ -206,7 +206,7 @@ def test_mtl(exported, name):
     """Gazebo, whose SDF refers to the same OBJ files, reads norm and map_Ke from an MTL too."""
     meshes = exported[name].parent / "meshes"
     files = set()
-    for link in ("link_0", "link_1"):
+    for link in ("base", "link_1"):
         text = (meshes / f"{link}.mtl").read_text()
         found = dict(re.findall(r"^(map_\w+|norm) (.+)$", text, re.M))
         assert found["norm"].startswith("-bm 0.5 ") and found["map_ao"].startswith("-mm 0.25 0.75 ")

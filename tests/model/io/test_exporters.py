@@ -38,11 +38,11 @@ from model.io.urdf.writer import read_urdf
 from model.physics.simulation_values import Physics, PhysicsSettings, physics_of, whose_shapes
 
 TREE = KinematicTree(
-    ("link_0", "door", "link_2", "helper", "link_3", "link_4"),
+    ("base", "door", "link_2", "helper", "link_3", "link_4"),
     (
-        Joint("hinge", "revolute", "link_0", "door", (0, 0.6, 0.8), (0.5, 0.1, 0.2), -0.2, 2.5),
+        Joint("hinge", "revolute", "base", "door", (0, 0.6, 0.8), (0.5, 0.1, 0.2), -0.2, 2.5),
         Joint("turn <&>", "continuous", "door", "link_2", (0, 1, 0), (0.3, 0.2, 0.1)),
-        Joint("slide", "prismatic", "link_0", "helper", (1, 0, 0), (1, 0, 0), 0, 0.3),
+        Joint("slide", "prismatic", "base", "helper", (1, 0, 0), (1, 0, 0), 0, 0.3),
         Joint(
             "follow", "revolute", "helper", "link_3", (0, 0, 1), (0, 1, 0), -1, 1,
             Mimic("hinge", -0.5, 0.1),
@@ -73,7 +73,7 @@ def make_object() -> ArticulatedObject:
     red = Material("red", (255, 0, 0, 255), metallic=0.75, roughness=0.25)
     pictured = Material("pic", texture=picture)
     parts = (
-        Part("link_0", box_mesh(0, red, pictured, uv=True)),
+        Part("base", box_mesh(0, red, pictured, uv=True)),
         Part("door", box_mesh(0.5, pictured, uv=True), name="door"),
         Part("link_2", cloud=PointCloud(rng.random((200, 3), np.float32) * 0.1)),
         Part("link_3", Mesh(np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0.0]]), np.array([[0, 1, 2]]))),
@@ -302,7 +302,7 @@ def test_a_free_base_falls_and_a_fixed_one_does_not(obj, tmp_path):
         model = mujoco.MjModel.from_xml_path(str(path))
         data = mujoco.MjData(model)
         mujoco.mj_step(model, data, nstep=100)
-        assert (data.body("link_0").xpos[2] > -0.01) == fixed
+        assert (data.body("base").xpos[2] > -0.01) == fixed
 
 
 def test_a_ros_package_has_what_ros_asks_for(whole):
@@ -396,9 +396,11 @@ def glb_worlds(tree: dict, changed: dict[int, dict[str, np.ndarray]]) -> dict[st
         local = np.eye(4)
         local[:3, :3] = Rotation.from_quat(node.get("rotation", [0, 0, 0, 1])).as_matrix()
         local[:3, 3] = node.get("translation", [0, 0, 0])
-        out[node["name"]] = above @ local
+        world = above @ local
+        if "name" in node:  # a mesh whose name a link has is found by that of its node's parent
+            out[node["name"]] = world
         for child in node.get("children", []):
-            walk(child, out[node["name"]])
+            walk(child, world)
 
     walk(tree["scenes"][0]["nodes"][0], np.eye(4))
     return out
@@ -439,9 +441,10 @@ def test_metallic_and_roughness_are_in_every_format(exported):
     assert [surfaces["red"][f"{k}Factor"] for k in ("metallic", "roughness")] == [0.75, 0.25]
     model = mujoco.MjModel.from_xml_path(str(exported["mjcf"][0]))
     assert {0.75, -1.0} == set(model.mat_metallic) and 0.25 in model.mat_roughness
-    assert read_mjcf(exported["mjcf"][0]).object.parts[0].mesh.materials[0].metallic == 0.75
+    parts = {p.link: p for p in read_mjcf(exported["mjcf"][0]).object.parts}
+    assert parts["link_base"].mesh.materials[0].metallic == 0.75
     for name in ("urdf", "sdf"):
-        mtl = exported[name][0].parent / "meshes" / "link_0.mtl"
+        mtl = exported[name][0].parent / "meshes" / "base.mtl"
         assert "Pm 0.75\nPr 0.25\n" in mtl.read_text()
     stage = Usd.Stage.Open(str(exported["usd"][0]))
     at = f"{stage.GetDefaultPrim().GetPath()}/Looks/red/surface"
@@ -477,14 +480,14 @@ def test_glb_opens_in_trimesh_with_everything_in_place(exported, obj):
 def test_glb_is_read_again_with_the_names_of_its_parts(obj, tmp_path):
     """A file of ours opened as one mesh without parts: its meshes were called after links."""
     # What people typed is no link's name, by which nodes that move are known.
-    names = {"link_2": "drawer", "link_3": "link_0"}
+    names = {"link_2": "drawer", "link_3": "helper"}
     parts = [replace(p, name=names.get(p.link, p.name)) for p in obj.parts]
     named = replace(obj, parts=tuple(parts))
     files = load_exporter("glb").export(named, tmp_path)
     assert read_back("glb", files[0], named, configurations=1).problems == ()
     again = open_asset(files[0])
     assert again.element_part is not None and again.part_names[0] == "base"
-    declared = {"door mesh", "drawer", "link_3 mesh", "link_4 mesh"}  # one link is called "door"
+    declared = {"door", "drawer", "helper", "link_4"}  # two links are called so, too
     assert set(again.part_names[1:]) == declared
 
 
