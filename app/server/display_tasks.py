@@ -12,7 +12,7 @@ import numpy.typing as npt
 from app.server.part_tasks import PartSource
 from app.server.prepare_tasks import removed_of
 from app.server.segmenting_tasks import source_regions
-from app.server.tasks import ReadOptions, arrays_of, asset_of, working_copy
+from app.server.tasks import ReadOptions, arrays_of, asset_of, pixels_of, working_copy
 from model.core.articulated_object import Prediction
 from model.core.asset import Asset, ElementKind, UpAxis
 from model.core.point_cloud import PointCloud
@@ -26,6 +26,10 @@ from sessions.checks import NAME_LIMIT
 from sessions.provenance import MASKS
 from sessions.text import clipped
 
+HEAVY_ELEMENTS = 150_000
+"""More than the browser shows; ray structures of worse ones take a second in one step."""
+HEAVY_PIXELS = 4096 * 4096
+"""Of textures; to decode more takes over a tenth of a second."""
 REMOVED_SHOWN = 30_000
 """Points that show what is left out."""
 
@@ -50,6 +54,7 @@ class OpenedAsset:
         removed: (R, 3) some of what is left out, to be shown.
         shift: of the source; see :class:`~model.core.asset.Source`.
         masks: what the tool is called that took the parts from masks, their file in it, or "".
+        heavy: whether work on it takes so long that others must not wait for it.
     """
 
     name: str
@@ -80,6 +85,7 @@ class OpenedAsset:
     removed: npt.NDArray[np.float32] | None = None
     shift: tuple[float, float, float] = (0.0, 0.0, 0.0)
     masks: str = ""
+    heavy: bool = False
 
     @property
     def display_centers(self) -> npt.NDArray[np.floating]:
@@ -177,6 +183,7 @@ def _opened(asset: Asset, folder: Path, path: Path) -> OpenedAsset:
         warnings=(*asset.warnings, *warnings),
         display_confidence=None if cloud is None else cloud.confidence,
         shift=source.shift if source else (0.0, 0.0, 0.0),
+        heavy=asset.element_count > HEAVY_ELEMENTS or pixels_of(asset) > HEAVY_PIXELS,
         front=front_direction(mesh.triangles.mean(1) if mesh is not None else cloud.points),  # type: ignore[union-attr]
     )
 

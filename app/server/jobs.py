@@ -48,6 +48,7 @@ class WorkerProcess:
         initializer: importable function that the child calls first, to load weights for example.
         arguments: of ``initializer``.
         threads: numeric threads in the child (OMP, BLAS); all processors but one by default.
+        lazy: whether the child starts with the first job only.
     """
 
     def __init__(
@@ -57,8 +58,10 @@ class WorkerProcess:
         initializer: Callable[..., object] | None = None,
         arguments: tuple[Any, ...] = (),
         threads: int | None = None,
+        lazy: bool = False,
     ) -> None:
         self.name = name
+        self._lazy = lazy
         self._setup = (initializer or _nothing, arguments, {})
         self._threads = threads or max(1, (os.cpu_count() or 2) - 1)
         self._numbers = itertools.count(1)
@@ -190,7 +193,8 @@ class WorkerProcess:
     # as long as the worker, because Linux ties "die with the parent" to the thread that forked.
 
     def _supervise(self) -> None:
-        self._child = self._start()
+        if not self._lazy:
+            self._child = self._start()
         while not self._closing:
             self._send_next()
             child = self._child

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from app.server.display_tasks import OpenedAsset
 from app.server.job import Job
+from app.server.lanes import Lane
 from app.server.observable import Observable
 from app.server.part_tasks import PartSource
 from app.server.running_jobs import RunningJobs
@@ -32,6 +33,7 @@ class ObjectContext(Observable):
         live: the session with all commands.
         asset: None until it is read.
         jobs: the jobs under way, by their kind.
+        lane: the processes that answer clicks on it.
     """
 
     def __init__(self, record: ObjectRecord, services: Services) -> None:
@@ -40,6 +42,7 @@ class ObjectContext(Observable):
         self.record = record
         self.live: LiveSession = services.hub.session(record.id)
         self.asset: OpenedAsset | None = None
+        self.lane: Lane = services.workers.lanes.first
         self.jobs = RunningJobs(f"object {record.id}", self.changed)
         self._lock = threading.RLock()
         self._stored: tuple[str, npt.NDArray[np.integer]] | None = None

@@ -18,6 +18,7 @@ from app.server.display_tasks import OpenedAsset, PartPayload
 from app.server.job import OutOfTimeError
 from app.server.jobs import CLICKS, EDITS, Job, JobFailed
 from app.server.object_context import ObjectContext
+from app.server.observable import Listener, Notice
 from app.server.preparing import Preparing
 from app.server.scene_member import SceneMember
 from app.server.segmenting import SOURCE, Segmenting
@@ -117,14 +118,23 @@ class OpenObject(ObjectContext):
         """Whether a tab shows it, a job works on it, or it waits to be accepted."""
         return self.is_shown or bool(self.jobs) or self.validation.acceptance_waits
 
+    def watch(self, listener: Listener, notice: Notice) -> Callable[[], None]:
+        """See the base class; clicks in the tab are answered soon."""
+        stop = super().watch(listener, notice)
+        if self.asset is not None:
+            self._prepare_clicks(self.asset)
+        return stop
+
     def left(self) -> None:
-        """Stop reading: nobody waits for it."""
+        """Stop reading and encoding: nobody waits for it."""
         self._reading_stopped = True
         self.jobs.cancel("open")
+        self.jobs.cancel("encode")
 
     def release(self) -> None:
         """Drop what can be computed again; the decisions are on disk."""
         self._unsubscribe()
+        self.services.workers.lanes.leave(self)
         self.asset = None  # now: the garbage collector may take long
         self.payloads.clear()
         self.segmenting.forget()
@@ -196,11 +206,16 @@ class OpenObject(ObjectContext):
             self.notify("Not accepted yet", INTERRUPTED, "yellow")
         for warning in asset.warnings:
             self.notify("Opened with a warning", warning, "yellow")
-        self.services.workers.geometry.submit(picking_tasks.prepare_picking, asset.folder)
-        self.segmenting.prepare()
+        self._prepare_clicks(asset)
         if self.in_scene is None and asset.source_labels is None:
             self.preparing.propose_on_opening()
         self._state_changed()
+
+    def _prepare_clicks(self, asset: OpenedAsset) -> None:
+        """Have a lane of its own, which knows it."""
+        self.lane = self.services.workers.lanes.take(self, heavy=asset.heavy)
+        self.lane.geometry.submit(picking_tasks.prepare_picking, asset.folder)
+        self.segmenting.prepare()
 
     # --- jobs that the state asks for
 
@@ -224,7 +239,7 @@ class OpenObject(ObjectContext):
             return None
         ref = doc.segmentation.labels
         if ref not in self.payloads and "parts" not in self.jobs:
-            job = self.services.workers.geometry.submit(
+            job = self.lane.geometry.submit(
                 display_tasks.part_payloads,
                 self.source(doc),
                 self.asset.element,
@@ -303,6 +318,8 @@ class OpenObject(ObjectContext):
             if self._reading_stopped and self.is_shown:  # a tab came back meanwhile
                 self._reading_stopped = False
                 self.ensure_open(again=True)
+        elif what == "encode" and newest and error is not None and self.is_shown:
+            self.segmenting.prepare()  # a tab came back meanwhile
         elif error is not None and what in ("predict", "save"):
             self.notify("Cancelled", "Nothing was changed", "gray")
         asked = what in ("segment", "labels") and error is None  # it would only fail again

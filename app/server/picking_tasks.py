@@ -37,7 +37,7 @@ _hidden: LruCache[Hidden, npt.NDArray[np.bool_]] = LruCache(4)
 
 def picker_of(folder: Path) -> Any:
     """Return the picker of an asset, cached in this process."""
-    return _pickers.get(folder, lambda: Picker(asset_of(folder)))
+    return _pickers.get(folder, lambda: Picker(asset_of(folder, textures=False)))
 
 
 def prepare_picking(folder: Path) -> None:
@@ -83,7 +83,7 @@ def select_box(
     chosen = picker_of(folder).select_box(
         camera, corner_min, corner_max, visible_only=True, hidden=_elements_of(hidden)
     )
-    cloud = asset_of(folder).cloud
+    cloud = asset_of(folder, textures=False).cloud
     if one_piece and cloud is not None and len(chosen):
         chosen = chosen[largest_component(cloud.points[chosen])]
     return arrays_of(workspace).put(np.asarray(chosen, np.int64)), len(chosen)

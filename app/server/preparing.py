@@ -80,7 +80,7 @@ class Preparing:
             up = UPRIGHT
         obj.jobs.cancel("prepare")
         self._asset, self.proposal = asset, None
-        job = obj.services.workers.geometry.submit(
+        job = obj.lane.geometry.submit(
             prepare_tasks.propose, asset.folder, asset.element, up,
             on_progress=obj.jobs.progress("prepare"), priority=priority, preempted_by=CLICKS,
         )  # fmt: skip

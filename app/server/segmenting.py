@@ -91,7 +91,7 @@ class Segmenting:
         obj.start("encode", self._encode(obj.asset), lambda _: None)
 
     def _encode(self, asset: OpenedAsset) -> Job[float]:
-        return self._obj.services.workers.segmentation.submit(
+        return self._obj.lane.segmentation.submit(
             segmenting_tasks.encode,
             asset.folder,
             self._obj.services.config.segmenter,
@@ -151,7 +151,7 @@ class Segmenting:
             if ref is None:
                 self.labels, self._labels_ref, self.shares = None, None, {}
                 return
-        job = obj.services.workers.segmentation.submit(
+        job = obj.lane.segmentation.submit(
             segmenting_tasks.display_labels, obj.services.workspace, ref, asset.element,
             priority=9, repeated=True,
         )  # fmt: skip
@@ -164,7 +164,7 @@ class Segmenting:
             asked, job = self._asked
             if asked == (asset.folder, doc.key) and job is not None and not job.done:
                 return
-            job = obj.services.workers.segmentation.submit(
+            job = obj.lane.segmentation.submit(
                 segmenting_tasks.segment,
                 asset.folder,
                 obj.services.workspace,
@@ -247,7 +247,7 @@ class Segmenting:
         long = request.tool == tool_tasks.PROPOSE
         if long:  # clicks on the same asset come between its steps, so encode it first
             self._encode(asset)
-        job = obj.services.workers.segmentation.submit(
+        job = obj.lane.segmentation.submit(
             tool_tasks.use_tool,
             asset.folder,
             obj.services.workspace,

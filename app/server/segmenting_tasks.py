@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from app.server.tasks import arrays_of, asset_of
+from app.server.tasks import arrays_of, asset_of, pixels_of
 from model.core.asset import Asset
 from model.core.lru_cache import LruCache
 from model.core.progress import Progress, no_progress
@@ -61,8 +61,13 @@ def session_of(folder: Path, segmenter: str, progress: Progress = no_progress) -
     asset = asset_of(folder)
     return _encodings.get(
         (folder, segmenter), lambda: load_segmenter(segmenter).encode(asset, progress),
-        asset.element_count, lambda session: max(asset.element_count, _nodes(session)),
+        _weight(asset), lambda session: max(_weight(asset), _nodes(session)),
     )  # fmt: skip
+
+
+def _weight(asset: Asset) -> int:
+    """Elements, and the textures that the encoding refers to: 1,000 pixels take 3 kB, too."""
+    return asset.element_count + pixels_of(asset) // 1000
 
 
 def _nodes(session: Any) -> int:

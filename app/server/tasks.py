@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from model.core.asset import Asset, UpAxis
 from model.core.errors import ArtiworldError, CommandError
+from model.core.lru_cache import LruCache
 from model.core.progress import Progress, no_progress
 from model.geometry.crop import crop
 from model.geometry.prepare import moved
@@ -29,6 +30,8 @@ from sessions.arrays import ArrayFiles
 from sessions.tool_commands import SOURCE_FRAME, FaceCut, ObjectFrame
 
 Stamp = tuple[tuple[str, int, int], ...]
+PIXELS_KEPT = 1 << 27
+"""Of the textures in a worker's memory, 3 or 4 bytes each; the last asset stays in any case."""
 
 
 @dataclass(frozen=True)
@@ -130,10 +133,21 @@ def stamp_if_there(path: Path) -> Stamp:
         return ()
 
 
-@lru_cache(maxsize=8)
-def asset_of(folder: Path) -> Asset:
-    """Return the asset saved in a folder."""
-    return load_asset(folder)
+_assets: LruCache[tuple[Path, bool], Asset] = LruCache(8, PIXELS_KEPT)
+
+
+def asset_of(folder: Path, *, textures: bool = True) -> Asset:
+    """Return the asset saved in a folder; without textures it is there at once."""
+    load = partial(load_asset, folder, textures=textures)
+    return _assets.get((folder, textures), load, weigh=pixels_of)
+
+
+def pixels_of(asset: Asset) -> int:
+    """Number of pixels of an asset's textures, which are in memory."""
+    if asset.mesh is None:
+        return 0
+    images = {id(m.texture): m.texture for m in asset.mesh.materials if m.texture is not None}
+    return sum(image.width * image.height for image in images.values())
 
 
 def arrays_of(workspace: Path) -> Any:

@@ -1,12 +1,9 @@
-"""The worker processes of a server, one a kind of work."""
+"""The worker processes of a server."""
 
 from __future__ import annotations
 
 from app.server.jobs import WorkerProcess
-from model.core.memory import limit_memory
-
-READ_MEMORY = 0.75
-"""Share of the machine's memory that reading one file may take."""
+from app.server.lanes import READING, Lanes, in_background
 
 READ_SECONDS = 600.0
 """Longest reading of a file; scans of 50 million points take one minute."""
@@ -24,8 +21,9 @@ class Workers:
     Attributes:
         readers: read files, scenes and crops, which may take long or end them, so nobody's clicks
             wait for them.
-        geometry: cuts parts, picks points.
-        segmentation: encodes assets and answers clicks.
+        lanes: answer clicks on open objects.
+        geometry: of the first lane; also cuts the parts of a scene.
+        segmentation: of the first lane.
         prediction: predicts joints and validates them.
         saving: writes accepted assets.
         closing: whether the server ends and cuts jobs off.
@@ -33,11 +31,11 @@ class Workers:
 
     def __init__(self) -> None:
         self.readers = tuple(
-            WorkerProcess(name, initializer=limit_memory, arguments=(READ_MEMORY,))
+            WorkerProcess(name, initializer=in_background, arguments=(READING,))
             for name in ("reading", "reading 2")
         )
-        self.geometry = WorkerProcess("geometry")
-        self.segmentation = WorkerProcess("segmentation")
+        self.lanes = Lanes()
+        self.geometry, self.segmentation = self.lanes.first.geometry, self.lanes.first.segmentation
         self.prediction = WorkerProcess("prediction")
         self.saving = WorkerProcess("saving")
         self.closing = False
@@ -50,7 +48,7 @@ class Workers:
     def close(self) -> None:
         """End the processes."""
         self.closing = True
-        workers = (*self.readers, self.geometry, self.segmentation, self.prediction, self.saving)
+        workers = (*self.readers, *self.lanes.close(), self.prediction, self.saving)
         for worker in workers:
             worker.begin_to_close()
         for worker in workers:

@@ -58,13 +58,7 @@ class ClientApp:
         self._prediction: tuple[int, Any] | None = None
         self.picture = ObjectPicture(client, in_scene=in_scene)
         self.motion = Motion(tab, self.picture)
-        self.queries = PointerQueries(
-            tab,
-            app_state.workers.geometry,
-            app_state.workers.segmentation,
-            app_state.workspace,
-            app_state.config.segmenter,
-        )
+        self.queries = PointerQueries(tab, app_state.workspace, app_state.config.segmenter)
         self.pointing = Pointing(tab, self.picture, self.motion, self.queries)
         self.drawing = ObjectDrawing(
             tab, self.picture, self.motion, self._asset_shown, self._tapped

@@ -142,8 +142,11 @@ def _replace(temporary: Path, folder: Path) -> None:
         shutil.rmtree(old, ignore_errors=True)
 
 
-def load_asset(folder: str | Path) -> Asset:
+def load_asset(folder: str | Path, *, textures: bool = True) -> Asset:
     """Open what :func:`save_asset` wrote; arrays are memory-mapped read-only.
+
+    Args:
+        textures: False leaves out all images, as it takes seconds to decode large ones.
 
     Raises:
         InputFileError: where it is missing, damaged, or of a newer format.
@@ -164,7 +167,7 @@ def load_asset(folder: str | Path) -> Asset:
             "update ArtiWorld or open the source file again",
         )
     try:
-        return _read(folder, meta)
+        return _read(folder, meta, textures)
     except (
         KeyError,
         TypeError,
@@ -182,11 +185,15 @@ def load_asset(folder: str | Path) -> Asset:
         ) from None
 
 
-def _read(folder: Path, meta: dict[str, Any]) -> Asset:
+def _read(folder: Path, meta: dict[str, Any], textures: bool) -> Asset:
     mesh = cloud = source = None
     if meta["mesh"] is not None:
         arrays = {name: _load(folder / f"mesh_{name}.npy") for name in _MESH}
-        materials = _read_materials(meta["mesh"]["materials"], folder)
+        rows = meta["mesh"]["materials"]
+        if not textures:
+            bare = {"texture": None}
+            rows = [row | bare | {"maps": row["maps"] | dict.fromkeys(_MAPS)} for row in rows]
+        materials = _read_materials(rows, folder)
         mesh = Mesh(materials=materials, **arrays)  # type: ignore[arg-type]
     if meta["cloud"]:
         cloud = PointCloud(**{name: _load(folder / f"cloud_{name}.npy") for name in _CLOUD})  # type: ignore[arg-type]

@@ -21,10 +21,9 @@ def answer(segmenting: Segmenting, obj: Any, document: Document, labels: np.ndar
     submit = Mock(return_value=found)
     obj.document, obj.state = document, SimpleNamespace(present=document)
     obj.record, obj.jobs = SimpleNamespace(id=1), Mock()
-    obj.services = SimpleNamespace(
-        workspace=Path(), config=SimpleNamespace(segmenter="default"),
-        workers=SimpleNamespace(segmentation=SimpleNamespace(submit=submit)),
-    )  # fmt: skip
+    obj.lane = SimpleNamespace(segmentation=SimpleNamespace(submit=submit))
+    config = SimpleNamespace(segmenter="default")
+    obj.services = SimpleNamespace(workspace=Path(), config=config)
     obj.start = lambda kind, job, keep: keep(job)
     segmenting.update()
     submit.assert_called_once()

@@ -31,8 +31,8 @@ def open_with_tool(offers: Any, *commands: Any) -> tuple[Segmenting, Any]:
     job = SimpleNamespace(before=lambda: None, result=lambda seconds: (job.before(), offers)[1])
     obj: Any = SimpleNamespace(
         need_asset=lambda: SimpleNamespace(folder=None),
+        lane=SimpleNamespace(segmentation=SimpleNamespace(submit=lambda *a, **k: job)),
         services=SimpleNamespace(
-            workers=SimpleNamespace(segmentation=SimpleNamespace(submit=lambda *a, **k: job)),
             workspace=None,
             config=SimpleNamespace(segmenter="default"),
         ),
@@ -78,7 +78,7 @@ def test_what_a_tool_found_is_not_mixed_with_what_others_did_meanwhile(meanwhile
         ("cut", FaceCutOffer(FaceCut(REF, ((0, 0, 1, 0),)), (), REF, {0: 1})),
     ):
         segmenting, obj = open_with_tool(offers, AddClick(Click((0, 0, 0), 2)))
-        obj.services.workers.segmentation.submit().before = lambda obj=obj: obj.do(meanwhile)
+        obj.lane.segmentation.submit().before = lambda obj=obj: obj.do(meanwhile)
         with pytest.raises(CommandError, match="meanwhile"):
             segmenting.use_tool(ToolRequest(tool, 2), "tester")
         assert obj.document.label == describe(meanwhile)
@@ -88,7 +88,7 @@ def test_a_tool_at_work_is_seen_and_can_be_stopped_while_its_tab_waits() -> None
     segmenting, obj = open_with_tool([], AddPart(1))
     jobs = obj.jobs = RunningJobs("the chest", lambda: None)
     job: Job[Any] = Job(lambda job: job.end("cancelled"), 1, "tool", (int, (), {}), None, None)
-    obj.services.workers.segmentation.submit = lambda *a, **k: job
+    obj.lane.segmentation.submit = lambda *a, **k: job
     ended: list[Exception] = []
 
     def use() -> None:
@@ -112,7 +112,7 @@ def test_a_tool_that_finds_no_time_is_given_up_in_words(monkeypatch: pytest.Monk
     segmenting, obj = open_with_tool([], AddPart(1))
     stopped: list[Any] = []
     job: Job[Any] = Job(stopped.append, 1, "tool", (int, (), {}), None, None)
-    obj.services.workers.segmentation.submit = lambda *a, **k: job
+    obj.lane.segmentation.submit = lambda *a, **k: job
     monkeypatch.setattr("app.server.segmenting.TOOL_SECONDS", 0.01)
     with pytest.raises(CommandError, match="too busy"):
         segmenting.use_tool(ToolRequest("grow", 1), "tester")

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from app.server.job import Job
+from app.server.lanes import Lane
 from app.server.object_context import ObjectContext
 from app.viewer.input import queries
 from app.viewer.input.pointing import Pointing
@@ -66,7 +67,9 @@ class Person:
         self.actions: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self.tab.act, self.tab.user = self.actions.put, "ann"
         self.worker: Any = HeldWorker()
-        asked = PointerQueries(self.tab, self.worker, self.worker, tmp_path, "default")
+        for obj in (self.first, self.second):
+            obj.lane = Lane(self.worker, self.worker)
+        asked = PointerQueries(self.tab, tmp_path, "default")
         self.pointing = Pointing(self.tab, cast(Any, SimpleNamespace()), cast(Any, None), asked)
 
     def _object(self, name: str) -> Any:

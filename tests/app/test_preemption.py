@@ -97,9 +97,9 @@ def test_all_parts_is_asked_for_below_everything_and_encodes_first() -> None:
         need_asset=lambda: SimpleNamespace(folder="folder"),
         document=SimpleNamespace(prompts=(), parts=(), tree=None, up_axis=None, unit_scale=1.0,
                                  left_out=None, face_cuts=(), frame=SOURCE_FRAME),
+        lane=SimpleNamespace(segmentation=SimpleNamespace(submit=submit)),
         services=SimpleNamespace(
-            workers=SimpleNamespace(segmentation=SimpleNamespace(submit=submit)), workspace=None,
-            config=SimpleNamespace(segmenter="default")),
+            workspace=None, config=SimpleNamespace(segmenter="default")),
         jobs=jobs, changed=lambda: None,
     )  # fmt: skip
     Segmenting(obj).use_tool(ToolRequest(PROPOSE, 1), "alice")

@@ -1,7 +1,8 @@
 """Six people click at one server, first alone, then while a seventh opens the worst files.
 
 Each works in a tab of its own on a scan of its own, as :mod:`app.cli.benchmarks.ui` simulates it. A
-click lasts until the browser has its labels; one without them after half a minute is lost.
+click lasts until the browser has its labels; one without them after half a minute is lost. The
+seventh clicks on what opens.
 """
 
 from __future__ import annotations
@@ -79,6 +80,8 @@ def _tab(server: Any, id: int) -> tuple[SimulatedBrowser, Any]:
     wait_for(lambda: shown.object is not None, "its first object")
     app.tab.act(lambda: app._navigation.open(id))
     wait_for(lambda: shown.object.record.id == id and shown.object.asset is not None, "its own")
+    timed_click(browser, app, np.random.default_rng(id))  # is answered once it is encoded
+    app.tab.act(app.commands.undo)
     wait_for(lambda: not shown.object.busy, "the segmenter")
     return browser, app
 
@@ -151,8 +154,22 @@ def _open(server: Any, app: Any, worst: list[Path], end: float) -> Counter[str]:
         obj, began = server.app_state.object(record.id), time.perf_counter()
         while obj.asset is None and not obj.problem and time.perf_counter() < began + LOOK:
             time.sleep(0.05)
+        if obj.asset is not None:
+            _look_at(app, obj, began + LOOK)
         files["opened" if obj.asset is not None else "refused" if obj.problem else "left"] += 1
     return files
+
+
+def _look_at(app: Any, obj: Any, until: float) -> None:
+    """Click on an object from three sides, and look at it until that is answered."""
+    middle, size = obj.asset.bounds.mean(0), obj.asset.diagonal
+    for part, away in enumerate(np.array([[0.1, 0.1, 1], [0.1, -1, 0.1], [1, 0.1, 0.1]]), 1):
+        app.tab.selection.part = part
+        ray = tuple(middle + size * away), tuple(-away)
+        app.tab.act(lambda ray=ray: app.pointing.click(*ray, True))
+    time.sleep(1.0)  # until the clicks have begun
+    while (obj.busy or not obj.document.segmentation_current) and time.perf_counter() < until:
+        time.sleep(0.05)
 
 
 def write_worst(folder: Path) -> list[Path]:

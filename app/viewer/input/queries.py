@@ -10,7 +10,8 @@ import numpy as np
 
 from app.server import picking_tasks, tool_tasks
 from app.server.display_tasks import OpenedAsset
-from app.server.jobs import PREVIEWS, Job, WorkerProcess
+from app.server.jobs import PREVIEWS, Job
+from app.server.lanes import Lane
 from app.server.segmenting import stored_prompts
 from app.viewer.tab import Tab
 from app.viewer.words import annotate as words
@@ -33,22 +34,18 @@ class PointerQueries:
     """Picks elements by rays, boxes and strokes for one tab.
 
     Args:
-        geometry, segmentation: the workers that answer.
         workspace: where arrays are stored.
         segmenter: answers previews.
     """
 
-    def __init__(
-        self,
-        tab: Tab,
-        geometry: WorkerProcess,
-        segmentation: WorkerProcess,
-        workspace: Path,
-        segmenter: str,
-    ) -> None:
+    def __init__(self, tab: Tab, workspace: Path, segmenter: str) -> None:
         self._tab = tab
-        self._geometry, self._segmentation = geometry, segmentation
         self._workspace, self._segmenter = workspace, segmenter
+
+    @property
+    def _lane(self) -> Lane:
+        """The workers that answer."""
+        return self._tab.selection.need_object().lane
 
     def camera(self) -> Camera:
         """The camera of this tab now."""
@@ -64,7 +61,7 @@ class PointerQueries:
         self, asset: OpenedAsset, origin: Point, direction: Point, then: Callable[[Any], None]
     ) -> None:
         """Give ``then`` the first visible element on a ray, or None."""
-        job = self._geometry.submit(
+        job = self._lane.geometry.submit(
             picking_tasks.pick, asset.folder, origin, direction, self._hidden(),
             priority=PICK_PRIORITY, repeated=True,
         )  # fmt: skip
@@ -83,14 +80,14 @@ class PointerQueries:
     def pick_preview(self, asset: OpenedAsset, place: tuple[float, float]) -> Any:
         """The same under the pointer, at (x, y) of the picture; only the newest one is answered."""
         origin, direction = self.camera().ray(place)
-        return self._geometry.submit(
+        return self._lane.geometry.submit(
             picking_tasks.pick, asset.folder, tuple(origin), tuple(direction), self._hidden(),
             key=("hover", self._tab.client.client_id), priority=PREVIEWS,
         ).result(PREVIEW_SECONDS)  # fmt: skip
 
     def preview(self, asset: OpenedAsset, doc: Document, click: Click) -> Any:
         """The elements that a click would add to its part and remove from others."""
-        return self._segmentation.submit(
+        return self._lane.segmentation.submit(
             tool_tasks.hover, asset.folder, self._workspace, self._segmenter, stored_prompts(doc),
             click, key=("hover", self._tab.client.client_id), priority=PREVIEWS,
             works_on=asset.folder,
@@ -101,7 +98,7 @@ class PointerQueries:
         *, one_piece: bool,
     ) -> None:  # fmt: skip
         """Give ``then`` the visible elements in a rectangle of the picture."""
-        job = self._geometry.submit(
+        job = self._lane.geometry.submit(
             picking_tasks.select_box, asset.folder, self._workspace, camera, low, high,
             one_piece=one_piece, hidden=self._hidden(), priority=PICK_PRIORITY, repeated=True,
         )  # fmt: skip
@@ -109,7 +106,7 @@ class PointerQueries:
 
     def stroke(self, asset: OpenedAsset, camera: Camera, stroke: Stroke, then: Selected) -> None:
         """Give ``then`` the visible elements in a lasso or under a brush."""
-        job = self._geometry.submit(
+        job = self._lane.geometry.submit(
             picking_tasks.select_stroke, asset.folder, self._workspace, camera, stroke,
             self._hidden(), priority=PICK_PRIORITY, repeated=True,
         )  # fmt: skip
@@ -118,7 +115,7 @@ class PointerQueries:
     def rectangle_frame(self, asset: OpenedAsset, corner: Point, view: Point) -> Any:
         """Normal and first side of a rectangle to cut, or None while the workers are busy."""
         try:
-            return self._segmentation.submit(
+            return self._lane.segmentation.submit(
                 tool_tasks.frame_at, asset.folder, corner, view, priority=FRAME_PRIORITY,
                 works_on=asset.folder,
             ).result(FRAME_SECONDS)  # fmt: skip
