@@ -229,7 +229,9 @@ class _Guard:
             if path == "/healthz":
                 return _text(HTTPStatus.OK, json.dumps({"status": "ok"}), "application/json")
             if not self.ready:
-                return _text(HTTPStatus.SERVICE_UNAVAILABLE, "starting")
+                answer = _text(HTTPStatus.SERVICE_UNAVAILABLE, "starting")
+                answer.headers["Refresh"] = "1"  # the browser asks again after a second
+                return answer
             problem = self._foreign(request)
             if problem:
                 return _text(HTTPStatus.FORBIDDEN, problem)

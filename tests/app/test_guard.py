@@ -20,7 +20,7 @@ import zstandard
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
-from app.server import network
+from app.server import guard, network
 from app.server.guard import RouteAnswer, RouteRequest, guarded_server
 from app.server.login import ATTEMPTS, GUESSES, Login, new_token
 from app.server.network import check_address, free_port, is_loopback
@@ -90,6 +90,11 @@ ROUTES = {
 }
 
 
+def is_listening(port: int) -> bool:
+    with socket.socket() as one:
+        return one.connect_ex(("127.0.0.1", port)) == 0
+
+
 @pytest.fixture(scope="module")
 def open_server():
     server = guarded_server(port=0, max_upload_bytes=LIMIT, routes=ROUTES)
@@ -124,6 +129,28 @@ def test_listens_on_this_machine_alone_by_default(open_server):
     if not is_loopback(own):
         with pytest.raises(OSError), socket.create_connection((own, port), timeout=2):
             pass
+
+
+def test_a_page_that_is_opened_while_the_server_starts_goes_on_by_itself(monkeypatch):
+    go_on, port = threading.Event(), free_port("127.0.0.1")
+    real = guard.UploadGuard
+
+    def held(limit: int):
+        assert go_on.wait(30)
+        return real(limit)
+
+    monkeypatch.setattr(guard, "UploadGuard", held)
+    servers: list[viser.ViserServer] = []
+    thread = threading.Thread(target=lambda: servers.append(guarded_server(port=port)))
+    thread.start()
+    wait_until(lambda: is_listening(port), "it listens")
+    status, headers, _ = Client(port).get("/")
+    assert (status, headers["Refresh"]) == (503, "1")
+    go_on.set()
+    thread.join(30)
+    status, headers, page = Client(port).get("/")
+    assert status == 200 and "Refresh" not in headers and b"<html" in page
+    servers[0].stop()
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "::", "192.168.1.5"])
