@@ -22,6 +22,13 @@ from model.core.inertial import inertial_problems
 from model.core.shapes import Primitive
 from model.io.assets.reader import load_object, reading_notes
 from model.io.export.registry import EXPORTERS, load_exporter, write_object
+from model.io.export.simready import (
+    VALIDATOR,
+    AboutPackage,
+    SimReadyExporter,
+    simready_problems,
+    validator_installed,
+)
 from model.io.readback.compare import read_back
 from model.physics.collision.measure import free_volume, overlaps_of
 from model.physics.simulation_values import Physics, PhysicsSettings, physics_of, whose_shapes
@@ -137,9 +144,17 @@ def _format(obj: ArticulatedObject, physics: Physics, name: str) -> dict[str, An
     start = time.perf_counter()
     with TemporaryDirectory(prefix="artiworld-") as folder:
         try:
-            files = write_object(obj, load_exporter(name), Path(folder, name), physics=physics)
+            exporter = load_exporter(name)
+            package = name == "usd" and validator_installed()
+            if package:
+                exporter = SimReadyExporter(AboutPackage("unknown", "unknown"))
+            files = write_object(obj, exporter, Path(folder, name), physics=physics)
             back = read_back(name, files[0], obj)
             readers, problems, fine = back.readers, back.problems, back.fine
+            if package:
+                missing = simready_problems(files[0])
+                readers, problems = (*readers, VALIDATOR), (*problems, *missing)
+                fine = fine and not missing
         except ArtiworldError as error:
             readers, problems, fine = (), (str(error),), False
     if not readers and not problems:

@@ -10,7 +10,7 @@ import math
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 from app.cli.command import Command, argument, flag, group, option, repeated, required
 from app.cli.options import (
@@ -339,6 +339,12 @@ class ExportCommand(Command):
         "complete scanned parts as of predict, or take away what was made up "
         "(default: as they were saved)", None, negatable=True,
     )  # fmt: skip
+    profile: Literal["robotics-prop"] | None = option(
+        "with usd: a SimReady package of this profile, with thumbnail and metadata"
+    )
+    author: str = option("author or organisation, for the package", "NAME", "")
+    license: str = option("licence of the asset, for the package, such as CC-BY-4.0", "NAME", "")
+    qcode: str | None = option("its Wikidata item, for the package (default: by category)", "QCODE")
     jobs: int | None = option("processes for several assets (default: as many as processors)", "N")
     json: bool = json_flag()
 

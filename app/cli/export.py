@@ -16,16 +16,24 @@ from app.cli.commands import ExportCommand
 from app.cli.output import check_output
 from app.cli.physics_settings import physics_settings, shape_store
 from model.core.errors import ConfigurationError
+from model.core.installing import install_command
 from model.core.progress import Progress, no_progress, scaled_progress
 from model.geometry.completion import as_scanned, complete
 from model.io.assets.reader import PROVENANCE, load_object, reading_notes
-from model.io.export.manifest import write_about
+from model.io.export.manifest import about_asset, write_about
 from model.io.export.registry import (
     EXPORTERS,
     exporter_names,
     load_exporter,
     losses_of,
     write_object,
+)
+from model.io.export.simready import (
+    VALIDATOR,
+    AboutPackage,
+    SimReadyExporter,
+    simready_problems,
+    validator_installed,
 )
 from model.io.file_names import FileNames
 from model.io.readback.compare import read_back
@@ -41,6 +49,7 @@ class ExportTask:
         store: folder of cached collision shapes.
         check: whether each file is read back.
         complete: whether scanned parts are completed; None: as they were saved.
+        package: what a SimReady package says of itself; None for plain USD.
     """
 
     asset: Path
@@ -49,11 +58,17 @@ class ExportTask:
     store: Path | None
     check: bool
     complete: bool | None = None
+    package: AboutPackage | None = None
 
 
 def export(options: ExportCommand) -> int:
     """Write all assets in all formats, print the files, and return the exit code."""
     formats = named_formats(options.format)
+    package = None
+    if options.profile is not None:
+        if "usd" not in formats:
+            raise ConfigurationError(f"--profile {options.profile} is of --format usd")
+        package = AboutPackage(options.author, options.license, qcode=options.qcode)
     assets = find_assets(options.assets)
     physics, store = physics_settings(options.physics), shape_store(options.physics)
     check_output(options.out, *assets, *(a.parent for a in assets if a.is_file()))
@@ -62,7 +77,9 @@ def export(options: ExportCommand) -> int:
     for asset, name in zip(assets, asset_names(assets), strict=True):
         base = options.out / name if several else options.out
         folders = tuple((f, base / f if len(formats) > 1 else base) for f in formats)
-        tasks.append(ExportTask(asset, folders, physics, store, options.check, options.complete))
+        tasks.append(
+            ExportTask(asset, folders, physics, store, options.check, options.complete, package)
+        )
     with printing.session(options.json) as show:
         if several:
             report = _export_all(tasks, options.jobs, show.progress)
@@ -121,7 +138,11 @@ def export_one(task: ExportTask, progress: Progress = no_progress) -> dict[str, 
     for i, (name, folder) in enumerate(task.folders):
         start = 0.5 + 0.5 * i / len(task.folders)
         span = scaled_progress(progress, start, 0.5 + 0.5 * (i + 1) / len(task.folders))
-        files = write_object(obj, load_exporter(name), folder, physics=physics, progress=span)
+        exporter = load_exporter(name)
+        if name == "usd" and task.package is not None:
+            source = about_asset(task.asset)["source"] or task.asset.name
+            exporter = SimReadyExporter(replace(task.package, source=source))
+        files = write_object(obj, exporter, folder, physics=physics, progress=span)
         own_notes = [*notes, *(losses_of(name, obj))]
         about = write_about(folder, task.asset, name, own_notes)
         entry: dict[str, Any] = {
@@ -135,6 +156,11 @@ def export_one(task: ExportTask, progress: Progress = no_progress) -> dict[str, 
         if task.check and name in EXPORTERS.built_in:
             back = read_back(name, files[0], obj)
             entry |= {"readers": list(back.readers), "problems": list(back.problems)}
+            if isinstance(exporter, SimReadyExporter) and validator_installed():
+                entry["readers"].append(VALIDATOR)
+                entry["problems"] += simready_problems(files[0])
+            elif isinstance(exporter, SimReadyExporter):
+                own_notes.append(f"not validated: {install_command('artiworld[simready]')}")
         elif task.check:  # a plug-in's
             own_notes.append(f"nothing here reads {name} back: it was written, not checked")
         if own_notes:

@@ -42,10 +42,14 @@ class MaterialTable:
 
     def of(self, part: Part, category: str | None) -> PartMaterial:
         """Return the material of a part."""
+        return self.materials[self.name_of(part, category)]
+
+    def name_of(self, part: Part, category: str | None) -> str:
+        """Return the name of a part's material, such as "wood"."""
         words = (part.name or "").lower().replace("_", " ").split()
         named = next((self.parts[w] for w in words if w in self.parts), None)
         known = {k.lower(): v for k, v in self.categories.items()}
-        return self.materials[named or known.get((category or "").lower(), self.default)]
+        return named or known.get((category or "").lower(), self.default)
 
     def with_density(self, density: float) -> MaterialTable:
         """Replace the density of all materials, kg/m³."""

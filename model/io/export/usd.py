@@ -28,7 +28,9 @@ from model.core.progress import Progress, no_progress
 from model.core.shapes import Primitive, Shape
 from model.core.surface_maps import ImageFile, SurfaceMaps
 from model.core.textures import encode
+from model.geometry.shading import corner_normals
 from model.io.urdf.writer import direct_mimics, link_origins
+from model.physics.materials import read_materials
 from model.physics.part_mesh import part_mesh
 from model.physics.simulation_values import Physics, plain_physics
 
@@ -56,6 +58,10 @@ class UsdExporter:
     name = "usd"
     description = "OpenUSD with UsdPhysics joints, drives, mass and collision"
 
+    def __init__(self, file: str = FILE) -> None:
+        """``file``: name of the written file."""
+        self.file = file
+
     def export(
         self,
         obj: ArticulatedObject,
@@ -65,12 +71,13 @@ class UsdExporter:
         progress: Progress = no_progress,
     ) -> tuple[Path, ...]:
         """See :class:`~model.io.export.protocol.Exporter`."""
-        return _Writer(obj, folder, physics or plain_physics(obj)).write(progress)
+        return _Writer(obj, folder / self.file, physics or plain_physics(obj)).write(progress)
 
 
 class _Writer:
-    def __init__(self, obj: ArticulatedObject, folder: Path, physics: Physics) -> None:
-        self.obj, self.folder, self.physics = obj, folder, physics
+    def __init__(self, obj: ArticulatedObject, path: Path, physics: Physics) -> None:
+        self.obj, self.path, self.folder, self.physics = obj, path, path.parent, physics
+        self.materials = read_materials()
         for name in ("Gf", "Sdf", "Usd", "UsdGeom", "UsdPhysics", "UsdShade", "Vt"):
             setattr(self, name, require(f"pxr.{name}", "artiworld[usd]", "USD"))
         self.origins = link_origins(obj.tree)
@@ -96,20 +103,23 @@ class _Writer:
         stage.SetDefaultPrim(root)
         self.Usd.ModelAPI(root).SetKind("component")
         self.UsdPhysics.ArticulationRootAPI.Apply(root)
+        self._label(root, "class", self.obj.category or self.obj.name or "object")
         parts = {p.link: p for p in self.obj.parts}
         self.links: dict[str, Any] = {}
         for i, link in enumerate(self.obj.tree.order):
             progress(i / len(self.obj.tree.order), f"writing {link}")
             prim = self.links[link] = self._link(link)
             if link in parts:
-                self._visual(prim, part_mesh(parts[link]), link)
+                if parts[link].name:
+                    self._label(prim, "class", parts[link].name)
+                made_of = self.materials.name_of(parts[link], self.obj.category)
+                self._visual(prim, part_mesh(parts[link]), link, made_of)
             for number, shape in enumerate(self.physics.collision.get(link, ())):
                 self._collision(prim, shape, number, link)
         self._joints()
-        path = self.folder / FILE
-        stage.GetRootLayer().Export(str(path))
+        stage.GetRootLayer().Export(str(self.path))
         progress(1.0, "written")
-        return (path, *dict.fromkeys(self.files))
+        return (self.path, *dict.fromkeys(self.files))
 
     def _identifier(self, scope: str, name: str) -> str:
         return identifier(name, self.names.setdefault(scope, {"joints", "Looks"}))
@@ -127,6 +137,13 @@ class _Writer:
         if inertial is not None:
             self._mass(prim, inertial, self.origins[link])
         return prim
+
+    def _label(self, prim: Any, taxonomy: str, text: str) -> None:
+        """A label for synthetic data; by its name, as older usd-core has no SemanticsLabelsAPI."""
+        prim.AddAppliedSchema(f"SemanticsLabelsAPI:{taxonomy}")
+        types = self.Sdf.ValueTypeNames
+        attribute = prim.CreateAttribute(f"semantics:labels:{taxonomy}", types.TokenArray, False)
+        attribute.Set([text.strip().lower()])
 
     def _mass(self, prim: Any, inertial: Inertial, origin: FloatArray) -> None:
         values, axes = np.linalg.eigh(inertial.tensor)
@@ -147,7 +164,7 @@ class _Writer:
 
     # Looks
 
-    def _visual(self, prim: Any, mesh: Mesh, link: str) -> None:
+    def _visual(self, prim: Any, mesh: Mesh, link: str, made_of: str) -> None:
         made = self._mesh(
             f"{prim.GetPath()}/visual", mesh.vertices - self.origins[link], mesh.faces
         )
@@ -160,14 +177,16 @@ class _Writer:
         binding = self.UsdShade.MaterialBindingAPI
         used = np.unique(mesh.face_material).tolist()
         if len(used) == 1:
-            binding.Apply(made.GetPrim()).Bind(self._look(mesh.materials[used[0]], shown))
+            look = self._look(mesh.materials[used[0]], shown, made_of)
+            binding.Apply(made.GetPrim()).Bind(look)
             return
         for index in used:
             faces = np.flatnonzero(mesh.face_material == index).astype(np.int32)
             subset = binding.Apply(made.GetPrim()).CreateMaterialBindSubset(
                 f"subset_{index}", self.Vt.IntArray.FromNumpy(faces)
             )
-            binding.Apply(subset.GetPrim()).Bind(self._look(mesh.materials[index], shown))
+            look = self._look(mesh.materials[index], shown, made_of)
+            binding.Apply(subset.GetPrim()).Bind(look)
 
     def _colors(self, made: Any, rgba: npt.NDArray[np.uint8]) -> tuple[str, ...]:
         """Write a mesh' own colours; the names of what materials read of them."""
@@ -191,21 +210,32 @@ class _Writer:
         made.CreateSubdivisionSchemeAttr(self.UsdGeom.Tokens.none)
         extent = np.ascontiguousarray(np.stack([points.min(axis=0), points.max(axis=0)]))
         made.CreateExtentAttr(self.Vt.Vec3fArray.FromNumpy(extent))
+        which, normals = corner_normals(Mesh(vertices, faces))
+        shading = self.UsdGeom.PrimvarsAPI(made).CreatePrimvar(
+            "normals", self.Sdf.ValueTypeNames.Normal3fArray, self.UsdGeom.Tokens.faceVarying
+        )
+        shading.Set(self.Vt.Vec3fArray.FromNumpy(normals))
+        shading.SetIndices(self.Vt.IntArray.FromNumpy(which.reshape(-1)))
         return made
 
-    def _look(self, material: Material, shown: tuple[str, ...]) -> Any:
-        """The material; ``shown`` of the mesh stands for its colour where it has no texture."""
+    def _look(self, material: Material, shown: tuple[str, ...], made_of: str) -> Any:
+        """The material; ``shown`` of the mesh stands for its colour where it has no texture.
+
+        ``made_of``: its label, such as "wood".
+        """
         picture = None
         if material.texture is not None:
             picture = self._picture(ImageFile(*encode(material.texture)))
         shown = shown if picture is None else ()
         color_of = material.base_color if not shown else (255, 255, 255, 255)
-        key = (color_of, picture, material.metallic, material.roughness, material.maps, shown)
+        key = (color_of, picture, material.metallic, material.roughness, material.maps, shown,
+               made_of)  # fmt: skip
         if key in self.looks:
             return self.looks[key]
         types, shade = self.Sdf.ValueTypeNames, self.UsdShade
         path = f"{self.top}/Looks/{self._identifier('Looks', material.name)}"
         made = self.looks[key] = shade.Material.Define(self.stage, path)
+        self._label(made.GetPrim(), "material", made_of)
         surface = shade.Shader.Define(self.stage, f"{path}/surface")
         surface.CreateIdAttr("UsdPreviewSurface")
         *rgb, alpha = (c / 255.0 for c in color_of)
