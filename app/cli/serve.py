@@ -16,7 +16,7 @@ from model.core.errors import ConfigurationError, InputFileError
 from model.io.find_assets import find_assets
 from model.io.geometry_files import STAGES, SUFFIXES
 from model.io.masks import read_masks
-from model.io.model_files import is_model
+from model.io.model_files import articulated_stage, is_model
 from model.prediction.registry import check_predictor
 from model.prediction.remote import is_backend
 from model.scenes.finder_options import FinderOptions
@@ -109,7 +109,7 @@ def scene_to_open(options: ServeCommand) -> Path | None:
     if not (options.assets or options.scene) and (
         first is None or first.is_dir() or is_model(first)
         or (first.suffix.lower() in SUFFIXES and first.suffix.lower() not in STAGES)
-        or not recognised(first)
+        or not recognised(first) or articulated_stage(first) is not None
     ):  # fmt: skip
         return None
     if first is None or len(options.paths) > 1 or first.is_dir():

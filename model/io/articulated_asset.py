@@ -71,19 +71,21 @@ def open_model(
     target_from_file: npt.NDArray[np.float64],
     max_bytes: int,
     progress: Progress = no_progress,
+    model: UrdfModel | None = None,
 ) -> Opened:
-    """Read a URDF or MJCF with what lies beside it and tells more: names, a category.
+    """Read a URDF, MJCF or USD with what lies beside it and tells more: names, a category.
 
     Args:
         path: the file; its meshes lie in its folder, or in that of its ROS package.
         target_from_file: (4, 4) rotation and uniform scale to metres and +z up.
         max_bytes: refuse larger meshes.
         progress: told of each link.
+        model: what was read of the file already, or None.
 
     Raises:
         InputFileError: naming the file and everything that is wrong in it.
     """
-    model = read_model(path, max_bytes)
+    model = model or read_model(path, max_bytes)
     for visual in model.visuals:
         if visual.file is not None and visual.file.is_file():
             _check_size(visual.file, max_bytes)
@@ -136,7 +138,7 @@ def _loaded(
         category, names_of = partnet_category(path.parent), semantic_names(path.parent)
     else:
         said = description_beside(path)
-        category, names = said.get("category"), said.get("names")
+        category, names = said.get("category") or model.category, said.get("names")
         names_of = {k: str(v) for k, v in names.items()} if isinstance(names, dict) else {}
         exported, ours = declared_category(path.parent)
         if ours:  # exports of ArtiWorld name links, and visuals where they can, after parts
@@ -240,8 +242,8 @@ def _numbers(tops: Sequence[str], root: str, names_of: Mapping[str, str]) -> dic
 
     Objects that the app wrote keep the numbers that they have there.
     """
-    told = {top: part_of_file_name(top, names_of.get(top)) for top in tops}
-    kept = {top: n for top, n in told.items() if n is not None and n < MAX_PARTS}
+    named = {top: part_of_file_name(top, names_of.get(top)) for top in tops}
+    kept = {top: n for top, n in named.items() if n is not None and n < MAX_PARTS}
     based = kept.get(root) == 0 if root in tops else 0 not in kept.values()
     if len(set(kept.values())) == len(tops) and based:
         return kept

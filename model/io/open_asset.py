@@ -31,9 +31,10 @@ from model.io.geometry_files import (
     read_geometry_file,
     turned_up,
 )
-from model.io.model_files import MODEL_SUFFIXES
+from model.io.model_files import MODEL_SUFFIXES, articulated_stage
 from model.io.part_folder import Manifest, find_manifest
 from model.io.source_checks import cleaned, far_shift, is_solid, shifted, to_cloud, to_mesh
+from model.io.urdf.model import UrdfModel
 
 MOST_REMARKS = 50
 """A person reads no more, and a browser shows each."""
@@ -91,6 +92,9 @@ def _opened(
             return _read_folder(path, up_axis, unit_scale, max_bytes, progress)
         if path.suffix.lower() in MODEL_SUFFIXES:
             return _read_model(path, path, up_axis, unit_scale, max_bytes, progress)
+        stage = articulated_stage(path, max_bytes)
+        if stage is not None:
+            return _read_model(path, path, up_axis, unit_scale, max_bytes, progress, stage)
         return read_geometry_file(
             path, up_axis=up_axis, unit_scale=unit_scale, max_bytes=max_bytes, files=files,
             progress=progress,
@@ -103,12 +107,12 @@ def _opened(
 
 def _read_model(
     path: Path, model: Path, up_axis: UpAxis | None, scale: float, max_bytes: int,
-    progress: Progress,
+    progress: Progress, read: UrdfModel | None = None,
 ) -> Asset:  # fmt: skip
     progress(0.0, f"reading {model.name}")
     matrix = turned_up(up_axis or "z")
     matrix[:3, :3] *= scale
-    found = open_model(model, matrix, max_bytes, progress)
+    found = open_model(model, matrix, max_bytes, progress, read)
     return Asset(
         asset_name(path),
         mesh=found.mesh,

@@ -15,7 +15,7 @@ from model.core.joint import DeclaredDynamics
 from model.core.progress import Progress, no_progress
 from model.core.textures import one_reading
 from model.io.geometry_files import SUFFIXES, read_geometry_file
-from model.io.model_files import read_model
+from model.io.model_files import articulated_stage, read_model
 from model.io.part_folder import remarks_in
 from model.io.urdf.declared_physics import DeclaredPhysics
 
@@ -73,10 +73,10 @@ def load_object(asset: str | Path, progress: Progress = no_progress) -> Articula
     path = Path(asset)
     recover(path)
     if path.is_file():
-        if path.suffix.lower() in SUFFIXES:
+        if path.suffix.lower() in SUFFIXES and articulated_stage(path) is None:
             raise InputFileError(
                 path,
-                "is no URDF or MJCF",
+                "is no URDF or MJCF, and no USD with joints",
                 "run artiworld segment and predict on it first, or serve it",
             )
         obj, declared = _read(path, progress)

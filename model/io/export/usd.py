@@ -110,10 +110,11 @@ class _Writer:
             progress(i / len(self.obj.tree.order), f"writing {link}")
             prim = self.links[link] = self._link(link)
             if link in parts:
-                if parts[link].name:
-                    self._label(prim, "class", parts[link].name)
-                made_of = self.materials.name_of(parts[link], self.obj.category)
-                self._visual(prim, part_mesh(parts[link]), link, made_of)
+                part = parts[link]
+                if part.name:
+                    self._label(prim, "class", part.name)
+                made_of = self.materials.name_of(part, self.obj.category)
+                self._visual(prim, part_mesh(part), link, made_of)
             for number, shape in enumerate(self.physics.collision.get(link, ())):
                 self._collision(prim, shape, number, link)
         self._joints()

@@ -1,4 +1,4 @@
-"""A URDF or MJCF as read, before its meshes are loaded."""
+"""A URDF, MJCF or USD as read, before its meshes are loaded."""
 
 from __future__ import annotations
 
@@ -30,6 +30,7 @@ class UrdfModel:
         told: masses, joint dynamics and collision shapes; :meth:`load` leaves them out.
         files: that were read beside the file itself and the meshes.
         part_names: link → what the file says it is, in people's words.
+        category: what the file says of the whole, or None.
     """
 
     path: Path
@@ -44,6 +45,7 @@ class UrdfModel:
     declared: DeclaredPhysics = field(default_factory=DeclaredPhysics)
     files: tuple[Path, ...] = ()
     part_names: Mapping[str, str] = field(default_factory=dict)
+    category: str | None = None
 
     @cached_property
     def by_link(self) -> Mapping[str, tuple[UrdfVisual, ...]]:
