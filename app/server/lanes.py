@@ -104,15 +104,17 @@ class Lanes:
         that. Where all are in use, the one with the fewest objects.
         """
         with self._lock:
-            lanes, mine = self._lanes[heavy], self._of.get(user)
+            lanes, mine = self._lanes[heavy], self._of.get(user, self.first)
             users = Counter(
                 lane for other, lane in self._of.items() if other is not user and other.in_use
             )
-            if mine not in lanes or users[mine]:
+            if user not in self._of or mine not in lanes or users[mine]:
                 free = [lane for lane in lanes if not users[lane] and not lane.busy]
                 if not free and len(lanes) < self._most[heavy] and not self._closing:
                     free = [self._begin(heavy=heavy)]
-                mine = self._of[user] = min(free or lanes, key=lambda lane: users[lane])
+                if free or mine not in lanes:
+                    mine = min(free or lanes, key=lambda lane: users[lane])
+            self._of[user] = mine
             lanes.remove(mine)
             lanes.append(mine)
             return mine

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -138,6 +139,12 @@ def cloud(count: int) -> PointCloud:
 
 def mean(value: PointCloud) -> float:
     return float(value.points.mean())
+
+
+def priority_and_limit() -> tuple[int, bool]:
+    """The process's niceness, and whether its memory has a limit."""
+    soft, _ = resource.getrlimit(resource.RLIMIT_DATA)
+    return os.getpriority(os.PRIO_PROCESS, 0), soft != resource.RLIM_INFINITY
 
 
 def start_grandchild_then_die() -> None:

@@ -8,7 +8,7 @@ from collections.abc import Hashable, Iterator
 from typing import Any
 from unittest import mock
 
-from app.server import workers
+from app.server import lanes, workers
 from app.server.job import Job
 from app.server.jobs import WorkerProcess
 
@@ -35,6 +35,10 @@ class SharedWorker:
         job = self._worker.submit(function, *args, key=key, works_on=works_on, **more)
         self._jobs.add(job)
         return job
+
+    @property
+    def name(self) -> str:
+        return self._worker.name
 
     @property
     def pid(self) -> int | None:
@@ -68,7 +72,10 @@ def shared_workers() -> Iterator[None]:
             processes[name] = WorkerProcess(name, **settings)
         return SharedWorker(processes[name])
 
-    with mock.patch.object(workers, "WorkerProcess", worker):
+    with (
+        mock.patch.object(workers, "WorkerProcess", worker),
+        mock.patch.object(lanes, "WorkerProcess", worker),
+    ):
         yield
     for process in processes.values():
         process.close()
