@@ -30,6 +30,7 @@ from model.core.errors import ArtiworldError, CommandError
 from model.prediction.registry import DEFAULT as DEFAULT_PREDICTOR
 from model.prediction.remote.http_predictor import BackendError
 from sessions import commands as cmd
+from sessions.review import transition
 from sessions.state import SessionState
 from sessions.store import ObjectRecord, PendingAcceptance
 
@@ -193,7 +194,8 @@ class OpenObject(ObjectContext):
 
     def _opened(self, asset: OpenedAsset) -> None:
         with self._lock:
-            self.asset = asset
+            self.lane = self.services.workers.lanes.take(self, heavy=asset.heavy)
+            self.asset = asset  # a click may come from now on
         self.services.queue.set_unreadable(self.record.id, False)
         first, doc = self.state.seq == 0, self.document
         if first and asset.category:
@@ -205,7 +207,7 @@ class OpenObject(ObjectContext):
         if self.interrupted:
             self.notify("Not accepted yet", INTERRUPTED, "yellow")
         for warning in asset.warnings:
-            self.notify("Opened with a warning", warning, "yellow")
+            self.notify("Opened with a warning", warning, "orange")
         self._prepare_clicks(asset)
         if self.in_scene is None and asset.source_labels is None:
             self.preparing.propose_on_opening()
@@ -265,6 +267,7 @@ class OpenObject(ObjectContext):
         if self.predicting:
             return
         source, doc = self.source(), self.document
+        transition(doc.review.state, "predict")  # refuses now, not after the wait
         if not doc.segmentation_current:
             raise CommandError("the parts are still being computed; try again in a moment")
         self.jobs.cancel("check")

@@ -137,6 +137,7 @@ def test_a_part_is_found_by_points_that_are_not_displayed(tmp_path: Path) -> Non
     )
     session = SimpleNamespace(state=SimpleNamespace(present=document))
     services: Any = SimpleNamespace(store=store, hub=SimpleNamespace(session=lambda id: session))
+    services.workers = SimpleNamespace(lanes=SimpleNamespace(first=None))
     obj: Any = ObjectContext(SimpleNamespace(id=1), services)  # type: ignore[arg-type]
     obj.asset = SimpleNamespace(element=np.array([0, 2]))
     tab = make_tab(object=obj)
