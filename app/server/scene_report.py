@@ -34,6 +34,7 @@ from model.scenes.scene import SceneProblem
 
 STATES: dict[str, tuple[str, tuple[int, int, int]]] = {
     "predicted": ("predicted, not reviewed", (128, 90, 213)),
+    "on_hold": ("on hold: accepted, and refused by the checks", (168, 92, 26)),
     "todo": ("to do: no joints yet", (237, 160, 40)),
     "rejected": ("rejected", (224, 49, 49)),
     "accepted": ("accepted", (47, 158, 68)),

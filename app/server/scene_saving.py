@@ -146,7 +146,8 @@ class Saving:
         notes = [] if work is None else [work.reason, self._why_refused(work)]
         notes.append(scene.missing_reason(item))
         return ReportRow(
-            item, row.status, row.confidence, scene.document.articulable.get(item.obj.id),
+            item, "on_hold" if row.shown == "on_hold" else row.status, row.confidence,
+            scene.document.articulable.get(item.obj.id),
             None if doc is None else doc.tree,
             {} if doc is None or doc.prediction is None else dict(doc.prediction.confidence),
             {} if doc is None else {

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 
 from app.server.display_names import joint_title
@@ -14,7 +14,7 @@ from app.server.validation_tasks import validate_joints
 from model.core.errors import CommandError
 from model.core.tree import KinematicTree
 from model.validation.low_confidence import with_low_confidence
-from model.validation.report import Fix, Severity, ValidationReport
+from model.validation.report import Fix, JointReport, Severity, ValidationReport
 from sessions.document import Document, link_problems
 
 REPORTS_KEPT = 16
@@ -204,9 +204,10 @@ class Validation:
 
     def _summary(self, report: ValidationReport) -> str:
         """Return the number of joints as bad as the worst one, and what that one has."""
-        count, worst = len(report.joints_with(report.severity)), report.joints[0]
+        document = self._obj.document
+        count, worst = len(alike(document, report, report.severity)), report.joints[0]
         kind = "error" if report.severity == Severity.ERROR else "warning"
-        title = joint_title(self._obj.document, worst.child)
+        title = joint_title(document, worst.child)
         return f"{count} {kind}{'s'[: count != 1]}. {title}: {worst.message}"
 
     def _retry_acceptance(self) -> None:
@@ -240,6 +241,21 @@ class Validation:
             if fix.kind == kind:
                 return fix
         raise CommandError("the joints changed meanwhile and are being validated again")
+
+
+def alike(
+    document: Document, report: ValidationReport, severity: Severity
+) -> list[tuple[JointReport, ...]]:
+    """Return the joints of a severity, worst first; parts of one name with the same kind of finding
+    and no fix to choose are one group, so that six knobs are one warning."""
+    names = {p.link: p.name for p in document.parts}
+    groups: dict[Hashable, tuple[JointReport, ...]] = {}
+    for joint in report.joints_with(severity):
+        name = names.get(joint.child)
+        single = name is None or joint.worst is None or joint.fixes
+        key = joint.joint if single or joint.worst is None else (name, joint.worst.kind)
+        groups[key] = (*groups.get(key, ()), joint)
+    return list(groups.values())
 
 
 def problems_of(report: ValidationReport) -> tuple[str, ...]:

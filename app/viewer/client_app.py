@@ -30,6 +30,7 @@ from app.viewer.steps.review import ReviewActions, ReviewStep
 from app.viewer.steps.scene import SceneHost, SceneStep
 from app.viewer.tab import AT_REST, STEPS, Panel, Step, Tab
 from app.viewer.words import common as words
+from sessions import commands as cmd
 
 PANELS: tuple[tuple[Step, Callable[[Tab], Panel]], ...] = (("Review", History),)
 """Panels that need only the tab, below the other widgets of their step."""
@@ -113,6 +114,7 @@ class ClientApp:
             remove=self._navigation.remove,
             play=self.motion.play,
             reset_pose=self.motion.reset,
+            reopen=lambda: tab.do(cmd.Reopen(self.review.comment_text)),
         )
         self._header = ObjectHeader(tab, header, self._name_of)
         self._folders = {s: gui.add_folder(None, visible=s == "Annotate") for s in STEPS}
@@ -147,7 +149,7 @@ class ClientApp:
         self.guard.decide(self.commands.accept)
 
     def _reject_seen(self) -> None:
-        self.guard.decide(self.commands.reject)
+        self.tab.act(self.commands.reject)
 
     def _scene_host(self) -> SceneHost:
         return SceneHost(
@@ -237,6 +239,9 @@ class ClientApp:
 
     def _draw(self) -> None:
         """Send what changed since the last time."""
+        self.tab.end_notes()
+        self.commands.rejecting.end_elsewhere()
+        self.drawing.leave()  # before a panel shows the next object
         self._draw_panels()
         self.guard.drawn()
 

@@ -10,7 +10,7 @@ from app.viewer.input.keys import Binding, KeySheet
 from app.viewer.input.pointing import Pointing
 from app.viewer.navigation import Navigation
 from app.viewer.panels.predict_buttons import predict
-from app.viewer.panels.quick_names import NUMBERED
+from app.viewer.panels.quick_names import SHOWN
 from app.viewer.panels.rejecting import Rejecting
 from app.viewer.picture.motion import Motion
 from app.viewer.picture.object_picture import ObjectPicture, View
@@ -128,6 +128,12 @@ class Commands:
             return "scene", scene.choice.selected
         return "object", None if obj is None else obj.record.id
 
+    def _title(self) -> str:
+        """The name of what a decision made now is about."""
+        scene, obj = self._overview, self._tab.selection.object
+        name = scene.choice.selected if scene is not None else obj and obj.record.name
+        return name or ""
+
     def reject(self) -> None:
         """Ask why the object goes back to its annotator."""
         if self._overview is not None:
@@ -135,7 +141,7 @@ class Commands:
         else:
             self._tab.selection.need_object()
             self._tab.selection.set_step("Review")
-        self.rejecting.ask()
+        self.rejecting.ask(self._title())
 
     def _reject_because(self, reason: RejectReason) -> None:
         """Send the object back to its annotator."""
@@ -228,8 +234,8 @@ def bindings(
     yield Binding(words.HANDLES, "G", by_step(prepare.toggle_handle, motion.toggle_handles))
     yield Binding(words.HIDE, "H", annotate.parts.toggle_hidden)
     # Shift and a digit are handled in the page: the sign depends on the keyboard.
-    for number, name in enumerate(NUMBERED, 1):
-        yield Binding(words.name_part(name), None, _with(commands.name_by_key, number))
+    for number in range(1, SHOWN + 1):
+        yield Binding(words.name_part(number), None, _with(commands.name_by_key, number))
     yield Binding(words.TAKE_CATEGORY, None, _with(commands.name_by_key, 0))
     yield Binding(words.DELETE, "delete", by_step(prepare.remove_marked, annotate.parts.delete))
     for row in TOOL_ROWS:
@@ -246,7 +252,7 @@ def bindings(
     yield Binding(words.EXTRACT, None, annotate.source.cut_out)
     yield Binding(words.TITLE, None, sheet.toggle)
     yield Binding(words.ACCEPT, "Y", commands.accept, decides=True)
-    yield Binding(words.REJECT, "X", commands.reject, decides=True)
+    yield Binding(words.REJECT, "X", commands.reject)  # which asks; the answer decides
     yield Binding(words.NEXT, "N", _with(commands.step, 1))
     yield Binding(words.PREVIOUS, "B", _with(commands.step, -1))
     yield Binding(words.FRAME, "C", _framing(tab, scene, picture))

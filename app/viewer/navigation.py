@@ -11,7 +11,7 @@ from app.server.display_names import display_text
 from app.server.open_object import OpenObject
 from app.viewer.tab import Tab
 from app.viewer.words import common as words
-from app.viewer.words.queue import EMPTY
+from app.viewer.words.queue import ALL_ACCEPTED, EMPTY
 from app.viewer.words.review import about
 from model.core.errors import ArtiworldError
 from sessions import commands as cmd
@@ -143,7 +143,7 @@ class Navigation:
                 return
             name = self._app_state.display_name(obj.record)
             text = display_text(obj.document, body).removeprefix(about(name, ""))
-            tab.notify(title, about(name, text), color)
+            tab.notify(title, about(name, text), color, elsewhere=True)
 
         def changed() -> None:
             tab.invalidate()
@@ -154,18 +154,24 @@ class Navigation:
         stop = obj.watch(changed, tell)
 
     def step(self, by: int) -> None:
-        """Open the next object of the queue, or with -1 the one before; passing one skips it."""
-        ids = [r.id for r in self._app_state.queue.records()]
+        """Open the next object of the queue that isn't accepted, or with -1 the one before,
+        whatever its state; passing one skips it."""
+        records = self._app_state.queue.records()
         obj = self._tab.selection.object
-        if obj is None or not ids:
+        if obj is None or not records:
             return
-        current = obj.record.id
-        if by > 0:
-            self._skipped.add(current)
-        if current in ids:
-            self.open(ids[(ids.index(current) + by) % len(ids)])
-        else:  # another tab took it off the list
-            self.open(ids[0 if by > 0 else -1])
+        ids, current = [r.id for r in records], obj.record.id
+        at = ids.index(current) if current in ids else -1  # another tab took it off the list
+        if by < 0:
+            self.open(ids[max(at, 0) - 1])
+            return
+        self._skipped.add(current)
+        ahead = [*records[at + 1 :], *records[: max(at, 0)]]
+        following = next((r.id for r in ahead if r.state != "accepted"), None)
+        if following is None:
+            self._tab.say(ALL_ACCEPTED)
+        else:
+            self.open(following)
 
     def remove(self) -> None:
         """Remove what can't be read from the queue, and go on with the next object."""

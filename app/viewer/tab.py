@@ -14,6 +14,7 @@ import viser
 from app.server.display_names import display_text
 from app.server.open_object import OpenObject
 from app.server.pointer_messages import set_page_state
+from app.viewer.notes import Notes
 from app.viewer.tab_threads import TabThreads
 from app.viewer.words import common as words
 from model.core.errors import ArtiworldError
@@ -133,6 +134,7 @@ class Tab:
         self.in_scene = in_scene
         self.selection = Selection(self.invalidate, words.need_object(in_scene))
         self._threads = TabThreads(f"tab-{client.client_id}", self.notify)
+        self._notes = Notes(client)
 
     def start(self, draw: Callable[[], None]) -> None:
         """Begin to carry out actions and to draw."""
@@ -163,14 +165,31 @@ class Tab:
         self._threads.invalidate()
 
     def notify(
-        self, title: str, body: str, color: Any = "blue", seconds: float | None = 5.0
+        self, title: str, body: str, color: Any = "blue", *, elsewhere: bool = False
     ) -> None:
-        """Show a note in the corner; where ``seconds`` is None it stays until it is closed."""
-        if not self._threads.closed:
-            obj = self.selection.object  # another thread may close it
-            body = body if obj is None else display_text(obj.document, body)
-            seconds = 10.0 if color == "red" else seconds
-            self.client.add_notification(title, body[:400], auto_close_seconds=seconds, color=color)
+        """Show a note for some seconds. Hints and refusals (gray, yellow) end with the state of
+        the open object, unless they are about something ``elsewhere``."""
+        if self._threads.closed:
+            return
+        if not body:
+            self.say(title)
+            return
+        obj = self.selection.object  # another thread may close it
+        body = body if obj is None else display_text(obj.document, body)
+        about_state = color in ("gray", "yellow") and not elsewhere
+        seconds = 10.0 if color in ("red", "yellow") else 5.0
+        reason = self._reason if about_state else None
+        self._notes.show(title, body[:400], color, seconds, reason)
+
+    @property
+    def _reason(self) -> Any:
+        """What hints and refusals are about: the open object as it is."""
+        obj = self.selection.object
+        return obj and (obj.record.id, obj.state.seq)
+
+    def end_notes(self) -> None:
+        """End the hints and refusals that are about another object, or about an earlier state."""
+        self._notes.end_others(self._reason)
 
     def say(self, text: str) -> None:
         """Show a line below the picture for a moment."""

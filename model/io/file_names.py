@@ -55,8 +55,15 @@ class FileNames:
     @classmethod
     def of(cls, obj: ArticulatedObject) -> FileNames:
         """The names that the files of an object use."""
-        links = _links(obj)
-        return cls(links, _joints(obj, links))
+        return cls.of_tree(obj.tree, {p.link: p.name for p in obj.parts}, obj.category)
+
+    @classmethod
+    def of_tree(
+        cls, tree: KinematicTree, names: Mapping[str, str | None], category: str | None
+    ) -> FileNames:
+        """The same of a tree; ``names`` holds the links of all parts."""
+        links = _links(tree, names)
+        return cls(links, _joints(tree, names, category, links))
 
     @classmethod
     def stored(cls, entry: Mapping[str, Any]) -> FileNames:
@@ -112,8 +119,7 @@ class FileNames:
         )
 
 
-def _links(obj: ArticulatedObject) -> dict[str, str]:
-    tree, names = obj.tree, {p.link: p.name for p in obj.parts}
+def _links(tree: KinematicTree, names: Mapping[str, str | None]) -> dict[str, str]:
     parts = {link: m[1] for link in names if (m := _PART.fullmatch(link))}
     helpers = [x for x in tree.links if x not in names and x.startswith("helper_")]
     taken = {link for link in tree.links if link not in parts and link not in helpers}
@@ -130,8 +136,12 @@ def _links(obj: ArticulatedObject) -> dict[str, str]:
     return out
 
 
-def _joints(obj: ArticulatedObject, links: Mapping[str, str]) -> dict[str, str]:
-    tree, names = obj.tree, {p.link: p.name for p in obj.parts}
+def _joints(
+    tree: KinematicTree,
+    names: Mapping[str, str | None],
+    category: str | None,
+    links: Mapping[str, str],
+) -> dict[str, str]:
     own = [tree.joint_of[link] for link in tree.order[1:]]
     taken = {j.name for j in own if not _OWN_JOINT.fullmatch(j.name)}
     out: dict[str, str] = {}
@@ -139,7 +149,7 @@ def _joints(obj: ArticulatedObject, links: Mapping[str, str]) -> dict[str, str]:
         moved = moving_chain(tree, joint.child, names.__contains__)[-1]
         motion = _MOTIONS.get(joint.type)
         if motion is None:
-            mechanism = mechanism_of(names.get(moved), obj.category)[0]
+            mechanism = mechanism_of(names.get(moved), category)[0]
             motion = "turn" if mechanism in _TURNS else "hinge"
         free = free_name(f"{links.get(moved, moved)}_{motion}", {*taken, *out.values()})
         out[joint.name] = free

@@ -30,8 +30,6 @@ from model.validation.report import Finding, Fix, Severity
 FIXABLE = ("collision", "jammed", "detached", "limits")
 LEAST_ANGLE, LEAST_SLIDE = math.radians(3.0), 0.01
 """Smallest range that is offered: radians, and diagonals."""
-LEAST_SHARE = 0.1
-"""The same as a share of the range before."""
 INSET = 0.01
 """Limits end this share of the range before the contact."""
 ALONG_CONTACT = 0.9
@@ -182,7 +180,7 @@ def _limits(scene: Scene, joint: Joint) -> list[Fix]:
     low = low + inset if low > tried.lower else low  # type: ignore[operator]
     high = high - inset if high < tried.upper else high  # type: ignore[operator]
     span = high - low
-    if span < max(least, 0.0 if empty else LEAST_SHARE * (upper - lower)):
+    if span < least:
         return []
     changed = replace(tried, lower=float(low), upper=float(high))
     if changed == joint or not _is_fixed(scene, changed):

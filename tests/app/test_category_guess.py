@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 
 from app.viewer.panels.category_guess import category_guesses, category_in
+from app.viewer.panels.quick_names import SHOWN, USUAL, names_for
+from app.viewer.picture.palette import CATEGORIES
 from sessions.records import ObjectRecord
 
 
@@ -45,20 +47,22 @@ def test_a_folder_tells_where_the_file_does_not() -> None:
     assert category_guesses(record(1, "/desk/data/a/b/mesh.obj"), ()) == ()
 
 
-def test_what_was_said_last_follows_the_own_one_first() -> None:
-    mine = record(1, "/data/lamp.ply")
+def test_a_name_that_tells_nothing_takes_what_was_said_last_of_its_series() -> None:
+    mine = record(1, "/data/scan_1.ply")
     queue = [
         mine,
-        record(2, "/data/a.ply", "Oven", "2026-01-01T10:00:00"),
-        replace(record(3, "/data/b.ply", "storage furniture", "2026-01-01T09:00:00"), who="me"),
-        record(4, "/data/c.ply", "Safe", "2026-01-01T08:00:00"),
-        record(5, "/data/d.ply", "Contraption", "2026-01-01T11:00:00"),
-        record(6, "/data/e.ply", None, "2026-01-01T12:00:00"),
+        record(2, "/data/scan_2.ply", "Oven", "2026-01-01T10:00:00"),
+        replace(
+            record(3, "/data/scan_3.ply", "storage furniture", "2026-01-01T09:00:00"), who="me"
+        ),
+        record(4, "/data/Scan_40.ply", "Safe", "2026-01-01T08:00:00"),
+        record(5, "/data/scan_5.ply", "Contraption", "2026-01-01T11:00:00"),
+        record(6, "/data/scan_6.ply", None, "2026-01-01T12:00:00"),
     ]
-    assert category_guesses(mine, queue, "me") == ("Lamp", "StorageFurniture", "Oven")
-    assert category_guesses(mine, queue) == ("Lamp", "Oven", "StorageFurniture")
-    other = record(7, "/data/f.ply")
-    assert category_guesses(other, [*queue, other], "me")[0] == "StorageFurniture"
+    assert category_guesses(mine, queue, "me") == ("StorageFurniture", "Oven", "Safe")
+    assert category_guesses(mine, queue) == ("Oven", "StorageFurniture", "Safe")
+    assert category_guesses(record(7, "/data/office_chair.glb"), queue, "me") == ("Chair",)
+    assert category_guesses(record(8, "/data/thing.glb"), queue, "me") == (), "no series"
 
 
 def test_many_short_ones_fit_one_row_too() -> None:
@@ -67,9 +71,14 @@ def test_many_short_ones_fit_one_row_too() -> None:
     times = [f"2026-01-01T1{9 - i}:00:00" for i in range(len(said))]
     rows = enumerate(zip(said, times, strict=True), start=2)
     queue = [record(i, f"/data/{i}.ply", category, at) for i, (category, at) in rows]
-    assert category_guesses(record(1, "/data/oven.ply"), queue) == (
-        "Oven", "Chair", "Laptop", "Kettle",
+    assert category_guesses(record(1, "/data/1.ply"), queue) == (
+        "Chair", "Laptop", "Kettle", "Lamp",
     )  # fmt: skip
-    assert category_guesses(record(1, "/data/cabinet.ply"), queue[2:]) == (
-        "StorageFurniture", "Kettle", "Lamp",
-    )  # fmt: skip
+
+
+def test_name_buttons_fit_the_category() -> None:
+    assert names_for(None) == names_for("StorageFurniture") == USUAL
+    assert names_for("Chair")[:3] == ("seat", "wheel", "lever")
+    assert names_for("Kettle")[:2] == ("lid", "handle")
+    for category in CATEGORIES:
+        assert len(set(names_for(category))) == SHOWN

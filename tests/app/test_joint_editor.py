@@ -32,7 +32,7 @@ def editor() -> Any:
     vectors: dict[str, Any] = {}
 
     def add_vector(label: str, value: Any, **_: Any) -> Any:
-        vectors[label] = SimpleNamespace(value=value, visible=True)
+        vectors[label] = SimpleNamespace(value=value, visible=True, disabled=False)
         return vectors[label]
 
     def submit(task: Any, _source: Any, tree: KinematicTree, *rest: Any, **_: Any) -> Future[Joint]:

@@ -271,6 +271,10 @@ def test_bodies_are_made_while_joints_are_predicted(
 ) -> None:
     """By the process that would be idle; most of what the gate waits for knows no joint."""
     obj = cupboard
+    if obj.document.review.state == "accepted":
+        with pytest.raises(CommandError, match="reopen it"):
+            obj.predict("tester")  # at once, not after the prediction
+        obj.do(cmd.Reopen(), "tester")
     shutil.rmtree(app_state.workspace / "collision", ignore_errors=True)
     held = app_state.workers.prediction.submit(time.sleep, 600.0, priority=99)
     wait_until(lambda: held.state == "running", "prediction is held up")

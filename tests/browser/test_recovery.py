@@ -70,6 +70,7 @@ def test_nothing_is_lost_when_the_server_is_killed(tmp_path: Path, browser: Any)
     finally:
         os.kill(process.pid, signal.SIGKILL)
         process.wait()
+    page.get_by_text("The server is away", exact=False).wait_for()
     page.context.close()
 
     before = Store(workspace)

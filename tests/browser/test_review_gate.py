@@ -62,6 +62,17 @@ def check_marks_leave(tab: Tab, contact: Any) -> None:
     tab.step("Review")
 
 
+def check_the_pose_follows_the_limits(tab: Tab, obj: Any, report: Any) -> None:
+    """Limits that are changed at the worst moment move what is shown into them."""
+    joint_button(tab, r"part 1.*: error").click()
+    wait_until(lambda: tab.app.motion.q == dict(report.of("door").worst.q), "the worst pose again")
+    obj.do(cmd.SetJoint(replace(TREE.joints[0], upper=0.1)), "tester")
+    wait_until(lambda: tab.app.motion.q == {"door": 0.1}, "the picture is within the limits")
+    obj.do(cmd.Undo(), "tester")
+    wait_until(lambda: obj.validation.report is report, "the report of before")
+    tab.wait_seen()
+
+
 def test_see_the_worst_moment_mend_and_accept_with_a_reason(
     start: Any, open_tab: Any, tmp_path: Path
 ) -> None:
@@ -89,6 +100,8 @@ def test_see_the_worst_moment_mend_and_accept_with_a_reason(
     wait_until(lambda: contact.visible, "the contact is shown")
 
     check_marks_leave(tab, contact)
+
+    check_the_pose_follows_the_limits(tab, obj, report)
 
     # With errors the key is not enough.
     tab.page.evaluate("document.activeElement?.blur()")
@@ -129,6 +142,20 @@ def test_see_the_worst_moment_mend_and_accept_with_a_reason(
     tab.wait_seen()
     tab.key("y")
     tab.page.get_by_text("Reopen it to edit it").wait_for()
+    check_it_is_reopened_where_one_looks(tab)
+
+
+def check_it_is_reopened_where_one_looks(tab: Tab) -> None:
+    """An accepted object's fields are off, P says so at once, and the way out is beside them."""
+    tab.step("Joints")
+    wait_until(lambda: tab.field("Type").is_disabled(), "the type can't be changed")
+    tab.key("p")
+    tab.page.get_by_text("reopen it before you change it").wait_for()
+    assert not tab.object.predicting
+    tab.button("Reopen to edit").click()
+    wait_until(lambda: tab.document.review.state == "in_progress", "reopened")
+    wait_until(lambda: tab.field("Type").is_enabled(), "the type can be changed")
+    tab.page.get_by_text("reopen it before you change it").wait_for(state="hidden")
 
 
 def test_y_shows_what_wants_a_look_before_it_accepts(
@@ -154,7 +181,7 @@ def test_y_shows_what_wants_a_look_before_it_accepts(
     tab.wait_node("/moment")
     assert tab.selection.step == "Review" and obj.document.review.state == "predicted"
     joint_button(tab, "Accept anyway").wait_for()
-    tab.wait_seen()
+    check_a_confirmation_ends_when_one_leaves(tab, obj, other)
     tab.page.screenshot(path=str(tmp_path / "look.png"))
     # Its asset takes long to write: the person goes on meanwhile, and is told once it is there.
     held = server.app_state.workers.saving.submit(time.sleep, 600.0, priority=9)
@@ -175,6 +202,32 @@ def test_y_shows_what_wants_a_look_before_it_accepts(
     tab.page.get_by_text(TOO_FAST[1]).wait_for()
     assert tab.app.review.validation_list.looked_at(other) is None
     assert other.document.review.state == "predicted"
+
+
+def check_a_confirmation_ends_when_one_leaves(tab: Tab, obj: Any, other: Any) -> None:
+    """It names its object, stands beside the picture, and is asked for anew on the way back."""
+    note = tab.page.locator(".mantine-Notification-root", has_text="cupboard: 1 warning")
+    note.wait_for()
+    right = note.bounding_box()["x"] + note.bounding_box()["width"]
+    assert right <= tab.page.evaluate("window.__viserMutable.canvas.getBoundingClientRect().left")
+    tab.page.evaluate("window.__before = window.__viserSceneTree.getState()['/scan']")
+    tab.key("n")
+    # No panel tells of the next object while the picture shows the one before.
+    behind = tab.page.wait_for_function(
+        "() => document.body.innerText.includes('other · ')"
+        " && {same: window.__viserSceneTree.getState()['/scan'] === window.__before}"
+    )
+    assert behind.json_value() == {"same": False}
+    note.wait_for(state="hidden")
+    assert tab.object is other and tab.app.review.validation_list.looked_at(obj) is None
+    tab.key("b")
+    wait_until(lambda: tab.object is obj and tab.app.drawing.drawn, "back at it")
+    tab.step("Review")
+    tab.wait_seen()
+    tab.key("y")
+    joint_button(tab, "Accept anyway").wait_for()
+    assert obj.document.review.state == "predicted", "it is shown again first"
+    tab.wait_seen()
 
 
 def check_a_wish_is_taken_back(tab: Tab, picture: Path) -> None:
@@ -330,5 +383,10 @@ def test_the_least_sure_prediction_follows_a_decision(
     tab.key("2")
     wait_until(lambda: objects[0].document.review.state == "rejected", "rejected")
     wait_until(lambda: tab.object is objects[2], "the least sure one")
+    tab.key("x")  # at once: it asks about the one that is shown
+    tab.page.get_by_text("Why reject c?").wait_for()
     assert objects[0].document.review.reason == "axis"
-    wait_until(lambda: tab.selection.step == "Review", "its review")
+    assert tab.selection.step == "Review"
+    tab.key("n")
+    tab.page.get_by_text("Why reject c?").wait_for(state="hidden")
+    assert objects[2].document.review.state == "predicted"

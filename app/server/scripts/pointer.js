@@ -6,7 +6,7 @@
   const SAID_MS = 1800, LATE_MS = 200, WATCH_MS = 60;
   const KEYS = { l: "lasso", i: "brush" };
   const state = { tool: "click", hover: false, drawing: false, radius: 0.02, anchor: false, frame: null,
-    hint: "", said: "" };
+    hint: "", said: "", away: "" };
   let pointer = null, sent = null, timer = 0, silent = 0, stroke = null, pressed = null, down = null;
 
   const viser = () => window.__viserMutable;
@@ -115,7 +115,7 @@
       cut.setAttribute("x1", down[0]);
       cut.setAttribute("y1", down[1]);
     }
-    const text = state.said || state.hint;
+    const text = state.away || state.said || state.hint;
     badge.textContent = text;
     badge.style.display = text ? "" : "none";
     badge.style.left = b.left + b.width / 2 + "px";

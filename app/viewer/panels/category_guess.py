@@ -38,24 +38,32 @@ def category_guesses(
 ) -> tuple[str, ...]:
     """Categories that an object without one may have, likeliest first; few enough for one row.
 
-    What its file's name says comes first, or one of the folders that hold it, then what was said
-    last in the queue, by ``who`` before others.
+    What its file's name says, or one of the folders that hold it; where they say nothing, what
+    was said last of objects of like names ("scan_3", "scan_4"), by ``who`` before others.
     """
     path = record.path
     texts = (path.stem, *reversed(path.parent.parts[1:][-_FOLDERS:]))
     declared = next(filter(None, map(category_in, texts)), None)
+    if declared is not None:
+        return (declared,)
     last: dict[str, tuple[bool, str]] = {}
     for other in queue:
         category = _LISTED.get((other.category or "").replace(" ", "").lower())
-        if category is not None and other.id != record.id:
+        if category is not None and other.id != record.id and _alike(record, other):
             last[category] = max(last.get(category, (False, "")), (other.who == who, other.updated))
-    found = dict.fromkeys([*filter(None, [declared]), *sorted(last, key=lambda c: last[c])[::-1]])
+    found = sorted(last, key=lambda c: last[c])[::-1]
     out: list[str] = []
     for category in found:
         if out and sum(len(c) + _FRAME for c in (*out, category)) > _ROW:
             break
         out.append(category)
     return tuple(out)
+
+
+def _alike(one: ObjectRecord, other: ObjectRecord) -> bool:
+    """Whether two objects are numbered alike, as those of one series are."""
+    a, b = (re.sub(r"\d+", "", r.path.stem).lower() for r in (one, other))
+    return a == b
 
 
 @lru_cache(maxsize=4096)

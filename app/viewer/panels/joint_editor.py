@@ -10,7 +10,7 @@ from typing import Any
 import viser
 
 from app.server import snapping_tasks
-from app.server.display_names import joint_title, part_title
+from app.server.display_names import holds_part, joint_title, part_title
 from app.server.jobs import EDITS, WorkerProcess
 from app.server.open_object import OpenObject
 from app.viewer.panels.joint_text import joint_note, shown
@@ -22,6 +22,7 @@ from app.viewer.words.common import NONE
 from model.core.errors import CommandError
 from model.core.joint import JOINT_TYPES, Joint
 from model.core.tree import KinematicTree
+from model.io.file_names import FileNames
 from sessions import commands as cmd
 from sessions.document import Document
 
@@ -68,6 +69,10 @@ class JointEditor:
         self._name = gui.add_text(words.FILE_NAME, "", hint=words.FILE_NAME_HINT)
         self._locked = gui.add_checkbox(words.LOCK, False, hint=words.LOCK_HINT)
         self._reset = gui.add_button(words.reset_to(False), color="gray")
+        self._edits = (
+            self._type, self._parent, self._axis, self._origin, self._lower, self._upper,
+            self._gizmo, self._name, self._locked, self._reset,
+        )  # fmt: skip
         self._wire()
 
     def _wire(self) -> None:
@@ -224,7 +229,10 @@ class JointEditor:
             put(self._note, "content", words.NO_JOINT)
             return
         put(self._child, "value", joint_title(doc, joint.child))
-        put(self._name, "value", joint.name)
+        called = {p.link: p.name for p in doc.parts}
+        names = {link: called.get(link) for link in tree.links if holds_part(link)}
+        files = FileNames.of_tree(tree, names, doc.category)
+        put(self._name, "value", files.joints.get(joint.name, joint.name))
         put(self._type, "value", joint.type)
         below = tree.descendants(joint.child)
         above = tuple(part_title(doc, k) for k in tree.links if k not in below)
@@ -241,16 +249,14 @@ class JointEditor:
             put(box, "visible", joint.limited)
             if value is not None:
                 put(box, "value", round(shown(joint, value), 1))
-        for widget in (
-            self._axis,
-            self._axis_to,
-            self._axis_box,
-            self._origin,
-            self._origin_to,
-            self._gizmo,
-        ):
+        accepted = doc.review.state == "accepted"
+        for widget in (self._axis, self._origin, self._gizmo):
             put(widget, "visible", joint.moves)
-        put(self._free, "visible", joint.limited)
+        for row in (self._axis_to, self._axis_box, self._origin_to):  # they can't be disabled
+            put(row, "visible", joint.moves and not accepted)
+        for widget in self._edits:
+            put(widget, "disabled", accepted)
+        put(self._free, "visible", joint.limited and not accepted)
         put(self._gizmo, "color", "pink" if self._motion.handles.on else "gray")
         put(self._locked, "value", joint.child in doc.locked)
         put(self._reset, "label", words.reset_to(doc.joints_file is not None))

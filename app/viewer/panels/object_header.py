@@ -21,6 +21,7 @@ class HeaderActions:
     """Callbacks of the header's buttons.
 
     Attributes:
+        reopen: allows changes of an accepted object again.
         cancel: stops the running jobs; called at once, on viser's thread.
         remove: removes an object that can't be read from the queue.
     """
@@ -31,6 +32,7 @@ class HeaderActions:
     remove: Callable[[], None]
     play: Callable[[], None]
     reset_pose: Callable[[], None]
+    reopen: Callable[[], None]
 
 
 class ObjectHeader:
@@ -51,11 +53,15 @@ class ObjectHeader:
         self._cancel = gui.add_button(
             words.CANCEL, icon=viser.Icon.PLAYER_STOP, color="gray", visible=False
         )
+        self._reopen = gui.add_button(
+            words.REOPEN, icon=viser.Icon.LOCK_OPEN, visible=False, hint=words.REOPEN_HINT
+        )
         history = gui.add_button_group(words.EDIT, words.HISTORY_ACTIONS)
         self._steps = gui.add_button_group(words.STEP, STEPS)
         self._play = gui.add_button_group(words.PLAYBACK, words.PLAYBACK_ACTIONS, visible=False)
         self._again.on_click(lambda _: tab.act(lambda: selection.need_object().try_again()))
         self._remove.on_click(lambda _: tab.act(actions.remove))
+        self._reopen.on_click(lambda _: tab.act(actions.reopen))
         # At once: the tab's actions may be waiting for what is to be stopped.
         self._cancel.on_click(lambda _: actions.cancel())
         history.on_click(
@@ -94,6 +100,7 @@ class ObjectHeader:
         put(self._status, "content", "\n\n".join(self._lines(obj, jobs, bool(stoppable))))
         put(self._again, "visible", broken)
         put(self._remove, "visible", broken and not self._tab.in_scene)
+        put(self._reopen, "visible", doc.review.state == "accepted")
         put(self._progress, "visible", bool(stoppable))
         put(self._progress, "value", round(100 * done, 1))
         waiting = obj.validation.acceptance_waits and not stoppable
@@ -105,6 +112,8 @@ class ObjectHeader:
     ) -> list[str]:
         doc, asset, review = obj.document, obj.asset, obj.document.review
         state = words.UNREADABLE if obj.problem else words.STATES[review.state]
+        if review.state == "predicted" and doc.joints_file is not None:
+            state = words.FROM_FILE
         lines = [f"**{plain(self._name(obj))}** · {state}"]
         shown = [w for w in words.JOBS if w in jobs]
         if shown:  # in the place of the size: each click would move the whole panel otherwise

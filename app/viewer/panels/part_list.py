@@ -95,8 +95,17 @@ class PartList:
         self._pointing.hover.forget()
         self._tab.invalidate()
 
-    def draw(self, doc: Document, shares: dict[int, float]) -> None:
-        """Bring the list up to date; ``shares`` of the surface by part, 0..1."""
+    def quick_name(self, number: int) -> str | None:
+        """The name that a digit gives the selected part, None where it gives none."""
+        return self._quick.name(number)
+
+    def draw(self, doc: Document, shares: dict[int, float], category: str | None) -> None:
+        """Bring the list up to date.
+
+        Args:
+            shares: of the surface by part, 0..1.
+            category: what the object is, or may be.
+        """
         selection = self._tab.selection
         ids = parts_listed((p.id for p in doc.parts), selection.part)
         for part in [p for p in self._buttons if p not in ids]:
@@ -112,7 +121,7 @@ class PartList:
             put(self._buttons[part], "label", common.SELECTED * (part == selection.part) + label)
         name, picking = _part_name(doc, selection.part), selection.picking
         self._name.show(name, not picking)
-        self._quick.show(selection.part != BASE and not picking, name)
+        self._quick.show(selection.part != BASE and not picking, category, name)
 
     def _add_button(self, part: int) -> Any:
         tab = self._tab

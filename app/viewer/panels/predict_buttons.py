@@ -25,8 +25,11 @@ class PredictButtons:
         self._here.on_click(lambda _: tab.act(lambda: predict(tab, here=True)))
 
     def show(self, visible: bool, color: Any = "blue") -> None:
-        """Show or hide the first button."""
+        """Show or hide the first button; an accepted object has to be reopened first."""
+        obj = self._tab.selection.object
+        accepted = obj is not None and obj.document.review.state == "accepted"
         put(self._predict, "visible", visible)
+        put(self._predict, "disabled", accepted)
         put(self._predict, "color", color)
 
     def show_here(self, visible: bool) -> None:

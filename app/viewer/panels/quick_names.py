@@ -3,17 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Final
 
+from app.viewer.panels.category_guess import category_in
 from app.viewer.panels.widgets import put
 from app.viewer.tab import Tab
 from app.viewer.words.annotate import quick_names
 from app.viewer.words.common import CHOSEN
+from model.scenes.finders import read_lexicon
 
-ROWS: Final[tuple[tuple[str, ...], ...]] = (("door", "drawer", "lid"), ("knob", "button", "wheel"))
+SHOWN, ROW = 6, 3
+"""Names with a button, and buttons in a row."""
+USUAL: Final[tuple[str, ...]] = ("door", "drawer", "lid", "knob", "button", "wheel")
 """What most parts are; the list beside them has the rest."""
-NUMBERED: Final[tuple[str, ...]] = tuple(name for row in ROWS for name in row)
-"""Names by their digit, from 1, pressed with Shift."""
+
+
+@lru_cache(maxsize=256)
+def names_for(category: str | None) -> tuple[str, ...]:
+    """The names with a button, in the order of their digits from 1: the usual ones, or for a
+    category whose parts are others those first."""
+    kinds = read_lexicon().kinds if category else ()
+    parts = next((k.parts for k in kinds if category_in(k.name) == category), ())
+    if set(parts) <= set(USUAL):
+        return USUAL
+    return tuple(dict.fromkeys((*parts, *USUAL)))[:SHOWN]
 
 
 class QuickNames:
@@ -21,16 +35,22 @@ class QuickNames:
 
     def __init__(self, tab: Tab, named: Callable[[str], None]) -> None:
         """Put the buttons where the panel is; ``named`` gets the name that was clicked."""
-        first = [1 + NUMBERED.index(names[0]) for names in ROWS]
+        self._names = USUAL
         self._rows = [
-            tab.client.gui.add_button_group(quick_names(k, k + len(names) - 1), names)
-            for k, names in zip(first, ROWS, strict=True)
+            tab.client.gui.add_button_group(quick_names(k + 1, k + ROW), USUAL[k : k + ROW])
+            for k in range(0, SHOWN, ROW)
         ]
         for row in self._rows:
             row.on_click(lambda e: tab.act(lambda: named(e.target.value.removeprefix(CHOSEN))))
 
-    def show(self, visible: bool, chosen: str | None = None) -> None:
-        """Show or hide them; the ``chosen`` name is marked."""
-        for row, names in zip(self._rows, ROWS, strict=True):
+    def name(self, number: int) -> str | None:
+        """The name of a digit, None where it has none."""
+        return self._names[number - 1] if 1 <= number <= len(self._names) else None
+
+    def show(self, visible: bool, category: str | None, chosen: str | None = None) -> None:
+        """Show or hide those of a category; the ``chosen`` name is marked."""
+        self._names = names_for(category)
+        for k, row in zip(range(0, SHOWN, ROW), self._rows, strict=True):
             put(row, "visible", visible)
+            names = self._names[k : k + ROW]
             put(row, "options", tuple(CHOSEN * (name == chosen) + name for name in names))

@@ -34,18 +34,22 @@ class Rejecting:
     @property
     def asking(self) -> bool:
         """Whether the next number is a reason."""
-        if self._asked is not None and self._asked != self._about():
-            self.cancel()
+        self.end_elsewhere()
         return self._asked is not None
 
-    def ask(self) -> None:
-        """Ask for a reason; a second call cancels."""
+    def end_elsewhere(self) -> None:
+        """End a question about something that isn't shown any more."""
+        if self._asked is not None and self._asked != self._about():
+            self.cancel()
+
+    def ask(self, name: str) -> None:
+        """Ask why the object of that name is rejected; a second call cancels."""
         if self.asking:
             self.cancel()
             return
         self._asked = self._about()
         self._note = self._tab.client.add_notification(
-            words.ASK_REASON, words.reason_keys(), color="red"
+            words.ask_reason(name), words.reason_keys(), color="red"
         )
         self._tab.invalidate()
 

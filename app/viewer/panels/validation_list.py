@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from itertools import cycle
 from typing import Any
 
 from app.server.display_names import display_text, joint_title
 from app.server.open_object import OpenObject
+from app.server.validating import alike
 from app.viewer.panels.widgets import put
 from app.viewer.picture import palette
 from app.viewer.picture.motion import Motion
@@ -38,6 +40,8 @@ class ValidationList:
             None  # id of an object whose worst pose is shown once it is checked
         )
         self._headline = tab.client.gui.add_markdown("")
+        # What was shown counts as long as the object stays open.
+        tab.selection.on_open(self._looked_at.clear)
 
     def build_list(self) -> None:
         """Make the list, below the buttons so that its length doesn't move them."""
@@ -126,24 +130,28 @@ class ValidationList:
         for row in self._rows:
             row.remove()
         self._rows = []
-        found = [] if report is None else [j for j in report.joints if j.findings]
+        found = _groups(doc, report)
         put(self._folder, "visible", bool(found))
         with self._folder:
-            for joint_report in found[:SHOWN]:
-                self._add_row(doc, joint_report)
+            for group in found[:SHOWN]:
+                self._add_row(doc, group)
             if len(found) > SHOWN:
                 more = self._tab.client.gui.add_markdown(words.more_findings(len(found) - SHOWN))
                 self._rows.append(more)
 
-    def _add_row(self, doc: Document, report: JointReport) -> None:
-        tab, gui, joint = self._tab, self._tab.client.gui, report.joint
+    def _add_row(self, doc: Document, group: tuple[JointReport, ...]) -> None:
+        tab, gui, report = self._tab, self._tab.client.gui, group[0]
+        joint, following = report.joint, cycle([j.joint for j in group])
+        titles = [joint_title(doc, j.child) for j in group]
         button = gui.add_button(
-            words.finding(report.severity, joint_title(doc, report.child)),
+            words.finding(report.severity, titles[0], len(group) - 1),
             color=palette.SEVERITY_COLORS[report.severity],
             hint=words.SHOW_WORST,
         )
-        button.on_click(lambda _: tab.act(lambda: self.show(joint)))
+        button.on_click(lambda _: tab.act(lambda: self.show(next(following))))
         lines = [plain(f.message, 200) for f in report.findings[:3]]
+        if len(group) > 1:
+            lines.append(words.also(plain(", ".join(titles[1:]), 200)))
         self._rows += [button, gui.add_markdown("  \n".join(lines))]
         if report.fixes:
             labels = tuple(words.FIXES[f.kind] for f in report.fixes)
@@ -151,6 +159,22 @@ class ValidationList:
             fixes = gui.add_button_group(words.FIX, labels, hint=hint)
             fixes.on_click(lambda e: tab.act(lambda: self._fix(joint, e.target.value)))
             self._rows.append(fixes)
+
+
+def _of(
+    doc: Document, report: ValidationReport, severity: Severity
+) -> Sequence[tuple[JointReport, ...]]:
+    """The groups of a severity that are counted and listed; joints that are OK one by one."""
+    if severity == Severity.OK:
+        return [(j,) for j in report.joints_with(severity)]
+    return alike(doc, report, severity)
+
+
+def _groups(doc: Document, report: ValidationReport | None) -> list[tuple[JointReport, ...]]:
+    if report is None:
+        return []
+    groups = [g for s in reversed(Severity) for g in _of(doc, report, s)]
+    return [g for g in groups if g[0].findings]
 
 
 def headline(obj: OpenObject, doc: Document, report: ValidationReport | None) -> str:
@@ -162,7 +186,7 @@ def headline(obj: OpenObject, doc: Document, report: ValidationReport | None) ->
             return words.checks_failed(plain(display_text(doc, obj.validation.problem), 200))
         fraction, message = obj.busy.get("check", (0.0, ""))
         return words.checking(fraction, plain(display_text(doc, message)))
-    line = words.checks({s: len(report.joints_with(s)) for s in reversed(Severity)})
+    line = words.checks({s: len(_of(doc, report, s)) for s in reversed(Severity)})
     if report.physics is not None and not report.physics.ran:
         line += f"  \n{words.no_physics(plain(report.physics.problem, 160))}"
     return line

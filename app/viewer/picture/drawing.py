@@ -70,6 +70,12 @@ class ObjectDrawing:
         if obj.asset is not None:
             self._draw(obj, obj.document, touch)
 
+    def leave(self) -> None:
+        """Clear the picture where it is of another object than the open one."""
+        obj = self._tab.selection.object
+        if obj is not None and self._id != obj.record.id:
+            self.clear()
+
     def clear(self) -> None:
         """Clear the picture: it is of another object, or of a file that can't be read now."""
         if self._id is not None:

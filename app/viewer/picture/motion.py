@@ -101,9 +101,13 @@ class Motion:
         if tree is None:
             return
         names = tree.by_name
+        kept = {k: _within(names[k], v) for k, v in self.q.items() if k in names}
+        if kept != self.q:  # limits were changed below the pose that is shown
+            self.q = kept
+            self._moved()
         if self._moment is not None and self.q != self._moment:
             self.clear_moment()
-        poses = tree.pose({k: v for k, v in self.q.items() if k in names})
+        poses = tree.pose(self.q)
         with self._tab.client.atomic():
             self._picture.parts.pose(poses)
             self._picture.marks.pose(poses)
@@ -150,3 +154,10 @@ class Motion:
             return np.eye(4)
         names = tree.by_name
         return tree.pose({k: v for k, v in self.q.items() if k in names})[joint.parent]
+
+
+def _within(joint: Joint, q: float) -> float:
+    """The value within the joint's range; rest is always in it."""
+    if joint.lower is None or joint.upper is None:
+        return q
+    return min(max(q, min(joint.lower, 0.0)), max(joint.upper, 0.0))

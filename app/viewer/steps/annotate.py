@@ -14,7 +14,6 @@ from app.viewer.panels.choice import Choice
 from app.viewer.panels.part_list import PartList
 from app.viewer.panels.predict_buttons import PredictButtons
 from app.viewer.panels.prompt_list import PromptList
-from app.viewer.panels.quick_names import NUMBERED
 from app.viewer.panels.source_panel import SourcePanel
 from app.viewer.panels.tool_buttons import ToolButtons
 from app.viewer.panels.widgets import put
@@ -99,9 +98,9 @@ class AnnotateStep:
         if number == 0:
             category = self._guess.take_first()
             return words.category_set(category) if category else words.NO_SUGGESTION
-        if number > len(NUMBERED):
+        part, name = self._tab.selection.part, self.parts.quick_name(number)
+        if name is None:
             return ""
-        part, name = self._tab.selection.part, NUMBERED[number - 1]
         if part == BASE:
             return words.BASE_HAS_NO_NAME
         self.parts.rename(name)
@@ -132,11 +131,11 @@ class AnnotateStep:
             self._draw_hint(obj, doc)
             ready = doc.segmentation is not None and not self._room.visible
             self._predict.show(not selection.picking, "blue" if ready else "gray")
-            self.parts.draw(doc, shares)
             picking = selection.picking  # what is taken out is named above
             self._category.show(doc.category, not picking)
             asked = doc.category is None and not picking and doc.review.state != "accepted"
             self._guess.show(asked)
+            self.parts.draw(doc, shares, self.likely_category)
             self._prompts.draw(doc, "face" if obj.asset is None else obj.asset.element_kind)
         self.source.draw(obj)
 

@@ -13,7 +13,7 @@ from app.viewer.panels.category_guess import CategoryGuess
 from app.viewer.panels.joint_editor import JointEditor
 from app.viewer.panels.joint_text import shown, tree_text
 from app.viewer.panels.predict_buttons import PredictButtons, predict
-from app.viewer.panels.quick_names import NUMBERED, QuickNames
+from app.viewer.panels.quick_names import QuickNames
 from app.viewer.panels.widgets import put
 from app.viewer.picture.motion import Motion
 from app.viewer.picture.palette import CATEGORIES, PART_NAMES
@@ -165,7 +165,7 @@ class JointsStep:
         put(self._category, "visible", uncategorised)
         self._guess.show(uncategorised)
         put(self._category, "value", NONE)
-        self._quick.show(bool(unnamed))
+        self._quick.show(bool(unnamed), doc.category or self._guess.first)
         put(self._name, "visible", bool(unnamed))
         put(self._name, "value", NONE)  # the next one has none yet
         what = words.ASK_CATEGORY
@@ -210,9 +210,9 @@ class JointsStep:
         unnamed = [] if doc.prediction_stale else self._unknown(doc)[0]
         if not unnamed:
             return words.ALL_NAMED
-        if number > len(NUMBERED):
+        name = self._quick.name(number)
+        if name is None:
             return ""
-        name = NUMBERED[number - 1]
         self._named(name)
         return name_set(unnamed[0].id, name)
 
@@ -297,8 +297,6 @@ class JointsStep:
             return
         value, slider = event.target.value, event.target
         q = math.radians(value) if joint.rotates else value / 1000
-        if joint.lower is not None and joint.upper is not None:  # the slider's ends are rounded
-            q = min(max(q, min(joint.lower, 0.0)), max(joint.upper, 0.0))
 
         def moved() -> None:
             self._motion.set_q(joint.name, q)

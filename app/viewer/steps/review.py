@@ -85,14 +85,12 @@ class ReviewStep:
         self._auto_advance = gui.add_checkbox(
             words.AUTO_ADVANCE, True, hint=words.AUTO_ADVANCE_HINT
         )
-        self._reopen = gui.add_button(words.REOPEN, color="gray", visible=False)
         self._saved = gui.add_markdown("", visible=False)
         self._download = gui.add_button(
             words.DOWNLOAD, icon=viser.Icon.DOWNLOAD, color="gray", visible=False
         )
         self._accept.on_click(lambda _: actions.accept())
         tab.on_update(self._complete, lambda: tab.do(cmd.SetCompletion(self._complete.value)))
-        self._reopen.on_click(lambda _: tab.act(lambda: tab.do(cmd.Reopen(self.comment_text))))
         self._download.on_click(lambda _: tab.act(self._send))
 
     @property
@@ -138,11 +136,12 @@ class ReviewStep:
         if isinstance(error, UnseenWarningsError) and shown:
             tab.selection.set_step("Review")
             self.validation_list.show_worst()
-            tab.notify(words.NOT_ACCEPTED_YET, str(error), "yellow")
-        elif not shown and obj.hold_reason:
-            tab.notify(words.ON_HOLD, words.about(name, obj.hold_reason), "yellow", seconds=None)
+            tab.notify(words.NOT_ACCEPTED_YET, words.about(name, str(error)), "yellow")
+        elif not shown and obj.hold_reason:  # the queue has a button that opens it
+            tab.notify(words.ON_HOLD, words.about(name, obj.hold_reason), "yellow", elsewhere=True)
         else:
-            tab.notify(words.NOT_ACCEPTED, words.about(name, str(error)), "yellow")
+            text = words.about(name, str(error))
+            tab.notify(words.NOT_ACCEPTED, text, "yellow", elsewhere=not shown)
 
     def withdraw(self) -> None:
         """Withdraw an acceptance that waits for the checks. May be called on any thread."""
@@ -258,7 +257,6 @@ class ReviewStep:
         put(self._accept, "color", "yellow" if broken else "green")
         put(self._accept, "disabled", doc.tree is None or "save" in obj.busy)
         put(self._accept, "visible", doc.review.state != "accepted")
-        put(self._reopen, "visible", decided)
         put(self._download, "visible", doc.saved is not None)
         put(self._saved, "visible", doc.saved is not None)
         if doc.saved is not None:

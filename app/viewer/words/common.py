@@ -29,12 +29,13 @@ USER_NAME_HINT: Final = "Recorded with your decisions"
 STATES: Final[dict[str, str]] = {
     "todo": "to do",
     "in_progress": "in progress",
-    "predicted": "predicted",
+    "predicted": "to review",
     "accepted": "accepted",
     "rejected": "rejected",
 }
 SCENE_STATES: Final[dict[str, str]] = {
     **STATES,
+    "predicted": "predicted",
     "on_hold": HELD,
     "validating": "checking",
     "static": "static",
@@ -42,6 +43,9 @@ SCENE_STATES: Final[dict[str, str]] = {
     "missing": "missing",
 }
 UNREADABLE: Final = "unreadable"
+FROM_FILE: Final = "joints from the file"
+REOPEN: Final = "Reopen to edit"
+REOPEN_HINT: Final = "It is accepted: nothing changes until it is reopened"
 
 # --- above every step
 

@@ -70,6 +70,6 @@ def select_part(part: int) -> str:
     return f"Select {f'part {part}' if part else 'the base'}"
 
 
-name_part = Message("Name: {name}")
+name_part = Message("Name part by button {number}")
 tool = Message("Tool: {label}")
 step = Message("Step: {name}")

@@ -18,6 +18,7 @@ CHECKING: Final = "checking, then accepted"
 SAVING: Final = "saving"
 INTERRUPTED: Final = "acceptance was interrupted"
 EMPTY: Final = ("The queue is empty", "Start with: artiworld serve PATH")
+ALL_ACCEPTED: Final = "All other objects are accepted"
 progress = Message("**{accepted} of {total}** accepted")
 restore = Message("Restore {name}")
 

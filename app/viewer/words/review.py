@@ -20,7 +20,6 @@ COMPLETE_HINT: Final = (
     "The saved asset gets closed surfaces, thick doors, trays behind drawers and openings for "
     "them. The scanned points are saved as they are"
 )
-REOPEN: Final = "Reopen"
 DOWNLOAD: Final = "Download asset"
 HISTORY: Final = "History"
 HISTORY_EMPTY: Final = "No changes yet."
@@ -89,7 +88,7 @@ REASONS: Final[dict[RejectReason, str]] = {
 REJECT: Final = "Reject (X)"
 CANCEL_REJECTION: Final = "Cancel rejection (Esc)"
 REASON_LABEL: Final = "Reason"
-ASK_REASON: Final = "Reason for rejection?"
+ask_reason = Message("Why reject {name}?")
 
 
 def reason_buttons() -> tuple[str, ...]:
@@ -155,9 +154,13 @@ def checking(share: float, detail: str) -> str:
 no_physics = Message("*Physics: {why}*")
 
 
-def finding(severity: Severity, title: str) -> str:
-    """A joint with findings."""
-    return f"{SIGNS[severity]} {title}: {SEVERITIES[severity]}"[:60]
+def finding(severity: Severity, title: str, more: int = 0) -> str:
+    """A joint with findings, and how many more of its kind have the same."""
+    others = f" and {more} more" if more else ""
+    return f"{SIGNS[severity]} {title}{others}: {SEVERITIES[severity]}"[:60]
+
+
+also = Message("The same: {titles}")
 
 
 more_findings = Message("… and {count} more (Tab).")
