@@ -14,8 +14,8 @@ from model.evaluation.pool import robust_map
 
 T = TypeVar("T")
 
-ASSET_FILES = ("object.urdf", "mobility.urdf", "object.xml")
-"""Files that mark a folder as an asset: ArtiWorld's, PartNet-Mobility's, an export to MJCF."""
+ASSET_FILES = ("object.urdf", "mobility.urdf", "object.xml", "model.sdf")
+"""Files that mark a folder as an asset: ArtiWorld's, PartNet-Mobility's, exports to MJCF and SDF."""
 
 
 class Crashed(RuntimeError):
@@ -41,7 +41,7 @@ def find_assets(paths: Sequence[Path]) -> list[Path]:
         if not found:
             raise InputFileError(
                 path,
-                "is no URDF or MJCF and holds no object.urdf",
+                "is no URDF, SDF, USD or MJCF and holds no object.urdf",
                 "give assets or folders of assets",
             )
         out += found

@@ -45,7 +45,8 @@ def keep_upload(folder: Path, name: str, content: bytes, max_bytes: int) -> Path
     safe = plain_name(name)
     suffix = Path(safe).suffix.lower()
     # An MJCF may consist of boxes alone.
-    if suffix in MODEL_SUFFIXES and (suffix == URDF_SUFFIX or b"file=" in content):
+    named = (b"file=", b"<uri>")
+    if suffix in MODEL_SUFFIXES and (suffix == URDF_SUFFIX or any(n in content for n in named)):
         raise InputFileError(safe, "its meshes are missing", "zip it with their folder")
     if suffix not in (".zip", *SUFFIXES, *MODEL_SUFFIXES):
         known = ", ".join(sorted(SUFFIXES))

@@ -14,7 +14,7 @@ from model.io.part_folder import is_part_folder, natural_key
 from model.io.urdf.anymesh import ANYMESH
 from model.io.urdf.files import MOBILITY, PACKAGE, is_urdf, package_root
 
-_WHOLE_FOLDER = (MOBILITY, "object.urdf", "object.xml", ANYMESH)
+_WHOLE_FOLDER = (MOBILITY, "object.urdf", "object.xml", "model.sdf", ANYMESH)
 """URDFs, MJCFs and others that stand for their folder, which is called after the object."""
 
 
@@ -31,7 +31,7 @@ def refusal(path: Path) -> InputFileError | None:
         return error
     if path.suffix.lower() in MJCF_SUFFIXES and not is_mjcf(path):
         return InputFileError(
-            path, "doesn't begin with <mujoco>", "of XML files URDF and MJCF can be opened"
+            path, "doesn't begin with <mujoco>", "of XML files URDF, SDF and MJCF can be opened"
         )
     if path.suffix.lower() in (*SUFFIXES, *MODEL_SUFFIXES):
         return None

@@ -55,7 +55,7 @@ FOLDER_SUFFIXES: tuple[str, ...] = tuple(s for s in SUFFIXES if s not in (*_TOO_
 
 _Y_UP = (".glb", ".gltf")
 
-_DECLARED_UP = (*_Y_UP, *STAGES, ".usdz", ".dae", ".urdf", ".xml", ".mjcf")
+_DECLARED_UP = (*_Y_UP, *STAGES, ".usdz", ".dae", ".urdf", ".sdf", ".xml", ".mjcf")
 
 _WORLD_FROM_SOURCE: dict[str, list[list[int]]] = {
     "z": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],

@@ -1,4 +1,4 @@
-"""Files that declare parts and joints: URDF, MJCF and USD, read into the same model."""
+"""Files that declare parts and joints: URDF, SDF, MJCF and USD, read into the same model."""
 
 from __future__ import annotations
 
@@ -13,14 +13,16 @@ from model.io.urdf.anymesh import is_anymesh
 from model.io.urdf.files import URDF_SUFFIX, is_urdf, named_meshes
 from model.io.urdf.model import UrdfModel
 from model.io.urdf.reader import read_urdf_model
+from model.io.urdf.sdf import SDF_SUFFIX, is_sdf
 from model.io.usd_model import read_usd_model
 
-MODEL_SUFFIXES = (URDF_SUFFIX, *MJCF_SUFFIXES)
+MODEL_SUFFIXES = (URDF_SUFFIX, *MJCF_SUFFIXES, SDF_SUFFIX)
 
 
 def is_model(path: Path) -> bool:
-    """Whether ``path`` is a URDF, an XML file that begins as an MJCF does, or AnyMesh's JSON."""
-    return is_urdf(path) or is_mjcf(path) or is_anymesh(path)
+    """Whether ``path`` is a URDF, an XML file that begins as an MJCF does, an SDF of one model, or
+    AnyMesh's JSON."""
+    return is_urdf(path) or is_mjcf(path) or is_sdf(path) or is_anymesh(path)
 
 
 def articulated_stage(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> UrdfModel | None:
@@ -59,4 +61,4 @@ def read_model(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> UrdfModel:
 
 def files_named_by(path: Path) -> list[Path]:
     """Absolute paths that the model's files may have; only its own text is read."""
-    return named_meshes(path) if is_urdf(path) else named_files(path)
+    return named_meshes(path) if is_urdf(path) or is_sdf(path) else named_files(path)

@@ -15,9 +15,12 @@ MOBILITY = "mobility.urdf"
 """What PartNet-Mobility calls an object's."""
 PACKAGE = "package.xml"
 """What marks the folder of a ROS package."""
-_PACKAGE_URI = "package://"
+PACKAGE_URI, MODEL_URI = "package://", "model://"
 _LEVELS = 4
-_FILENAME = re.compile(r"""filename\s*=\s*["']([^"'<>]{1,1000})["']""")
+_FILENAME = re.compile(
+    r"""filename\s*=\s*["']([^"'<>]{1,1000})["']|<uri>\s*([^<>]{1,1000}?)\s*</uri>"""
+)
+"""In a URDF, and in an SDF."""
 
 
 def is_urdf(path: Path) -> bool:
@@ -37,7 +40,7 @@ def package_root(path: Path) -> Path:
 
 
 def named_meshes(path: Path) -> list[Path]:
-    """Where the meshes of a URDF may lie, absolute and inside its folder or package.
+    """Where the meshes of a URDF or SDF may lie, absolute and inside its folder or package.
 
     For telling what belongs together: neither is it read as XML, nor is the disk asked, so that
     thousands are looked at in a moment. None where it can't be read.
@@ -50,11 +53,13 @@ def named_meshes(path: Path) -> list[Path]:
         return []
     own, root = os.path.abspath(path.parent), os.path.abspath(package_root(path))
     found: dict[str, None] = {}
-    for name in dict.fromkeys(_FILENAME.findall(text)):
-        plain = unescape(name).strip().replace("\\", "/")
+    for name in dict.fromkeys(a or b for a, b in _FILENAME.findall(text)):
+        plain = unescape(name).strip().replace("\\", "/").removeprefix("file://")
+        if plain.startswith(MODEL_URI):
+            plain = PACKAGE_URI + plain.removeprefix(MODEL_URI)
         places = [(own, plain)]
-        if plain.startswith(_PACKAGE_URI):
-            whole = plain.removeprefix(_PACKAGE_URI)
+        if plain.startswith(PACKAGE_URI):
+            whole = plain.removeprefix(PACKAGE_URI)
             places = [(at, t) for at in (root, own) for t in (whole.partition("/")[2], whole)]
         for at, rest in places:
             target = os.path.normpath(os.path.join(at, rest))
@@ -74,7 +79,7 @@ def resolve_mesh(filename: str, folder: Path, root: Path) -> tuple[Path, bool]:
             leaves ``root`` of which no end is there.
     """
     text = filename.strip().replace("\\", "/")
-    if not text.startswith(_PACKAGE_URI):
+    if not text.startswith(PACKAGE_URI):
         try:
             return resolve(text, folder, root), False
         except ReferenceRefused:
@@ -82,7 +87,7 @@ def resolve_mesh(filename: str, folder: Path, root: Path) -> tuple[Path, bool]:
             if found is None:
                 raise
             return found, True
-    whole = text.removeprefix(_PACKAGE_URI)
+    whole = text.removeprefix(PACKAGE_URI)
     texts = [text for text in (whole.partition("/")[2], whole) if text]
     inside = [resolve(text, start, root) for start in (root, folder) for text in texts]
     if not inside:

@@ -28,6 +28,7 @@ from model.io.urdf.declared_physics import read_declared_physics
 from model.io.urdf.files import package_root, resolve_mesh
 from model.io.urdf.model import UrdfModel, renamed_helpers
 from model.io.urdf.schema import URDF
+from model.io.urdf.sdf import SDF_SUFFIX, robot_of_sdf
 from model.io.urdf.visual import UrdfVisual
 from model.io.xml_file import parse
 
@@ -116,8 +117,12 @@ class _Reader:
         self.unlimited: list[str] = []  # mimic joints that take their leader's range
 
     def read(self) -> UrdfModel:
-        anymesh = self.path.name == ANYMESH
-        robot = robot_of(self.path) if anymesh else parse(self.path, ("robot",), "a URDF")
+        if self.path.name == ANYMESH:
+            robot = robot_of(self.path)
+        elif self.path.suffix.lower() == SDF_SUFFIX:
+            robot, self.notes = robot_of_sdf(self.path)
+        else:
+            robot = parse(self.path, ("robot",), "a URDF")
         for material in robot.findall("material"):
             color = self._color(material)
             if color is not None and material.get("name"):

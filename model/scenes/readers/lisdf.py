@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from model.core.errors import InputFileError
+from model.io.urdf.sdf import pose_of
 from model.io.xml_schema import XmlSchema
-from model.scenes.poses import from_rpy, pose, rotation_from_quaternion
 from model.scenes.scene import (
     FloatArray,
     Scene,
@@ -185,21 +185,11 @@ def _placed(frames: Mapping[str, Element], element: Element) -> FloatArray:
 
 
 def _pose(element: Element) -> FloatArray:
-    """(4, 4) of its ``<pose>``: Euler angles, in degrees where it says so, or a quaternion."""
-    given = element.find("pose")
-    if given is None or not (given.text or "").strip():
-        return np.eye(4)
-    values = _floats(given.text or "", "pose")
-    style = given.get("rotation_format", "euler_rpy")
-    if style == "quat_xyzw":
-        table = numbers(values, 7, "pose")
-        return pose(table[:3], rotation_from_quaternion(table[3:]))
-    if style != "euler_rpy":
-        raise SceneObjectError(f"its rotation_format {shown(style)} is unknown")
-    table = numbers(values, 6, "pose")
-    if given.get("degrees", "").strip().lower() in ("true", "1"):
-        table[3:] = np.radians(table[3:])
-    return from_rpy(table)
+    """(4, 4) of its ``<pose>``."""
+    try:
+        return pose_of(element)
+    except ValueError as error:
+        raise SceneObjectError(str(error)) from None
 
 
 def _scale(element: Element) -> FloatArray:
