@@ -159,6 +159,7 @@ def test_a_file_of_ours_opens_with_the_numbers_and_names_of_before(
         (tmp_path / "artiworld.json").write_text(json.dumps({"format": format}))
     opened = open_asset(path)
     assert opened.tree is not None
+    assert opened.element_part is not None
     assert {1, 2, 3, 4, 7} <= set(np.unique(opened.element_part).tolist())
     names = [name.lower() for name in opened.part_names]
     assert names[1:5] == ["seat", "knob", "door", "door"] and not names[7]
