@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import logging
 import threading
 import webbrowser
@@ -84,7 +86,8 @@ class Server:
         """End the tabs, the workers and the listener."""
         for app in list(self.apps.values()):
             app.close()
-        self.viser.stop()
+        with contextlib.redirect_stdout(io.StringIO()):  # it says so, where --json writes, too
+            self.viser.stop()
         self.app_state.close()
 
 

@@ -114,8 +114,11 @@ def _work(
     obj = app.tab.selection.object
     while time.perf_counter() < end:
         taken.append(timed_click(browser, app, rng))
-        for _ in range(len(obj.document.prompts) // MOST_PROMPTS * MOST_PROMPTS):
-            app.tab.act(app.commands.undo)
+        if len(obj.document.prompts) >= MOST_PROMPTS:
+            for _ in obj.document.prompts:
+                app.tab.act(app.commands.undo)
+            # A click before that would seem lost, as prompts become fewer.
+            wait_for(lambda: not obj.document.prompts, "the undone clicks")
         time.sleep(rng.uniform(*PAUSE))
 
 
