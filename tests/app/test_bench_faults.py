@@ -88,6 +88,29 @@ def test_a_click_without_its_labels_is_lost(answers: bool, monkeypatch) -> None:
 
 
 @pytest.mark.slow
+def test_clicks_are_measured_beside_files_that_open_and_files_that_are_refused(
+    capfd, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def two_files(folder: Path) -> list[Path]:
+        files = [folder / "nothing.obj", folder / "triangle.obj"]
+        files[0].write_text("v 0 0 0\n")
+        files[1].write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+        return files
+
+    monkeypatch.setattr(clients, "PEOPLE", 2)
+    monkeypatch.setattr(clients, "POINTS", 3000)
+    monkeypatch.setattr(clients, "PAUSE", (0.05, 0.1))
+    monkeypatch.setattr(clients, "write_worst", two_files)
+    assert main(["bench", "faults", "--limit", "0", "--clients", "4", "--json"]) == 0
+    alone, beside = json.loads(capfd.readouterr().out)["clients"]
+    assert alone["with"] == "nobody else" and not alone["opened"] and alone["p95 ratio"] == 1.0
+    assert beside["opened"] >= 1 <= beside["refused"]
+    for row in (alone, beside):
+        assert row["clicks"] >= 2 and not row["lost"]
+        assert 0 < row["p50 ms"] <= row["p95 ms"] <= row["longest ms"] < 1000 * clients.LOST
+
+
+@pytest.mark.slow
 def test_the_worst_files_are_refused_or_opened(tmp_path: Path) -> None:
     for path in clients.write_worst(tmp_path):
         if path.stem in ("face", "shared", "line"):
