@@ -98,7 +98,9 @@ class _Reader:
 
     def read(self) -> UrdfModel | None:
         api = self.physics.RigidBodyAPI
-        prims = [p for p in self._all() if p.HasAPI(api) or p.IsA(self.physics.Joint)]
+        # Instances hold neither bodies nor joints.
+        prims = [p for p in self.stage.stage.Traverse()
+                 if p.HasAPI(api) or p.IsA(self.physics.Joint)]  # fmt: skip
         bodies = [p for p in prims if p.HasAPI(api) and not p.IsA(self.physics.Joint)]
         if len(bodies) > MOST_BODIES:
             raise InputFileError(self.path, f"has {len(bodies)} bodies", "cut the stage")
@@ -112,10 +114,6 @@ class _Reader:
         if not visuals:
             raise InputFileError(self.path, "no body has a mesh that can be seen", "add one")
         return self._model(bodies, joined, visuals)
-
-    def _all(self) -> Iterator[Any]:
-        every = self.stage.usd.TraverseInstanceProxies(self.stage.usd.PrimDefaultPredicate)
-        return iter(self.stage.usd.PrimRange(self.stage.stage.GetPseudoRoot(), every))
 
     def _name(self, prim: Any, taken: set[str]) -> str:
         said = prim.GetCustomDataByKey(NAME_KEY)
@@ -258,7 +256,7 @@ class _Reader:
         except KinematicsError as error:
             raise InputFileError(self.path, str(error)) from None
         felt: dict[str, list[UrdfVisual]] = {}
-        for shape in self._shapes(self._all(), seen=False):
+        for shape in self._shapes((p for _, p in self.stage.all_prims()), seen=False):
             felt.setdefault(renamed.get(shape.link, shape.link), []).append(shape)
         moving = {j.name: written[j.name] for j in joints if j.moves}
         said = ((n, self._dynamics(link)) for n, link in moving.items())

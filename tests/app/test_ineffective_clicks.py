@@ -101,10 +101,8 @@ def test_a_new_server_goes_on_from_the_mask_that_is_there(
         asked.append(args[-1])
         return SimpleNamespace(result=lambda seconds: MaskOffer([], 0, 4))
 
-    obj.services = SimpleNamespace(
-        workspace=Path(), config=SimpleNamespace(segmenter="default"),
-        workers=SimpleNamespace(segmentation=SimpleNamespace(submit=submit)),
-    )  # fmt: skip
+    obj.services = SimpleNamespace(workspace=Path(), config=SimpleNamespace(segmenter="default"))
+    obj.lane = SimpleNamespace(segmentation=SimpleNamespace(submit=submit))
     assert Segmenting(obj).use_tool(ToolRequest("next mask", 1, turn), "who") == 3
     assert asked[0].turn == wanted
 
@@ -126,8 +124,8 @@ def test_after_undo_the_next_mask_is_the_one_after_what_is_shown(obj: Any) -> No
 
     obj.do, obj.services = do, SimpleNamespace(
         workspace=Path(), config=SimpleNamespace(segmenter="default"),
-        workers=SimpleNamespace(segmentation=SimpleNamespace(submit=submit)),
     )  # fmt: skip
+    obj.lane = SimpleNamespace(segmentation=SimpleNamespace(submit=submit))
     desk, steps = Segmenting(obj), []
     for _ in range(3):
         desk.use_tool(ToolRequest("next mask", 1, 1), "who")

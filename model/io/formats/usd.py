@@ -151,13 +151,7 @@ class UsdStage:
 
     def prims(self, below: Any = None) -> Iterator[Any]:
         """Visible prims, with instances opened; guides and proxies are left out."""
-        every = self.usd.TraverseInstanceProxies(self.usd.PrimDefaultPredicate)
-        root = self.stage.GetPseudoRoot() if below is None else below
-        walk = iter(self.usd.PrimRange(root, every))
-        for number, prim in enumerate(walk):
-            if number > MOST_PRIMS:  # instances of instances multiply
-                what = f"has more than {MOST_PRIMS:,} prims"
-                raise InputFileError(self.path, what, "cut the stage")
+        for walk, prim in self.all_prims(below):
             image = self.geom.Imageable(prim)
             if image and (
                 image.GetVisibilityAttr().Get() == "invisible"
@@ -166,6 +160,17 @@ class UsdStage:
                 walk.PruneChildren()
                 continue
             yield prim
+
+    def all_prims(self, below: Any = None) -> Iterator[tuple[Any, Any]]:
+        """Each prim, with instances opened, and the walk, which may leave out its children."""
+        every = self.usd.TraverseInstanceProxies(self.usd.PrimDefaultPredicate)
+        root = self.stage.GetPseudoRoot() if below is None else below
+        walk = iter(self.usd.PrimRange(root, every))
+        for number, prim in enumerate(walk):
+            if number > MOST_PRIMS:  # instances of instances multiply
+                what = f"has more than {MOST_PRIMS:,} prims"
+                raise InputFileError(self.path, what, "cut the stage")
+            yield walk, prim
 
     def is_unread(self, prim: Any) -> bool:
         """Whether a prim draws something that isn't read: copies, curves, points, a skeleton's."""
