@@ -178,14 +178,20 @@ class Tab:
         body = body if obj is None else display_text(obj.document, body)
         about_state = color in ("gray", "yellow") and not elsewhere
         seconds = 10.0 if color in ("red", "yellow") else 5.0
+        if about_state and color == "yellow":
+            seconds = 60.0  # to be answered; it ends with the state
         reason = self._reason if about_state else None
         self._notes.show(title, body[:400], color, seconds, reason)
 
     @property
     def _reason(self) -> Any:
-        """What hints and refusals are about: the open object as it is."""
+        """What hints and refusals are about: the open object as people decided it so far. The
+        segmenter's answer to a click doesn't end a hint about that click."""
         obj = self.selection.object
-        return obj and (obj.record.id, obj.state.seq)
+        if obj is None:
+            return None
+        doc = obj.document
+        return obj.record.id, doc.key, doc.tree, doc.review.state
 
     def end_notes(self) -> None:
         """End the hints and refusals that are about another object, or about an earlier state."""

@@ -111,8 +111,6 @@ class RoomTab(SceneTab):
         wait_until(lambda: self.selection.picking and self.app.drawing.drawn, "the room is open")
         self.wait_node("/scan")
         wait_until(lambda: "encode" not in self.object.busy, "it can be clicked on")
-        for note in self.page.locator(".mantine-Notification-closeButton").all():
-            note.click()  # it may lie over what is clicked
         self.look(eye, at)
 
     def aim(self, low: Any, high: Any) -> None:

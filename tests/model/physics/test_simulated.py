@@ -15,6 +15,7 @@ from model.core.joint import Joint
 from model.core.shapes import hull_of_shape
 from model.io.assets.asset_folder import write_asset
 from model.io.export.mjcf import MjcfExporter
+from model.io.file_names import FileNames
 from model.physics.simulation_values import Physics, PhysicsSettings, physics_of
 from tests.model.demos import demo_object
 
@@ -32,7 +33,7 @@ Saved = tuple[ArticulatedObject, Physics, Path]
 
 @pytest.fixture(scope="module", params=["cabinet", "oven_scan"])
 def saved(request, tmp_path_factory) -> Saved:
-    """A demo, its physics, and the URDF of its saved asset, as accepting writes it."""
+    """A demo, its physics, and the URDF of its saved asset, as accepting writes and names it."""
     obj = demo_object(request.param)
     thinned = [
         p
@@ -43,7 +44,9 @@ def saved(request, tmp_path_factory) -> Saved:
     obj = replace(obj, parts=tuple(thinned))
     physics = physics_of(obj)
     folder = tmp_path_factory.mktemp("assets") / request.param
-    return obj, physics, write_asset(obj, folder, provenance={}, physics=physics).urdf
+    path = write_asset(obj, folder, provenance={}, physics=physics).urdf
+    names = FileNames.of(obj)
+    return names.object(obj), names.physics(physics), path
 
 
 def behind_handle(physics: Physics, joint: Joint) -> tuple[np.ndarray, float]:
