@@ -185,16 +185,13 @@ class Tab:
 
     @property
     def _reason(self) -> Any:
-        """What hints and refusals are about: the open object as people decided it so far. The
-        segmenter's answer to a click doesn't end a hint about that click."""
+        """What hints and refusals are about: the open object and where its review stands. A click
+        or an answer doesn't end a hint: people click on before they have read it."""
         obj = self.selection.object
-        if obj is None:
-            return None
-        doc = obj.document
-        return obj.record.id, doc.key, doc.tree, doc.review.state
+        return obj and (obj.record.id, obj.document.review.state)
 
     def end_notes(self) -> None:
-        """End the hints and refusals that are about another object, or about an earlier state."""
+        """End the hints and refusals that are about another object, or an earlier review."""
         self._notes.end_others(self._reason)
 
     def say(self, text: str) -> None:
