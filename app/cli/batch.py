@@ -15,7 +15,7 @@ from model.evaluation.pool import robust_map
 T = TypeVar("T")
 
 ASSET_FILES = ("object.urdf", "mobility.urdf", "object.xml", "model.sdf")
-"""Files that mark a folder as an asset: ArtiWorld's, PartNet-Mobility's, exports to MJCF and SDF."""
+"""Files that mark a folder as an asset: ours, PartNet-Mobility's, exports to MJCF and SDF."""
 
 
 class Crashed(RuntimeError):
