@@ -31,6 +31,7 @@ from model.io.source_checks import cleaned, to_mesh
 from model.io.urdf.collision import DeclaredCollision
 from model.io.urdf.declared_physics import DeclaredPhysics
 from model.io.urdf.model import UrdfModel, renamed_helpers
+from model.io.urdf.sdf import UNLIMITED
 from model.io.urdf.visual import UrdfVisual
 
 WORLD = "world"
@@ -319,7 +320,7 @@ class _Reader:
         ends = [joint.prim.GetAttribute(f"physics:{n}Limit").Get() for n in ("lower", "upper")]
         unit = math.pi / 180 if joint.type == "revolute" else self.stage.unit
         low, high = (
-            inf if value is None or not math.isfinite(value) else float(value) * unit - joint.value
+            inf if value is None or not abs(value) <= UNLIMITED else value * unit - joint.value
             for value, inf in zip(ends, (-math.inf, math.inf), strict=True)
         )
         type_, limits = joint.type, (low, high)

@@ -136,7 +136,7 @@ def simready_problems(path: Path) -> list[str]:
     with TemporaryDirectory(prefix="artiworld-") as folder:
         report = Path(folder, "report.json")
         command = [
-            sys.executable, "-c", "import sys; from simready.validate._cli import main; main()",
+            sys.executable, "-c", "from simready.validate._cli import main; main()",
             "--profile", PROFILE, "--version", VERSION, "--output", str(report), str(path),
         ]  # fmt: skip
         try:
@@ -149,17 +149,19 @@ def simready_problems(path: Path) -> list[str]:
         except (OSError, ValueError) as error:
             last = (done.stderr or done.stdout).strip().splitlines()[-1:] or ["no output"]
             raise ConfigurationError(f"{VALIDATOR} gave no report: {last[0]}") from error
-    return _problems(next(iter(found.values())))
+    return [line for report in found.values() for line in _problems(report)]
 
 
 def _problems(report: Mapping[str, Any]) -> list[str]:
     """One line for each requirement that the profile's required features lack."""
     lines: dict[str, str] = {}
-    for feature in report.get("features_summary", {}).values():
+    for name, feature in report.get("features_summary", {}).items():
         if not feature.get("blocking_failure"):
             continue
         said = feature.get("requirement_messages") or {}
         said = json.loads(said) if isinstance(said, str) else said
+        if not said:
+            lines[name] = f"{name}: not met"
         for code, messages in said.items():
             first = str(next(iter(messages), "not met"))
             lines.setdefault(code, f"{code.rpartition('simready.')[2]}: {first}")
