@@ -32,6 +32,7 @@ from model.io.export.simready import (
 from model.io.readback.compare import read_back
 from model.physics.collision.measure import free_volume, overlaps_of
 from model.physics.simulation_values import Physics, PhysicsSettings, physics_of, whose_shapes
+from model.validation.engines import ENGINES, MUJOCO, require_engines
 from model.validation.low_confidence import with_low_confidence
 from model.validation.runner import validate
 
@@ -49,6 +50,7 @@ class CheckTask:
         store: folder of cached collision shapes.
         validate: whether the joints are validated.
         coacd_seconds: time for the comparison with coacd; 0 for none.
+        engines: that drive the joints.
     """
 
     asset: Path
@@ -58,6 +60,7 @@ class CheckTask:
     store: Path | None
     validate: bool
     coacd_seconds: float
+    engines: tuple[str, ...] = (MUJOCO,)
 
 
 def check(options: CheckCommand) -> int:
@@ -68,8 +71,12 @@ def check(options: CheckCommand) -> int:
     formats = tuple(_readable_formats(options.format))
     assets = find_assets(options.assets)
     physics, store = physics_settings(options.physics), shape_store(options.physics)
+    # MuJoCo alone is the default, and may be missing: the report says so then.
+    engines = (MUJOCO,) if options.engine == MUJOCO else require_engines(options.engine)
     tasks = [
-        CheckTask(asset, name, formats, physics, store, options.gate, options.compare_coacd)
+        CheckTask(
+            asset, name, formats, physics, store, options.gate, options.compare_coacd, engines
+        )
         for asset, name in zip(assets, asset_names(assets), strict=True)
     ]
     rows: dict[int, dict[str, Any]] = {}
@@ -202,9 +209,11 @@ def _validation(obj: ArticulatedObject, task: CheckTask) -> dict[str, Any]:
     """Validate the joints, also against the confidence of their prediction."""
     if not task.physics.declared_shapes:
         obj = replace(obj, shapes={})
-    report = validate(obj, store=task.store, fixes=False)
+    report = validate(obj, store=task.store, fixes=False, engines=task.engines)
     report = with_low_confidence(report, obj.tree, predicted_confidence(task.asset, obj.tree))
-    return {**report.to_json(), "seconds": round(report.seconds, 3)}
+    runs = [run for run in (report.physics, *report.others) if run is not None]
+    works = dict(zip(task.engines, map(report.executable_in, runs), strict=False))
+    return {**report.to_json(), "engines": works, "seconds": round(report.seconds, 3)}
 
 
 def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
@@ -239,7 +248,14 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
         "collision_processor_seconds": mean([c["processor_seconds"] for c in shaped]),
         "gate": {v: sum(1 for r in read if r["gate"] and r["gate"]["verdict"] == v)
                  for v in VERDICTS},
+        "engines": _engines([r["gate"]["engines"] for r in read if r["gate"]]),
     }  # fmt: skip
+
+
+def _engines(found: list[dict[str, bool]]) -> dict[str, int]:
+    """Engine → number of assets that are executable there."""
+    names = dict.fromkeys(name for each in found for name in each)
+    return {name: sum(each.get(name, False) for each in found) for name in names}
 
 
 def _print(report: dict[str, Any]) -> None:
@@ -291,7 +307,11 @@ def _closing_line(summary: dict[str, Any]) -> str:
     counts: dict[str, int] = summary["gate"]
     if not any(counts.values()):
         return line
-    return (
-        f"{line}; validation: {counts['fine']} fine, {counts['look']} with warnings, "
+    line += (
+        f"; validation: {counts['fine']} fine, {counts['look']} with warnings, "
         f"{counts['broken']} with errors"
     )
+    if len(summary["engines"]) > 1:
+        each = (f"{n} in {ENGINES[name].title}" for name, n in summary["engines"].items())
+        line += f"; executable: {', '.join(each)}"
+    return line

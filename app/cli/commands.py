@@ -14,6 +14,7 @@ from typing import ClassVar, Literal
 
 from app.cli.command import Command, argument, flag, group, option, repeated, required
 from app.cli.options import (
+    ENGINE_HELP,
     MASKS_HELP,
     SEGMENTER_HELP,
     PhysicsOptions,
@@ -361,7 +362,8 @@ class CheckCommand(Command):
         "asset folders, URDF and MJCF files, or folders of assets", "ASSET", nargs="+"
     )
     format: tuple[str, ...] = repeated("formats to write and read back (default: all)", "NAME,NAME")
-    gate: bool = flag("sweep every joint, and drive it in MuJoCo", default=True)
+    gate: bool = flag("sweep every joint, and drive it in --engine", default=True)
+    engine: str = option(ENGINE_HELP, "NAME,NAME", "mujoco")
     allow_broken: bool = flag(
         "exit with 0 where everything can be read back, whatever validation finds"
     )

@@ -31,6 +31,7 @@ from model.evaluation.table import print_comparison, print_reports, print_table
 from model.io.part_folder import safe_link
 from model.prediction.registry import DEFAULT
 from model.segmentation.registry import load_segmenter
+from model.validation.engines import MUJOCO, require_engines
 
 LEAST_CLOUD = 1000
 """Points of the smallest cloud that the simulated annotator works on."""
@@ -100,6 +101,7 @@ def configurations(options: EvaluateCommand) -> list[EvaluationConfig]:
         seed=options.seed,
         timeout=options.timeout,
         execute=options.execute,
+        engines=require_engines(options.engine) if options.execute else (MUJOCO,),
         out=options.out,
     )
     listed = options.predictor or ("" if options.predictions else DEFAULT)

@@ -16,6 +16,7 @@ UP_AXES = ("x", "y", "z", "-x", "-y", "-z")
 SIGNED_OPTIONS = ("--up-axis", "--up", "--length")
 """Options whose value may begin with a minus."""
 
+ENGINE_HELP = "engines that drive the joints: mujoco, or mujoco,sapien"
 MASKS_HELP = "start from masks of another system: .npy, .npz, .ply, .glb, or a folder of meshes"
 SEGMENTER_HELP = "segmenter that turns clicks into parts (default: ArtiWorld's own)"
 

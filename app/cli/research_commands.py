@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Literal
 
 from app.cli.command import Command, argument, flag, group, option, repeated, required
-from app.cli.options import count, json_flag, positive_count, seed_option
+from app.cli.options import ENGINE_HELP, count, json_flag, positive_count, seed_option
 from model.core.registry import at_place
 from model.prediction import DEFAULT as DEFAULT_PREDICTOR
 
@@ -46,7 +46,8 @@ class EvaluateCommand(Command):
     scan: bool = flag("one-sided noisy clouds, turned at random")
     yaw: bool = flag("turn each object at random")
     noise: float = option("noise of --scan, in diagonals", "NOISE", 0.003)
-    execute: bool = flag("also drive every joint of the predictions, in MuJoCo too")
+    execute: bool = flag("also drive every joint of the predictions, in --engine too")
+    engine: str = option(ENGINE_HELP, "NAME,NAME", "mujoco")
     jobs: int = option("processes", "JOBS", 2)
     timeout: float = option("an object that takes longer counts as failed", "SECONDS", 120.0)
     limit: int | None = option("at most this many objects", "LIMIT")

@@ -1,4 +1,4 @@
-"""Whether a predicted object works: every joint over its range, alone, together, and in MuJoCo.
+"""Whether a predicted object works: every joint over its range, alone, together, and in an engine.
 
 The findings of :mod:`model.validation` become figures of an object: penetration, parts that come
 off, jam or float, impossible limits, and in the simulator values that are no numbers, explode,
@@ -7,14 +7,14 @@ drift or stop short. An object is executable where validation finds no error.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from importlib.util import find_spec
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
 
 from model.core.articulated_object import ArticulatedObject
-from model.core.errors import ConfigurationError
-from model.core.installing import install_command
 from model.evaluation.pool import OutOfTimeError, time_limit
-from model.validation.report import Severity
+from model.validation.engines import MUJOCO
+from model.validation.report import Severity, ValidationReport
 from model.validation.runner import validate
 
 MOST = 6
@@ -33,6 +33,7 @@ class Execution:
         drift: largest share of a joint's range by which it moved while others were driven.
         missed: largest share of a range that a driven joint fell short of.
         joints, broken: number of moving joints, and of those with errors.
+        engines: engine → whether the object is executable there; empty in reports before them.
     """
 
     executable: bool
@@ -43,56 +44,62 @@ class Execution:
     missed: float = 0.0
     joints: int = 0
     broken: int = 0
+    engines: Mapping[str, bool] = field(default_factory=dict)
 
 
-def require_simulator() -> None:
-    """Check early that MuJoCo is installed.
-
-    Raises:
-        ConfigurationError: where it isn't.
-    """
-    if find_spec("mujoco") is None:
-        raise ConfigurationError(
-            "--execute needs MuJoCo, which isn't installed; "
-            f"{install_command('artiworld[physics]')}"
-        )
-
-
-def execute(obj: ArticulatedObject | None, *, seed: int = 0, timeout: float = 120.0) -> Execution:
+def execute(
+    obj: ArticulatedObject | None,
+    *,
+    seed: int = 0,
+    timeout: float = 120.0,
+    engines: Sequence[str] = (MUJOCO,),
+    shapes: bool = False,
+    store: Path | None = None,
+) -> Execution:
     """Drive all joints of ``obj``; never raises but for a lack of memory.
 
     Args:
         obj: None where there is no prediction: not executable.
         seed: of the random combinations.
         timeout: seconds, after which the object counts as not executable.
+        engines: names; the object is executable where it is so in all.
+        shapes: whether its collision shapes take part. store: folder that keeps them.
     """
+    nowhere = dict.fromkeys(engines, False)
     if obj is None:
-        return Execution(False, "there is no prediction")
+        return Execution(False, "there is no prediction", engines=nowhere)
     try:
         with time_limit(timeout):
-            return _validated(obj, seed)
+            report = validate(
+                obj, seed=seed, shapes=shapes, store=store, fixes=False, engines=engines
+            )
+            return _execution(obj, report, engines)
     except OutOfTimeError as error:
-        return Execution(False, f"driving its joints was {error}")
+        return Execution(False, f"driving its joints was {error}", engines=nowhere)
     except Exception as error:  # the boundary: any geometry may come here
-        return Execution(False, f"{type(error).__name__}: {error}"[:300])
+        return Execution(False, f"{type(error).__name__}: {error}"[:300], engines=nowhere)
 
 
-def _validated(obj: ArticulatedObject, seed: int) -> Execution:
-    report = validate(obj, seed=seed, physics=True, shapes=False, fixes=False)
+def _execution(
+    obj: ArticulatedObject, report: ValidationReport, engines: Sequence[str]
+) -> Execution:
     bad = report.joints_with(Severity.ERROR)
     said = [f"{v.child}: {v.message}" for v in report.joints if v.severity != Severity.OK]
     kinds = {f.kind for v in bad for f in v.findings if f.severity == Severity.ERROR}
-    physics = report.physics
-    ran = physics is not None and physics.ran
+    runs = [run for run in (report.physics, *report.others) if run is not None]
+    ran = bool(runs) and all(run.ran for run in runs)
     if not ran and not bad:
-        said.insert(0, physics.problem if physics is not None else "the simulator didn't run")
+        problems = [run.problem for run in runs if run.problem]
+        said.insert(0, "; ".join(problems) or "the simulator didn't run")
+    works = dict(zip(engines, map(report.executable_in, runs), strict=False))
     return Execution(
         executable=not bad and ran,
         why="; ".join(said[:MOST]) + ("; …" if len(said) > MOST else ""),
         kinds=tuple(sorted(kinds)),
         depth=max((v.depth for v in report.joints), default=0.0) / (report.diagonal or 1.0),
-        drift=max(physics.drifted.values(), default=0.0) if physics is not None else 0.0,
-        missed=max(physics.missed.values(), default=0.0) if physics is not None else 0.0,
+        drift=max((v for run in runs for v in run.drifted.values()), default=0.0),
+        missed=max((v for run in runs for v in run.missed.values()), default=0.0),
         joints=sum(j.moves for j in obj.tree.joints),
         broken=len(bad),
+        engines={**dict.fromkeys(engines, False), **works},
     )

@@ -21,7 +21,7 @@ from model.data.registry import DatasetOptions, open_dataset
 from model.data.splits import select
 from model.evaluation.alignment import Frame, FrameCosts, choose_frame, frame_costs
 from model.evaluation.corruption import Corruption, corrupt
-from model.evaluation.executability import execute, require_simulator
+from model.evaluation.executability import execute
 from model.evaluation.joint_metrics import ObjectScore, UsableLimits, score_object
 from model.evaluation.longest_edge import LONGEST_EDGE, longest_edge
 from model.evaluation.pool import robust_map, time_limit
@@ -29,6 +29,7 @@ from model.evaluation.predictions import PredictionFolder, outlines, resolve
 from model.evaluation.report import Report, score_from_json, score_to_json
 from model.prediction.protocol import Predictor
 from model.prediction.registry import DEFAULT, load_predictor, predictor_names
+from model.validation.engines import MUJOCO, require_engines
 
 FRAME_SAMPLE = 24
 """Objects that decide a method's frame."""
@@ -53,7 +54,7 @@ class EvaluationConfig:
         limit: most objects, spread over the whole set, or None.
         seed: of the predictor, the corruption and the split.
         timeout: seconds after which one object counts as failed.
-        execute: whether the joints of each prediction are driven, too.
+        execute: whether the joints of each prediction are driven, too. engines: in which.
         limits: tolerances of usable joints.
         out: folder for the reports and ``objects.jsonl``, from which a stopped run resumes; None
             writes nothing.
@@ -71,6 +72,7 @@ class EvaluationConfig:
     seed: int = 0
     timeout: float = 120.0
     execute: bool = False
+    engines: tuple[str, ...] = (MUJOCO,)
     limits: UsableLimits = field(default_factory=UsableLimits)
     out: Path | None = None
 
@@ -79,6 +81,8 @@ class EvaluationConfig:
         out = asdict(self)
         for name in ("jobs", "limit", "out", "timeout", "split"):
             del out[name]
+        if self.engines == (MUJOCO,):  # runs before there were several go on
+            del out["engines"]
         if self.data.root is not None:
             out["data"]["root"] = str(Path(self.data.root).resolve())
         if self.predictions is not None:
@@ -124,7 +128,7 @@ def evaluate(config: EvaluationConfig, *, progress: Progress = no_progress) -> R
     """
     ids = chosen_ids(config)
     if config.execute:
-        require_simulator()
+        require_engines(",".join(config.engines), "--execute")
     if config.predictions is not None:
         files = PredictionFolder(config.predictions).files()
         _check_overlap(config, ids, set(files))
@@ -247,7 +251,9 @@ def evaluate_object(config: EvaluationConfig, object_id: str) -> ObjectResult:
             scored = score_prediction(config, truth)
         score = scored.score
         if config.execute:
-            run = execute(scored.predicted, seed=config.seed, timeout=config.timeout)
+            run = execute(
+                scored.predicted, seed=config.seed, timeout=config.timeout, engines=config.engines
+            )
             score = replace(score, execution=run)
         return ObjectResult(score, scored.seconds)
     # The boundary of a job: the run continues whatever one object does to the predictor.
@@ -326,7 +332,7 @@ def _failed(
     except ArtiworldError:
         return ObjectScore(object_id, category, (), problem=problem)
     score = score_object(truth, None, limits=config.limits, problem=problem, matches=matches)
-    run = execute(None) if config.execute else None
+    run = execute(None, engines=config.engines) if config.execute else None
     return replace(score, object_id=object_id, execution=run)
 
 

@@ -125,6 +125,10 @@ def _driven(score: ObjectScore) -> tuple[float, float]:
     return (0.0, 0.0) if run is None else (float(run.joints - run.broken), float(run.joints))
 
 
+def _in_engine(score: ObjectScore, engine: str) -> bool | None:
+    return None if score.execution is None else score.execution.engines.get(engine)
+
+
 _PAPER, _S2O, _OURS = "ArtiWorld (CVPR 2026)", "S2O (Iliash et al., 2024)", "ArtiWorld's evaluator"
 _MOTIONS = (
     ("m", "M", "the motion is right (turning or sliding)"),
@@ -181,15 +185,22 @@ METRICS: tuple[Metric, ...] = (
     Metric("dld_all", "DLD with missing", "m", False, "the same of DLD, prismatic joints", _OURS,
            _limits_with_missing(False)),
     Metric("executable", "executable %", "%", True, "share of objects whose joints all move over "
-           "their range, alone and together, with nothing broken, and that MuJoCo drives", _OURS,
+           "their range, alone and together, with nothing broken, in every engine that was asked "
+           "for (MuJoCo by default)", _OURS,
            _over_objects(lambda o: None if o.execution is None else o.execution.executable)),
+    *(
+        Metric(f"executable_{engine}", f"executable in {title} %", "%", True,
+               f"the same in {title} alone", _OURS,
+               _over_objects(lambda o, engine=engine: _in_engine(o, engine)))
+        for engine, title in (("mujoco", "MuJoCo"), ("sapien", "SAPIEN"))
+    ),
     Metric("joints_executable", "joints executable %", "%", True, "share of predicted moving "
            "joints that aren't broken when they are driven", _OURS, _driven),
     Metric("penetration", "penetration", "diagonals", False, "deepest penetration beyond that at "
            "rest while the joints are driven, a mean over objects", _OURS,
            _over_objects(lambda o: None if o.execution is None else o.execution.depth)),
     Metric("drift", "drift", "", False, "largest share of its range by which a joint moves in "
-           "MuJoCo while others are driven, a mean over objects", _OURS,
+           "an engine while others are driven, a mean over objects", _OURS,
            _over_objects(lambda o: None if o.execution is None else o.execution.drift)),
     *(
         Metric(f"{key}_{figure}", f"{name} {figure} %", "%", True, f"{figure} of joints where "

@@ -35,7 +35,7 @@ class Bounds:
 
     Attributes:
         low, high: (J,) radians or metres.
-        most: (A,) largest force of each drive in N or N m.
+        most: (J,) largest force of each drive in N or N m; infinite for followers.
     """
 
     low: FloatArray
@@ -49,7 +49,7 @@ class DriveResult:
 
     Attributes:
         low, high: (J,) lowest and highest value of each joint.
-        force: (A,) greatest force of each drive, N or N m.
+        force: (J,) greatest force of each drive, N or N m.
         moved: (J,) distance of each from its start at the end, less the sag of its drive.
         missed: joint, share of its range that it stopped short, and where.
         drifted: joint, and share of its range.
@@ -67,13 +67,13 @@ class DriveResult:
     seconds: float = 0.0
 
     @staticmethod
-    def empty(joints: int, drives: int) -> DriveResult:
+    def empty(joints: int) -> DriveResult:
         """The result before the first step."""
         far = np.full(joints, np.inf)
-        return DriveResult(far, -far, np.zeros(drives), np.zeros(joints))
+        return DriveResult(far, -far, np.zeros(joints), np.zeros(joints))
 
     def record(self, q: FloatArray, force: FloatArray) -> None:
-        """Add a step: (J,) values and (A,) forces."""
+        """Add a step: (J,) values and (J,) forces."""
         self.low, self.high = np.minimum(self.low, q), np.maximum(self.high, q)
         self.force = np.maximum(self.force, np.abs(force))
 
@@ -137,14 +137,16 @@ def _unaffected(
     )
 
 
-def drive_cache(text: str, obj: ArticulatedObject) -> DriveCache:
+def drive_cache(engine: str, text: str, obj: ArticulatedObject) -> DriveCache:
     """The cached drives of a model.
 
     Args:
-        text: the simulator's model; links and joints are named by their numbers in it.
+        engine: its name.
+        text: the model as MJCF, whatever the engine; its links and joints are named by their
+            numbers.
     """
     names = (obj.tree.order, [j.name for j in obj.tree.joints])
-    key = f"{names}\0{_RANGE.sub(' range', text)}"
+    key = f"{engine}\0{names}\0{_RANGE.sub(' range', text)}"
     return DriveCache(hashlib.sha256(key.encode()).hexdigest())
 
 

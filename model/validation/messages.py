@@ -32,9 +32,9 @@ SLIDES_OFF = "Slides off {support}: {gap} gap at {at}."
 UNNAMED_PART = "another part"
 
 # Simulation
-NOT_INSTALLED = "MuJoCo is not installed: {command}"
-NOT_LOADED = "MuJoCo can't load the model: {error}"
-EXPLODED = "MuJoCo: {how}."
+NOT_INSTALLED = "{engine} is not installed: {command}"
+NOT_LOADED = "{engine} can't load the model: {error}"
+EXPLODED = "{engine}: {how}."
 UNSTABLE = "becomes unstable (values that are no finite numbers)"
 LEAVES_LIMITS = "leaves its limits{by} while {driven} driven{cause}"
 BY = " by {value}"
@@ -44,8 +44,8 @@ DRIVEN_TWO = "{first} and {second} are"
 DRIVEN_MANY = "{first} and {second} and others are"
 CAUSE_MIMIC = ", taken there by the joint that it mimics"
 CAUSE_SHAPES = ", pushed by the collision shapes of {other}"
-DRIFTS = "MuJoCo: drifts by {percent} % of its range while other joints move."
-STOPS_SHORT = "MuJoCo: stops {percent} % of its range short of its limit{cause}."
+DRIFTS = "{engine}: drifts by {percent} % of its range while other joints move."
+STOPS_SHORT = "{engine}: stops {percent} % of its range short of its limit{cause}."
 CAUSE_BLOCKED = ", at {at}, blocked by the collision shapes of {other}"
 
 # Fixes
@@ -58,7 +58,7 @@ FIX_SHRINK = "Shrink the blocking collision shapes; the visible geometry stays."
 # Progress
 SWEEPING = "Sweeping {part}"
 COMBINING = "Moving joints together"
-SIMULATING = "Running MuJoCo"
+SIMULATING = "Running {engine}"
 SEARCHING_FIXES = "Searching for fixes"
 
 

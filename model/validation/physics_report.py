@@ -35,6 +35,7 @@ class PhysicsReport:
         shapes: number of collision shapes; 0 where masses and joints were driven alone.
         seconds: simulated.
         stops: joint → where it stopped or left its limits.
+        engine: for people.
     """
 
     ran: bool
@@ -45,10 +46,12 @@ class PhysicsReport:
     shapes: int = 0
     seconds: float = 0.0
     stops: Mapping[str, Stop] = field(default_factory=dict)
+    engine: str = "MuJoCo"
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""
         return {
+            "engine": self.engine,
             "ran": self.ran,
             "problem": self.problem,
             "exploded": dict(self.exploded),

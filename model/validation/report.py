@@ -47,6 +47,7 @@ class Finding:
         q: joint values at the worst pose; joints that are left out are at 0.
         where: (3,) the contact at that pose, object frame; None without one.
         other: the other link, or None.
+        engine: that found it, for people; "" where none did.
     """
 
     kind: Kind
@@ -56,6 +57,7 @@ class Finding:
     q: Mapping[str, float] = field(default_factory=dict)
     where: tuple[float, float, float] | None = None
     other: str | None = None
+    engine: str = ""
 
 
 def worst_first(findings: Iterable[Finding]) -> tuple[Finding, ...]:
@@ -129,12 +131,22 @@ class ValidationReport:
         diagonal: of the object in metres; depths are read against it.
         physics: the result of the simulation; None where it was left out.
         seconds: how long validation took.
+        others: results of further engines.
     """
 
     joints: tuple[JointReport, ...]
     diagonal: float
     physics: PhysicsReport | None = None
     seconds: float = 0.0
+    others: tuple[PhysicsReport, ...] = ()
+
+    def executable_in(self, run: PhysicsReport) -> bool:
+        """Whether an engine ran, and no joint has an error that it or the checks found."""
+        return run.ran and not any(
+            f.severity == Severity.ERROR and f.engine in ("", run.engine)
+            for j in self.joints
+            for f in j.findings
+        )
 
     @property
     def severity(self) -> Severity:
@@ -155,6 +167,7 @@ class ValidationReport:
             "verdict": self.severity.value,
             "joints": [_joint_json(j, self.diagonal) for j in self.joints],
             "physics": None if self.physics is None else self.physics.to_json(),
+            **({"others": [run.to_json() for run in self.others]} if self.others else {}),
         }
 
 

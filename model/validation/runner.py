@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,10 +17,11 @@ from model.kinematics.sweep import diagonal_of, surfaces_of, sweep_tolerance
 from model.physics.simulation_values import physics_of
 from model.validation import messages
 from model.validation.combinations import combination_findings
+from model.validation.engines import ENGINES, MUJOCO
 from model.validation.examine import Scene, examine
 from model.validation.fixes import find_fixes
 from model.validation.messages import length, value
-from model.validation.physics import run_physics, simulator_installed
+from model.validation.physics import run_physics
 from model.validation.physics_report import PhysicsReport, Stop
 from model.validation.report import (
     Finding,
@@ -52,17 +54,20 @@ def validate(
     shapes: bool = True,
     store: Path | None = None,
     fixes: bool = True,
+    engines: Sequence[str] = (MUJOCO,),
     progress: Progress = no_progress,
 ) -> ValidationReport:
     """Check every joint of ``obj``.
 
     Args:
         seed: of the poses in which several joints move.
-        physics: whether to drive the joints in MuJoCo, where it is installed.
+        physics: whether to drive the joints in ``engines``, where they are installed.
         shapes: whether the parts collide there with the shapes that are exported. An object with
             errors is driven without: it will be changed, and making shapes takes seconds.
         store: folder that keeps collision shapes between runs; None keeps none.
         fixes: whether to search for fixes.
+        engines: names of :data:`model.validation.engines.ENGINES`; the first one's result is the
+            report's ``physics``.
         progress: called for each step; may raise to stop.
 
     Returns:
@@ -76,11 +81,12 @@ def validate(
         _assign(obj, found, link, Finding("geometry", Severity.ERROR, why))
     if scene is not None:
         _check_motion(scene, found, seed, progress)
-    simulated = None
+    runs: list[PhysicsReport] = []
     if physics and not unusable:
         errors = any(f.severity == Severity.ERROR for each in found.values() for f in each)
-        simulated = _simulate(obj, shapes and not errors, store, progress)
-        _add_physics(obj, simulated, found)
+        runs = _simulate(obj, shapes and not errors, store, engines, progress)
+    for run in runs:
+        _add_physics(obj, run, found)
     joints = []
     for k, (name, findings) in enumerate(found.items()):
         progress(0.9 + 0.1 * k / max(len(found), 1), messages.SEARCHING_FIXES)
@@ -90,7 +96,9 @@ def validate(
         joints.append(JointReport(name, joint.child, ordered, offered))
     joints.sort(key=lambda j: j.sort_key)
     diagonal = scene.diagonal if scene is not None else 0.0
-    return ValidationReport(tuple(joints), diagonal, simulated, time.perf_counter() - start)
+    seconds = time.perf_counter() - start
+    first = runs[0] if runs else None
+    return ValidationReport(tuple(joints), diagonal, first, seconds, tuple(runs[1:]))
 
 
 def _check_motion(scene: Scene, found: Findings, seed: int, progress: Progress) -> None:
@@ -177,17 +185,22 @@ def _check_support(scene: Scene, found: Findings) -> None:
 
 
 def _simulate(
-    obj: ArticulatedObject, shapes: bool, store: Path | None, progress: Progress
-) -> PhysicsReport:
+    obj: ArticulatedObject, shapes: bool, store: Path | None, engines: Sequence[str],
+    progress: Progress,
+) -> list[PhysicsReport]:  # fmt: skip
     """Drive the joints with the exported physics, or with masses and joints alone."""
 
-    def from_share(start: float) -> Progress:
-        return lambda fraction, message: progress(start + 0.1 * fraction, message)
+    def from_share(start: float, share: float = 0.1) -> Progress:
+        return lambda fraction, message: progress(start + share * fraction, message)
 
     made = None
-    if shapes and simulator_installed():
+    if shapes and any(ENGINES[engine].installed for engine in engines):
         made = physics_of(obj, store=store, progress=from_share(0.7))
-    return run_physics(obj, made, progress=from_share(0.8))
+    share = 0.1 / max(len(engines), 1)
+    return [
+        run_physics(obj, made, engine=engine, progress=from_share(0.8 + k * share, share))
+        for k, engine in enumerate(engines)
+    ]
 
 
 def _add_physics(obj: ArticulatedObject, report: PhysicsReport, found: Findings) -> None:
@@ -195,28 +208,33 @@ def _add_physics(obj: ArticulatedObject, report: PhysicsReport, found: Findings)
     for name, how in report.exploded.items():
         if name in found:
             stop = report.stops.get(name, Stop({}))
-            message = messages.EXPLODED.format(how=how)
+            message = messages.EXPLODED.format(engine=report.engine, how=how)
             # Without the other link: shrinking the shapes of this joint's motion is no fix.
-            found[name].append(Finding("physics", Severity.ERROR, message, 0.0, stop.q, stop.where))
+            found[name].append(
+                Finding("physics", Severity.ERROR, message, 0.0, stop.q, stop.where,
+                        engine=report.engine)
+            )  # fmt: skip
     for name, share in report.drifted.items():
         if name in found and name not in report.exploded:
-            message = messages.DRIFTS.format(percent=f"{100 * share:.0f}")
-            found[name].append(Finding("physics", Severity.WARNING, message))
+            message = messages.DRIFTS.format(engine=report.engine, percent=f"{100 * share:.0f}")
+            found[name].append(Finding("physics", Severity.WARNING, message, engine=report.engine))
     for name, share in report.missed.items():
         if name in found and name not in report.exploded:
-            found[name].append(_stopped(obj, report.stops[name], name, share, found[name]))
+            found[name].append(_stopped(obj, report, name, share, found[name]))
 
 
 def _stopped(
-    obj: ArticulatedObject, stop: Stop, name: str, share: float, known: list[Finding]
+    obj: ArticulatedObject, report: PhysicsReport, name: str, share: float, known: list[Finding]
 ) -> Finding:
     """A joint that stops short of its limit in simulation."""
-    cause = ""
+    stop, cause = report.stops[name], ""
     if stop.other is not None:
         at = value(obj.tree.by_name[name], stop.q[name])
         cause = messages.CAUSE_BLOCKED.format(at=at, other=display_name(obj, stop.other))
-    message = messages.STOPS_SHORT.format(percent=f"{100 * share:.0f}", cause=cause)
+    message = messages.STOPS_SHORT.format(
+        engine=report.engine, percent=f"{100 * share:.0f}", cause=cause
+    )
     severity = Severity.ERROR if share > STOPPED else Severity.WARNING
     if any(f.kind == "collision" and f.severity == Severity.OK for f in known):
         severity = Severity.OK  # free once another part is out of the way
-    return Finding("physics", severity, message, 0.0, stop.q, stop.where, stop.other)
+    return Finding("physics", severity, message, 0.0, stop.q, stop.where, stop.other, report.engine)

@@ -8,15 +8,15 @@ from app.cli.research_commands import BenchCommand
 from model.core.errors import ConfigurationError
 from model.core.progress import Progress
 from model.data.registry import DatasetOptions
-from model.evaluation.executability import require_simulator
 from model.evaluation.rivals import compare_rivals, to_json
+from model.validation.engines import MUJOCO, require_engines
 
 
 def bench(options: BenchCommand, progress: Progress) -> Result:
     """Score with the options of the command, write the page, and print its table."""
     if options.root is None:
         raise ConfigurationError("--root: give the folder with a folder of URDFs a method in it")
-    require_simulator()
+    require_engines(MUJOCO, "--execute")
     data = DatasetOptions("procedural")
     if options.data is not None:
         data = data_in(options.data)

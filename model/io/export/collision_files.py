@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from model.core.articulated_object import Part
-from model.core.shapes import Hull, Primitive, Solid, hull_of_shape
+from model.core.shapes import MOST_CORNERS, Hull, Primitive, Solid, hull_of_shape, simplified
 from model.io.assets.reader import MESHES
 from model.io.export.part_files import file_stems
 from model.physics.collision.build import Collision
@@ -24,6 +24,7 @@ def write_collision(
         parts: of the object; files of shapes are called after theirs.
         capsules: whether the format has them; else they are written as hulls.
         concave: whether the format may have meshes as they are; else they are written as hulls.
+            Hulls have at most :data:`MOST_CORNERS` vertices, as PhysX wants them.
 
     Returns:
         Link → file relative to ``folder``, in object-frame coordinates, or primitive.
@@ -38,8 +39,11 @@ def write_collision(
                 continue
             name = f"{FOLDER}/{stems[link]}_{i}.obj"
             (folder / FOLDER).mkdir(parents=True, exist_ok=True)
-            solid = isinstance(shape, Solid)
-            body = (shape if concave else shape.hull) if solid else hull_of_shape(shape)
+            body = (
+                shape
+                if isinstance(shape, Solid) and concave
+                else (simplified(hull_of_shape(shape), MOST_CORNERS))
+            )
             (folder / name).write_text(obj_text(body))
             held.append(name)
     return out

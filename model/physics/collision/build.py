@@ -43,6 +43,8 @@ SHEET = 0.003
 """Thickness of bodies of single sheets, in the object's diagonal."""
 LEAST = 5e-4
 """Metres; no body is thinner."""
+SLIVER = 2.5e-4
+"""Metres; PhysX 5 welds the faces of thinner hulls when it cooks them (measured with SAPIEN)."""
 COVERED = 0.05
 """Share of the free space whose covering makes "auto" try coacd."""
 SWEPT_POINTS = 1024
@@ -133,7 +135,7 @@ def _object_key(
                *["gives way"] * j.give_way) for j in obj.tree.joints]  # fmt: skip
     parts = (v for p in obj.parts for v in (p.link, p))
     arrays = sorted(packed(declared).items()) if declared else ()
-    return fingerprint("object 2", settings, ranges, *parts, *(v for item in arrays for v in item))
+    return fingerprint("object 3", settings, ranges, *parts, *(v for item in arrays for v in item))
 
 
 def _make_shapes(
@@ -158,7 +160,9 @@ def _make_shapes(
     free, kept = _free_ranges(obj), frozenset(declared)
     if settings.resolve_overlaps:
         bodies = {
-            k: v if k in kept else [simplified(h, settings.max_vertices) for h in v]
+            k: v
+            if k in kept
+            else _without_slivers([simplified(h, settings.max_vertices) for h in v])
             for k, v in resolve_overlaps(bodies, obj.tree, diagonal, free, kept).items()
         }
     of_declared = {id(hull_of_shape(s)): s for shapes in declared.values() for s in shapes}
@@ -172,6 +176,11 @@ def _make_shapes(
         }  # fmt: skip
         out |= _with_primitives(obj, bodies, similar, diagonal, free, kept)
     return out
+
+
+def _without_slivers(hulls: list[Hull]) -> list[Hull]:
+    """Leave out what cuts made too thin, unless nothing else is left."""
+    return [h for h in hulls if h.thickness >= SLIVER] or hulls
 
 
 def prepare_bodies(

@@ -104,7 +104,7 @@ def test_what_is_pushed_out_of_its_limits_is_told_with_how_far_and_by_what():
 
 
 def test_without_mujoco_the_gate_says_so(monkeypatch):
-    monkeypatch.setattr(physics.importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     said = run_physics(cabinet())
     assert not said.ran
     assert "not installed" in said.problem
