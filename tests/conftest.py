@@ -67,6 +67,7 @@ SLOW = (
     "tests/model/evaluation/test_predictions.py::test_real_objects",
     "tests/model/evaluation/test_reports.py",
     "tests/model/evaluation/test_rival_urdfs.py",
+    "tests/model/evaluation/test_assets_bench.py",
     "tests/model/evaluation/test_rivals.py",
     "tests/model/evaluation/test_visible_clicks.py::test_the_benchmark",
     "tests/model/evaluation/test_visible_clicks.py::test_a_person",

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 from rich.text import Text
@@ -17,19 +16,12 @@ from app.cli.export import named_formats
 from app.cli.physics_settings import physics_settings, shape_store
 from app.cli.predict import predicted_confidence
 from model.core.articulated_object import ArticulatedObject
-from model.core.errors import ArtiworldError, ConfigurationError
+from model.core.errors import ConfigurationError
 from model.core.inertial import inertial_problems
 from model.core.shapes import Primitive
 from model.io.assets.reader import load_object, reading_notes
-from model.io.export.registry import EXPORTERS, load_exporter, write_object
-from model.io.export.simready import (
-    VALIDATOR,
-    AboutPackage,
-    SimReadyExporter,
-    simready_problems,
-    validator_installed,
-)
-from model.io.readback.compare import read_back
+from model.io.export.registry import EXPORTERS
+from model.io.readback.compare import write_and_read
 from model.physics.collision.measure import free_volume, overlaps_of
 from model.physics.simulation_values import Physics, PhysicsSettings, physics_of, whose_shapes
 from model.validation.engines import ENGINES, MUJOCO, require_engines
@@ -149,26 +141,10 @@ def check_one(task: CheckTask) -> dict[str, Any]:
 def _format(obj: ArticulatedObject, physics: Physics, name: str) -> dict[str, Any]:
     """Write the object in a format and read it back."""
     start = time.perf_counter()
-    with TemporaryDirectory(prefix="artiworld-") as folder:
-        try:
-            exporter = load_exporter(name)
-            package = name == "usd" and validator_installed()
-            if package:
-                exporter = SimReadyExporter(AboutPackage("unknown", "unknown"))
-            files = write_object(obj, exporter, Path(folder, name), physics=physics)
-            back = read_back(name, files[0], obj)
-            readers, problems, fine = back.readers, back.problems, back.fine
-            if package:
-                missing = simready_problems(files[0])
-                readers, problems = (*readers, VALIDATOR), (*problems, *missing)
-                fine = fine and not missing
-        except ArtiworldError as error:
-            readers, problems, fine = (), (str(error),), False
-    if not readers and not problems:
-        problems = ("none of its readers is installed",)
+    back = write_and_read(obj, physics, name)
     return {
-        "format": name, "fine": fine, "readers": list(readers), "problems": list(problems),
-        "seconds": round(time.perf_counter() - start, 3),
+        "format": name, "fine": back.fine, "readers": list(back.readers),
+        "problems": list(back.problems), "seconds": round(time.perf_counter() - start, 3),
     }  # fmt: skip
 
 

@@ -21,7 +21,7 @@ class EvaluateCommand(Command):
     """Score a predictor on a data set."""
 
     data: str = option(
-        "partnet-mobility, physxnet, urdf, mjcf or procedural", "NAME", "partnet-mobility"
+        "partnet-mobility, physxnet, urdf, mjcf, procedural or bundled", "NAME", "partnet-mobility"
     )
     root: Path | None = option("folder of the data set", "DIR")
     split: str = option(
@@ -160,19 +160,22 @@ class BenchCommand(Command):
 
     what: Literal[
         "ui", "scene", "segment", "scans", "predict", "weights", "networks", "rivals",
-        "faults",
+        "faults", "assets",
     ] = argument(
         "the screen of one object, of a scene; the segmenter; reconstructed scans from file to "
         "joints; the predictor; what its weights read; the paper-size networks with random "
-        "weights; other methods' URDFs beside ours; damaged files of every format", None,
+        "weights; other methods' URDFs beside ours; damaged files of every format; exports in "
+        "engines and validators", None,
     )  # fmt: skip
     data: Path | None = option(
-        "segment, scans, rivals: folder of real data, by default procedural", "DIR"
+        "segment, scans, rivals: folder of real data, by default procedural; assets: of "
+        "PartNet-Mobility",
+        "DIR",
     )
     root: Path | None = option(
         "rivals: folder with a folder of URDFs a method; the page is written there", "DIR"
     )
-    jobs: int = option("rivals: processes", "N", 2, parse=positive_count)
+    jobs: int = option("rivals, assets: processes", "N", 2, parse=positive_count)
     sets: tuple[str, ...] | None = option(
         "segment: data sets, e.g. partnet-mesh, or urdf-scan for your own URDFs", "NAME", nargs="+"
     )
@@ -186,7 +189,8 @@ class BenchCommand(Command):
     clicks: int = option("ui: clicks on each object", "N", 40, parse=count)
     objects: int = option("scene: number of objects", "N", 200, parse=count)
     limit: int | None = option(
-        "segment, scans, weights, rivals: objects of each set; 0 for all; faults: files in all",
+        "segment, scans, weights, rivals, assets: objects of each set; 0 for all; faults: files "
+        "in all",
         "LIMIT",
     )
     seed: int = option("faults: seed of the first file; each has the next one", "SEED", 0)
@@ -199,8 +203,10 @@ class BenchCommand(Command):
     parts: int | None = option("segment: most parts of an object", "N", parse=count)
     first: Literal["deepest", "random"] | None = option("segment: place of the first click")
     half: Literal["choose", "table", "all"] | None = option(
-        "scans: half of the objects, to choose with or for the table (default: table)"
+        "scans, assets: half of the objects, to choose with or for the table (default: table)"
     )
+    engine: str = option(f"assets: {ENGINE_HELP}", "NAME,NAME", "mujoco,sapien")
+    before: Path | None = option("assets: --json of an earlier run, shown beside", "FILE")
     sizes: tuple[str, ...] | None = option(
         "networks: language models (0.6b 1.7b 4b 8b)", "NAME", nargs="+"
     )

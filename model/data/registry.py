@@ -38,6 +38,7 @@ DATASETS = Registry[Dataset](
         "urdf": "model.data.urdf_folders:UrdfFolders",
         "mjcf": "model.data.mjcf:MjcfFolder",
         "procedural": "model.data.procedural_set:ProceduralSet",
+        "bundled": "model.data.bundled:Bundled",
     },
     group="artiworld.datasets",
 )
@@ -61,6 +62,8 @@ def open_dataset(options: DatasetOptions) -> Dataset:
         return DATASETS.load(
             "procedural", options.seed, options.n, options.families, fault=options.fault
         )
+    if options.name == "bundled":
+        return DATASETS.load("bundled")
     if options.name == "procedural":
         return DATASETS.load("partnet-mobility", _folder(options), name="procedural")
     return DATASETS.load(options.name, _folder(options))

@@ -43,6 +43,7 @@ from model.segmentation.prompts import BASE
 from model.segmentation.registry import load_segmenter
 
 Frame = Literal["cleaned by the truth", "upright", "any"]
+Half = Literal["choose", "table", "all"]
 FRAMES: tuple[Frame, ...] = ("cleaned by the truth", "upright", "any")
 
 AXIS, LINE = 0.15, 0.06
@@ -69,7 +70,7 @@ class ScansConfig:
     """
 
     data: DatasetOptions
-    half: Literal["choose", "table", "all"] = "table"
+    half: Half = "table"
     limit: int = 15
     seed: int = 0
     frames: tuple[Frame, ...] = FRAMES
@@ -114,16 +115,21 @@ class ScanScore:
 
 def run(config: ScansConfig, progress: Progress = no_progress) -> list[ScanScore]:
     """Measure; objects whose process dies are counted as problems."""
-    ids = list(open_dataset(config.data).ids())
-    np.random.default_rng(config.seed).shuffle(ids)
-    middle = len(ids) // 2
-    ids = {"choose": ids[:middle], "table": ids[middle:], "all": ids}[config.half]
-    ids = ids[: config.limit or None]
+    ids = half_of(open_dataset(config.data).ids(), config.half, config.seed, config.limit)
     out: list[ScanScore] = []
     for k, (name, found) in enumerate(robust_map(partial(score_object, config), ids, config.jobs)):
         out += found or [ScanScore(name, frame, problem="crashed") for frame in config.frames]
         progress((k + 1) / len(ids), name)
     return sorted(out, key=lambda s: (FRAMES.index(s.frame), ids.index(s.id)))
+
+
+def half_of(all_ids: Sequence[str], half: Half, seed: int, limit: int) -> list[str]:
+    """One of two halves of the shuffled objects that share none, at most ``limit`` (0: all)."""
+    ids = list(all_ids)
+    np.random.default_rng(seed).shuffle(ids)
+    middle = len(ids) // 2
+    ids = {"choose": ids[:middle], "table": ids[middle:], "all": ids}[half]
+    return ids[: limit or None]
 
 
 def score_object(config: ScansConfig, name: str) -> list[ScanScore]:

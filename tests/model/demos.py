@@ -10,10 +10,8 @@ from typing import Any
 import numpy as np
 
 from model.core.articulated_object import ArticulatedObject
-from model.core.joint import Joint
 from model.core.resources import static_assets
-from model.core.tree import KinematicTree
-from model.geometry.parts import split
+from model.data.bundled import Bundled
 from model.io.open_asset import open_asset
 from model.segmentation.default import DefaultSegmenter, DefaultSession
 
@@ -40,12 +38,4 @@ def encoded_demo(name: str) -> DefaultSession:
 
 def demo_object(name: str) -> ArticulatedObject:
     """A demo cut by its true labels, with its true joints."""
-    labels, truth = demo_truth(name)
-    asset = open_asset(demo_file(name))
-    parts = split(asset, np.maximum(labels, 0), {p["id"]: p["name"] for p in truth["parts"]})
-    joints = tuple(
-        Joint(**{**j, "axis": tuple(j["axis"]), "origin": tuple(j["origin"])})
-        for j in truth["joints"]
-    )
-    tree = KinematicTree(tuple(truth["links"]), joints)
-    return ArticulatedObject(name, parts, tree, truth["category"])
+    return Bundled().load(name).object

@@ -147,11 +147,12 @@ def mujoco_problems(
     """Problems when MuJoCo loads a URDF or MJCF of ``obj`` and moves its joints."""
     mujoco: Any = import_module("mujoco")
     out: list[str] = []
-    with _mujoco_quiet():
+    with _mujoco_warnings() as warnings:
         try:
             model = mujoco.MjModel.from_xml_path(str(path))
         except ValueError as error:
             return [f"MuJoCo can't load {path.name}: {' '.join(str(error).split())}"]
+        out += [f"MuJoCo warns of {path.name}: {w[:200]}" for w in warnings]
         data = mujoco.MjData(model)
         for q in settings:
             for name, value in obj.tree.joint_values(q).items():
@@ -182,12 +183,12 @@ def _silenced(logger: str) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _mujoco_quiet() -> Iterator[None]:
-    """MuJoCo writes warnings into a file of the working folder; here they are let go."""
+def _mujoco_warnings() -> Iterator[list[str]]:
+    """MuJoCo writes warnings into a file of the working folder; here they come into a list."""
     mujoco: Any = import_module("mujoco")
-    before = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(lambda message: None)
+    before, out = mujoco.get_mju_user_warning(), []
+    mujoco.set_mju_user_warning(out.append)
     try:
-        yield
+        yield out
     finally:
         mujoco.set_mju_user_warning(before)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from importlib.util import find_spec
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
@@ -16,14 +17,21 @@ from model.io.assets.reload import (
     random_q,
     yourdfpy_problems,
 )
-from model.io.export.registry import EXPORTERS
+from model.io.export.registry import EXPORTERS, load_exporter, write_object
 from model.io.export.ros import URDF
+from model.io.export.simready import (
+    VALIDATOR,
+    AboutPackage,
+    SimReadyExporter,
+    simready_problems,
+    validator_installed,
+)
 from model.io.readback.bullet import bullet_problems
 from model.io.readback.drake import drake_problems
 from model.io.readback.glb import glb_problems
 from model.io.readback.usd import usd_problems
-
-Reader = Callable[[Path, ArticulatedObject, list[dict[str, float]]], list[str]]
+from model.io.readback.validators import Reader, programs_for
+from model.physics.simulation_values import Physics
 
 
 @dataclass(frozen=True)
@@ -35,12 +43,14 @@ class ReadBack:
         readers: who read it.
         missing: who could have, but isn't installed.
         problems: everything that is wrong.
+        found: reader → its part of the problems.
     """
 
     format: str
     readers: tuple[str, ...]
     missing: tuple[str, ...]
     problems: tuple[str, ...]
+    found: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     @property
     def fine(self) -> bool:
@@ -63,16 +73,39 @@ def read_back(
         raise ArtiworldError(f"nothing here reads the format {format!r} back")
     rng = np.random.default_rng(seed)
     settings = [random_q(obj, rng) for _ in range(configurations)]
-    used: list[str] = []
-    missing: list[str] = []
-    problems: list[str] = []
-    for name, module, reader in _readers(format):
-        if find_spec(module) is None:
-            missing.append(name)
-            continue
-        used.append(name)
-        problems += reader(path, obj, settings)
-    return ReadBack(format, tuple(used), tuple(missing), tuple(dict.fromkeys(problems)))
+    modules = [(name, find_spec(m) is not None, reader) for name, m, reader in _readers(format)]
+    every = [*modules, *programs_for(format)]
+    found = {
+        name: tuple(dict.fromkeys(reader(path, obj, settings)))
+        for name, installed, reader in every if installed
+    }  # fmt: skip
+    missing = tuple(name for name, installed, _ in every if not installed)
+    return ReadBack(format, tuple(found), missing, _all_of(found), found)
+
+
+def _all_of(found: Mapping[str, tuple[str, ...]]) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(p for each in found.values() for p in each))
+
+
+def write_and_read(obj: ArticulatedObject, physics: Physics, format: str) -> ReadBack:
+    """Write ``obj`` in a format and read it back; USD as a SimReady package where NVIDIA's
+    validator is installed, which then judges it too."""
+    with TemporaryDirectory(prefix="artiworld-") as folder:
+        try:
+            exporter = load_exporter(format)
+            package = format == "usd" and validator_installed()
+            if package:
+                exporter = SimReadyExporter(AboutPackage("unknown", "unknown"))
+            files = write_object(obj, exporter, Path(folder, format), physics=physics)
+            back = read_back(format, files[0], obj)
+            if package:
+                found = {**back.found, VALIDATOR: tuple(simready_problems(files[0]))}
+                back = ReadBack(format, tuple(found), back.missing, _all_of(found), found)
+        except ArtiworldError as error:
+            return ReadBack(format, (), (), (str(error),))
+    if not back.readers and not back.problems:
+        return replace(back, problems=("none of its readers is installed",))
+    return back
 
 
 def _readers(format: str) -> list[tuple[str, str, Reader]]:
