@@ -7,8 +7,10 @@ import threading
 from collections import OrderedDict
 from pathlib import Path
 
+from app.server.bulk import BulkWork
 from app.server.config import ServeConfig
 from app.server.drafts import AssetDrafts
+from app.server.gallery import Gallery
 from app.server.leftovers import WorkspaceLease
 from app.server.object_queue import ObjectQueue
 from app.server.open_object import OpenObject
@@ -33,6 +35,8 @@ class AppState:
 
     Attributes:
         scene: the open scene; None where single objects are open.
+        gallery: what the page shows of the queue.
+        bulk: work on many objects.
     """
 
     def __init__(self, config: ServeConfig, store: Store, paths: list[Path]) -> None:
@@ -58,6 +62,8 @@ class AppState:
         self._lock = threading.RLock()
         self._open: OrderedDict[int, OpenObject] = OrderedDict()  # the one used last is last
         self._closed = threading.Event()
+        self.gallery = Gallery(self._services, self.review_order.confidence, self.shown_state)
+        self.bulk = BulkWork(self._services, self.object)
         threading.Thread(target=self._sync_loop, name="sync", daemon=True).start()
 
     @property
@@ -137,6 +143,19 @@ class AppState:
         pending = self.acceptances.of(record)
         return "" if pending is None or self.is_accepting(record.id) else pending.hold_reason
 
+    def shown_state(self, record: ObjectRecord) -> tuple[str, str]:
+        """Return an object's state or what runs on it, and why it needs attention, or ""."""
+        held = self.on_hold(record)
+        if record.id in self.queue.unreadable:
+            return "unreadable", held
+        if self.is_saving(record.id):
+            return "saving", ""
+        if self.is_validating(record.id):
+            return "validating", ""
+        if held:
+            return "on_hold", held
+        return ("interrupted" if self.was_interrupted(record) else record.state), ""
+
     def sync_remote(self) -> None:
         """Take in what other servers of the workspace did."""
         last = self.store.last_commands()
@@ -156,6 +175,7 @@ class AppState:
         """End the workers."""
         self._closed.set()
         self.workers.closing = True
+        self.bulk.cancel()
         if self.scene is not None:
             self.scene.close()
         self.workers.close()

@@ -8,12 +8,14 @@ from importlib.resources import files
 
 from websockets.http11 import Response
 
-_SCRIPTS = ("upload.js", "focus.js", "panels.js", "pointer.js", "light.js")
+_SCRIPTS = ("upload.js", "focus.js", "panels.js", "markup.js", "queue.js", "pointer.js", "light.js")
 
 
 def _script(max_upload_bytes: int) -> str:
-    texts = [(files("app.server") / "scripts" / name).read_text() for name in _SCRIPTS]
-    whole = "\n".join(f"<script>\n{text}</script>" for text in texts)
+    scripts = files("app.server") / "scripts"
+    texts = [(scripts / name).read_text() for name in _SCRIPTS]
+    style = f"<style>\n{(scripts / 'style.css').read_text()}</style>\n"
+    whole = style + "\n".join(f"<script>\n{text}</script>" for text in texts)
     return whole.replace("__LIMIT__", json.dumps(max_upload_bytes))
 
 

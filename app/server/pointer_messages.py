@@ -47,6 +47,14 @@ class ArtiworldAnswerMessage(_messages.Message, include_in_scene_serialization=F
 
 
 @dataclass
+class ArtiworldPressMessage(_messages.Message, include_in_scene_serialization=False):
+    """A control of the page's own markup was used; see :mod:`app.viewer.panels.markup`."""
+
+    action: str
+    value: str
+
+
+@dataclass
 class ArtiworldShownMessage(_messages.Message, include_in_scene_serialization=False):
     """Everything sent before ``set_page_state(shown=number)`` is on the screen."""
 
@@ -60,6 +68,18 @@ _messages.Message._subclass_from_type_string.cache_clear()  # type: ignore[attr-
 def set_page_state(client: viser.ClientHandle, **state: Any) -> None:
     """Set fields of the page script's state."""
     _run(client, f"window.__artiworld?.set({json.dumps(state)})")
+
+
+def show_markup(client: viser.ClientHandle, place: str, html: str) -> None:
+    """Show HTML in a place of the page: "steps", "progress", "tools" or "tour"; "" hides it."""
+    _run(client, f"window.__artiworldMarkup?.show({json.dumps(place)}, {json.dumps(html)})")
+
+
+def call_page(client: viser.ClientHandle, function: str, *values: Any) -> None:
+    """Call a function of ``window.__artiworldMarkup`` or ``window.__artiworldQueue``."""
+    arguments = ", ".join(json.dumps(v) for v in values)
+    owner, name = function.split(".")
+    _run(client, f"window.__artiworld{owner}?.{name}({arguments})")
 
 
 def title_buttons(client: viser.ClientHandle, titles: dict[str, str]) -> None:

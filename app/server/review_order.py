@@ -66,13 +66,14 @@ class ReviewOrder:
                     return record.id
             predicted = [r for r in some if r.state == "predicted"]
             if predicted:
-                return min(predicted, key=self._confidence).id
+                return min(predicted, key=self.confidence).id
             for record in some:
                 if record.state in ("todo", "in_progress"):
                     return record.id
         return None
 
-    def _confidence(self, record: ObjectRecord) -> float:
+    def confidence(self, record: ObjectRecord) -> float:
+        """The least confidence of an object's moving joints, 0..1, read once a change."""
         known = self._known.get(record.id)
         if known is None or known[0] != record.seq:
             known = (record.seq, confidence(self._document(record.id)))

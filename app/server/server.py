@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import json
 import logging
 import threading
 import webbrowser
@@ -17,7 +18,8 @@ import viser
 from app.server.app_state import AppState
 from app.server.config import ServeConfig
 from app.server.ending import EndSignals
-from app.server.guard import guarded_server
+from app.server.gallery import Gallery
+from app.server.guard import Route, RouteAnswer, RouteRequest, guarded_server
 from app.server.network import url
 from model.core.errors import InputFileError
 from model.core.resources import static_assets
@@ -33,6 +35,20 @@ class Tab(Protocol):
     def close(self) -> None:
         """Stop drawing: the browser is gone."""
         ...
+
+
+def queue_routes(gallery: Gallery) -> dict[str, Route]:
+    """What the page asks for about the queue: pieces of the list, and thumbnails."""
+
+    def rows(request: RouteRequest) -> RouteAnswer:
+        return RouteAnswer(json.dumps(gallery.rows(request.query), separators=(",", ":")).encode())
+
+    def thumbnail(request: RouteRequest) -> RouteAnswer:
+        id = request.query.get("id", "")
+        image = gallery.thumbnail(int(id)) if id.isdigit() else None
+        return RouteAnswer(image or b"", "image/webp", 204 if image is None else 200)
+
+    return {"/queue.json": rows, "/thumbnail": thumbnail}
 
 
 class Server:
@@ -56,6 +72,7 @@ class Server:
             config.port,
             config.token,
             config.max_upload_mb * 1_000_000,
+            queue_routes(self.app_state.gallery),
             label="ArtiWorld",
             allowed_origins=config.allowed_origins,
         )

@@ -16,11 +16,14 @@ from app.viewer.input.pointing import PointerActions, Pointing
 from app.viewer.input.queries import Point, PointerQueries
 from app.viewer.navigation import Memory, Navigation
 from app.viewer.panels.history import History
-from app.viewer.panels.object_header import HeaderActions, ObjectHeader
+from app.viewer.panels.markup import Presses
+from app.viewer.panels.object_header import ObjectHeader
 from app.viewer.panels.queue_panel import QueuePanel
+from app.viewer.panels.step_bar import StepBar
+from app.viewer.panels.tool_rail import RailActions, ToolRail
 from app.viewer.panels.widgets import put
 from app.viewer.picture.drawing import ObjectDrawing
-from app.viewer.picture.light import PLAIN, LightSwitch
+from app.viewer.picture.light import PLAIN, LightSwitch, Theme
 from app.viewer.picture.motion import Motion
 from app.viewer.picture.object_picture import ObjectPicture
 from app.viewer.steps.annotate import AnnotateStep
@@ -29,7 +32,6 @@ from app.viewer.steps.prepare import PrepareStep
 from app.viewer.steps.review import ReviewActions, ReviewStep
 from app.viewer.steps.scene import SceneHost, SceneStep
 from app.viewer.tab import AT_REST, STEPS, Panel, Step, Tab
-from app.viewer.words import common as words
 from sessions import commands as cmd
 
 PANELS: tuple[tuple[Step, Callable[[Tab], Panel]], ...] = (("Review", History),)
@@ -49,6 +51,8 @@ class ClientApp:
         queue: their queue, or None.
         guard: lets decisions through about what was seen.
         light: of the picture.
+        theme: light or dark, as the browser has it.
+        rail: the icons beside the picture.
         commands: what keys and buttons ask for.
     """
 
@@ -68,10 +72,13 @@ class ClientApp:
         self._navigation = Navigation(tab, app_state, self._opened, self._remember)
         self.commands = Commands(tab, self._navigation)
         self._sheet = KeySheet(tab)
+        self._presses = Presses(tab)
+        self._bar = StepBar(tab, self._presses, self.commands.cancel)
+        self.rail = ToolRail(tab, self._presses, self.pointing, self._rail_actions())
         self._build()
         steps = (self.prepare, self.annotate, self.joints, self.review)
         self.commands.connect(steps, self.scene)
-        view = (self.pointing, self.motion, self.picture, self._sheet)
+        view = (self.pointing, self.motion, self.picture, self._sheet, self.rail)
         add_keys(tab, bindings(tab, self.commands, steps, self.scene, view), self.guard.decide)
         self.pointing.listen(self._pointer_actions())
         self._unqueue = app_state.queue.subscribe(tab.invalidate)
@@ -82,13 +89,18 @@ class ClientApp:
 
     def _build(self) -> None:
         tab, app_state, gui = self.tab, self._app_state, self.tab.client.gui
-        gui.configure_theme(show_logo=False, show_share_button=False, dark_mode=False)
         gui.set_panel_label("ArtiWorld")
         self.scene: SceneStep | None = None
         self.queue: QueuePanel | None = None
         if app_state.scene is None:
             self.queue = QueuePanel(
-                tab, app_state, self._navigation.open, self._navigation.step, self._remember
+                tab,
+                app_state,
+                self._presses,
+                self._navigation.open,
+                self._navigation.step,
+                self._remember,
+                lambda ids: None,
             )
         else:
             self.scene = SceneStep(
@@ -99,24 +111,29 @@ class ClientApp:
             if self.scene is not None:
                 self.scene.build_object_widgets()
             self._build_object()
-        keys = gui.add_button(words.KEYS_BUTTON, icon=viser.Icon.KEYBOARD, color="gray")
-        keys.on_click(lambda _: tab.act(self._sheet.toggle))
         self.light = LightSwitch(tab, self._remember)
+        scene = () if self.scene is None else (self.scene.picture,)
+        self.theme = Theme(tab, self._presses, (self.picture, *scene))
         gui.main_panel.dock_right()
-        gui.main_panel.set_width(380)
+        gui.main_panel.set_width(340)
+
+    def _rail_actions(self) -> RailActions:
+        return RailActions(
+            undo=self.commands.undo,
+            redo=self.commands.redo,
+            play=self.motion.play,
+            reset_pose=self.motion.reset,
+            show_keys=self._sheet.toggle,
+        )
 
     def _build_object(self) -> None:
         tab, app_state, gui = self.tab, self._app_state, self.tab.client.gui
-        header = HeaderActions(
-            undo=self.commands.undo,
-            redo=self.commands.redo,
-            cancel=self.commands.cancel,
-            remove=self._navigation.remove,
-            play=self.motion.play,
-            reset_pose=self.motion.reset,
-            reopen=lambda: tab.do(cmd.Reopen(self.review.comment_text)),
+        self._header = ObjectHeader(
+            tab,
+            self._name_of,
+            self._navigation.remove,
+            lambda: tab.do(cmd.Reopen(self.review.comment_text)),
         )
-        self._header = ObjectHeader(tab, header, self._name_of)
         self._folders = {s: gui.add_folder(None, visible=s == "Annotate") for s in STEPS}
         with self._folders["Prepare"]:
             self.prepare = PrepareStep(
@@ -124,7 +141,12 @@ class ClientApp:
             )
         with self._folders["Annotate"]:
             self.annotate = AnnotateStep(
-                tab, self.pointing, app_state.queue.records, self._navigation.open, self.prepare
+                tab,
+                self.pointing,
+                app_state.queue.records,
+                self._navigation.open,
+                self.prepare,
+                self._presses,
             )
         with self._folders["Joints"]:
             self.joints = JointsStep(
@@ -258,13 +280,17 @@ class ClientApp:
             # An unreadable file has nothing to click on.
             put(folder, "visible", step == selection.step and not (broken and step in AT_REST))
         if obj is None:
+            self._bar.draw(None)
+            self.rail.draw(None)
             self.drawing.clear()
             self.pointing.set_page_state()
             return
         self.prepare.show_if_tilted(obj)
-        self._header.draw(obj, self.prepare.noticed(obj))
+        self._header.draw(obj)
+        self._bar.draw(obj, self.prepare.noticed(obj))
+        self.rail.draw(obj)
         self._follow_prediction(obj)
-        self.drawing.draw(obj, touch=self.annotate.tools.touch)
+        self.drawing.draw(obj, touch=self.rail.touch)
         self.prepare.draw(obj)
         self.annotate.draw(obj)
         self.pointing.set_page_state()

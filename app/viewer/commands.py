@@ -12,6 +12,7 @@ from app.viewer.navigation import Navigation
 from app.viewer.panels.predict_buttons import predict
 from app.viewer.panels.quick_names import SHOWN
 from app.viewer.panels.rejecting import Rejecting
+from app.viewer.panels.tool_rail import ToolRail
 from app.viewer.picture.motion import Motion
 from app.viewer.picture.object_picture import ObjectPicture, View
 from app.viewer.steps.annotate import AnnotateStep
@@ -213,12 +214,12 @@ def bindings(
     commands: Commands,
     steps: tuple[PrepareStep, AnnotateStep, JointsStep, ReviewStep],
     scene: SceneStep | None,
-    view: tuple[Pointing, Motion, ObjectPicture, KeySheet],
+    view: tuple[Pointing, Motion, ObjectPicture, KeySheet, ToolRail],
 ) -> Iterator[Binding]:
     """The commands of the palette (Ctrl+K) with their keys, in the palette's order."""
     prepare, annotate, joints, _ = steps
     by_step = commands.by_step
-    pointing, motion, picture, sheet = view
+    pointing, motion, picture, sheet, tools = view
     for part in range(10):
         yield Binding(words.select_part(part), str(part), _with(commands.number, part))
     yield Binding(words.UNDO, "Z", commands.undo, "cmd/ctrl")
@@ -239,15 +240,15 @@ def bindings(
     yield Binding(words.TAKE_CATEGORY, None, _with(commands.name_by_key, 0))
     yield Binding(words.DELETE, "delete", by_step(prepare.remove_marked, annotate.parts.delete))
     for row in TOOL_ROWS:
-        for label, tool in row.tools.items():
+        for tool, label in row.items():
             if tool not in _WITHOUT_COMMAND:
                 key = TOOL_KEYS.get(tool)
-                use = _with(annotate.tools.use, label)
+                use = _with(tools.use, label)
                 if tool == "merge":
                     use = by_step(prepare.measure, use)
                 yield Binding(words.tool(label), key, use)
     yield Binding(words.CUT, "K", pointing.next_cut)
-    yield Binding(words.PREVIEW, "V", annotate.tools.toggle_preview)
+    yield Binding(words.PREVIEW, "V", tools.toggle_preview)
     yield Binding(words.EXCLUDE_ROOM, None, annotate.source.leave_out)
     yield Binding(words.EXTRACT, None, annotate.source.cut_out)
     yield Binding(words.TITLE, None, sheet.toggle)

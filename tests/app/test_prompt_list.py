@@ -38,7 +38,7 @@ def test_masks_of_another_part_or_without_a_click_stand_alone():
 
 
 def test_what_tools_did_is_called_as_on_their_buttons():
-    buttons = {button for row in TOOL_ROWS for button in row.tools} | {"Box"}
+    buttons = {button for row in TOOL_ROWS for button in row.values()} | {"Box"}
     for tool in {*TOOLS, "lasso", "brush"} - {NEXT_MASK}:
         (entry,) = prompt_entries((RegionRef(1, REF, False, 1, tool),), "point")
         sign, label = entry.label.split("  ")

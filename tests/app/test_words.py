@@ -23,6 +23,7 @@ SAMPLES: dict[str, tuple[Any, ...]] = {
     "float": (0.0, 0.5),
     "tuple[int, ...]": ((), (1, 3)),
     "dict[int, int]": ({}, {1: 5}),
+    "dict[str, int]": ({}, {"accepted": 2, "todo": 1}),
     "list[str]": ([], ["one", "two"]),
     "tuple[float, float, float]": ((0.1, -0.2, 3.0),),
     "Severity": tuple(Severity),

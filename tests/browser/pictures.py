@@ -171,7 +171,6 @@ def cabinet(taking: Taking) -> None:
         wait_until(lambda count=count: len(tab.app.motion.q) == count, f"{part} is open")
     look(tab, (-1.0, -2.4, 1.4), (0.02, -0.2, 0.36))
     tab.page.evaluate("document.activeElement?.blur()")
-    tab.row("Step").scroll_into_view_if_needed()
     away(tab)
     free_of_notes(tab)
     taking.take(tab, "joints")

@@ -444,7 +444,7 @@ def test_a_file_that_cannot_be_opened_says_so(
 def test_touch_adds_a_prompt(start: Any, open_tab: Any, cabinet: Any) -> None:
     path, points = cabinet
     tab = open_tab(start(path), has_touch=True)
-    tab.app.annotate.tools.touch = True
+    tab.app.rail.touch = True
     tab.app.tab.invalidate()
     tab.wait_node("/touch")
     tab.drawn()

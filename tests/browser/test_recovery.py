@@ -64,7 +64,7 @@ def test_nothing_is_lost_when_the_server_is_killed(tmp_path: Path, browser: Any)
         page.mouse.click(middle[0] - 60, middle[1] + 30)
         page.get_by_text("1 on this part, 1 in total", exact=False).wait_for()
         page.keyboard.press("2")
-        page.get_by_text("▸ 2 · part", exact=False).wait_for()
+        page.locator('[data-press=part][value="2"][aria-pressed=true]').wait_for()
         page.mouse.click(middle[0] + 80, middle[1] + 30)
         page.get_by_text("1 on this part, 2 in total", exact=False).wait_for()
     finally:

@@ -188,8 +188,7 @@ def test_y_shows_what_wants_a_look_before_it_accepts(
     tab.key("y")
     wait_until(lambda: tab.object is other, "the next object")
     assert obj.document.review.state == "predicted" and server.app_state.is_saving(obj.record.id)
-    first = tab.app.queue.list.buttons[0]
-    wait_until(lambda: first.hint.endswith("cupboard: saving"), "the queue tells it")
+    tab.page.get_by_title("cupboard: saving").wait_for()
     tab.page.screenshot(path=str(tmp_path / "saving.png"))
     held.cancel()
     tab.page.get_by_text("cupboard: Saved in", exact=False).wait_for()
@@ -276,8 +275,7 @@ def test_y_before_the_verdict_goes_on_and_what_is_held_back_comes_again(
     tab.wait_seen()
     tab.key("y")
     wait_until(lambda: tab.object is clean, "the next object")
-    first = tab.app.queue.list.buttons[0]
-    wait_until(lambda: first.hint.endswith("checking, then accepted"), "the queue tells it")
+    tab.page.get_by_title("grazing: checking, then accepted").wait_for()
     tab.wait_seen()
     tab.key("y")
     wait_until(lambda: tab.object is third, "the next object again")
@@ -291,7 +289,7 @@ def test_y_before_the_verdict_goes_on_and_what_is_held_back_comes_again(
     assert clean.document.review.state == "accepted"
     tab.page.get_by_text("Y again", exact=False).first.wait_for()
     assert grazing.document.review.state == "predicted" and tab.object is third
-    wait_until(lambda: "grazing: on hold: 1 warning. part 1" in first.hint, "the queue says why")
+    tab.page.get_by_title("grazing: on hold: 1 warning. part 1").wait_for()
     tab.page.screenshot(path=str(tmp_path / "look_again.png"))
 
     # The button opens it at the worst pose, with the comment; Y accepts it now.

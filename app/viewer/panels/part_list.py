@@ -1,19 +1,21 @@
-"""The parts: a button for each, and the name of the selected one."""
+"""The parts: a row for each, and the name of the selected one."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any
+from html import escape
+
+import viser
 
 from app.viewer.input.pointing import Pointing
 from app.viewer.panels.choice import Choice
+from app.viewer.panels.markup import Presses, button, icon
 from app.viewer.panels.quick_names import QuickNames
 from app.viewer.panels.widgets import put
 from app.viewer.picture import palette
 from app.viewer.tab import Tab
 from app.viewer.text import percent
 from app.viewer.words import annotate as words
-from app.viewer.words import common
 from model.segmentation.prompts import BASE
 from sessions import commands as cmd
 from sessions.document import Document
@@ -24,18 +26,19 @@ PARTS_SHOWN = 200
 class PartList:
     """Chooses, names, hides and deletes parts."""
 
-    def __init__(self, tab: Tab, pointing: Pointing) -> None:
+    def __init__(self, tab: Tab, pointing: Pointing, presses: Presses) -> None:
         self._tab, self._pointing = tab, pointing
         gui = tab.client.gui
         with gui.add_folder(words.PARTS):
-            self._box = gui.add_folder(None)
-            self._buttons: dict[int, Any] = {}
-            actions = gui.add_button_group(words.PART, words.PART_ACTIONS)
+            self._rows = gui.add_html("")
             self._name = Choice(
                 tab, words.PART_NAME, palette.PART_NAMES, self._chosen_name, self.rename
             )
             self._quick = QuickNames(tab, self.rename)
-        actions.on_click(lambda e: tab.act(lambda: self._act(e.target.value)))
+        presses.on("part", lambda part: self._clicked(int(part)))
+        presses.on("part add", lambda _: tab.selection.choose_part(self._document().next_part))
+        presses.on("part hide", lambda _: self.toggle_hidden())
+        presses.on("part delete", lambda _: self.delete())
 
     def _document(self) -> Document:
         return self._tab.selection.need_object().document
@@ -62,14 +65,6 @@ class PartList:
             self._pointing.merge(part)
         else:
             self._tab.selection.choose_part(part)
-
-    def _act(self, action: str) -> None:
-        if action == words.PART_ACTIONS[0]:
-            self._tab.selection.choose_part(self._document().next_part)
-        elif action == words.PART_ACTIONS[1]:
-            self.toggle_hidden()
-        else:
-            self.delete()
 
     def delete(self) -> None:
         """Delete the selected part with all its prompts, and choose another one."""
@@ -107,30 +102,37 @@ class PartList:
             category: what the object is, or may be.
         """
         selection = self._tab.selection
-        ids = parts_listed((p.id for p in doc.parts), selection.part)
-        for part in [p for p in self._buttons if p not in ids]:
-            self._buttons.pop(part).remove()
-        for part in ids:
-            if part not in self._buttons:
-                self._buttons[part] = self._add_button(part)
+        rows = []
+        for part in parts_listed((p.id for p in doc.parts), selection.part):
             name = _part_name(doc, part)
             if name in (None, f"link_{part}"):  # as read from a folder of parts: no name at all
                 name = words.UNNAMED if part else words.BASE
             share = percent(shares[part]) if part in shares else ""
-            label = words.part_button(part, name, share, part in selection.hidden)
-            put(self._buttons[part], "label", common.SELECTED * (part == selection.part) + label)
+            rows.append(self._row(part, name, share))
+        add = button("part add", "", words.ADD_PART, style="aw-small")
+        put(self._rows, "content", f'<div class="aw-parts">{"".join(rows)}{add}</div>')
         name, picking = _part_name(doc, selection.part), selection.picking
         self._name.show(name, not picking)
         self._quick.show(selection.part != BASE and not picking, category, name)
 
-    def _add_button(self, part: int) -> Any:
-        tab = self._tab
-        with self._box:
-            button = tab.client.gui.add_button(
-                "", color=palette.part_color(part), order=float(part)
-            )
-        button.on_click(lambda _: tab.act(lambda: self._clicked(part)))
-        return button
+    def _row(self, part: int, name: str, share: str) -> str:
+        """A part with its color; the selected one with what can be done to it."""
+        selection = self._tab.selection
+        hidden, chosen = part in selection.hidden, part == selection.part
+        label = words.part_button(part, name, share, hidden)
+        content = (
+            f'<i style="background:rgb{palette.part_color(part)}"></i><b>{part}</b>'
+            f"<span>{escape(name[:24])}</span><small>{share}</small>"
+        )
+        row = button("part", str(part), label, content=content, pressed=chosen)
+        if not chosen:
+            return f'<div class="aw-part{" aw-off" if hidden else ""}">{row}</div>'
+        eye = icon(viser.Icon.EYE_OFF if hidden else viser.Icon.EYE)
+        row += button("part hide", "", words.part_hide(hidden), content=eye, style="aw-icon")
+        if part:
+            trash = icon(viser.Icon.TRASH)
+            row += button("part delete", "", words.DELETE_THIS, content=trash, style="aw-icon")
+        return f'<div class="aw-part">{row}</div>'
 
 
 def parts_listed(parts: Iterable[int], chosen: int) -> list[int]:

@@ -45,9 +45,9 @@ class PromptList:
         gui = tab.client.gui
         with gui.add_folder(words.PROMPTS):
             self._note = gui.add_markdown("")
-            self._box = gui.add_folder(None)
-            self._buttons: list[tuple[Any, PromptEntry]] = []
             actions = gui.add_button_group(words.PROMPTS_REMOVE, words.PROMPT_ACTIONS)
+            self._box = gui.add_folder(words.PROMPT_LIST, expand_by_default=False)
+            self._buttons: list[tuple[Any, PromptEntry]] = []
         actions.on_click(lambda e: tab.act(lambda: self.remove(e.target.value)))
 
     def remove(self, which: str) -> None:

@@ -1,42 +1,35 @@
-"""The queue at the left: objects and their states."""
+"""The queue at the left: progress, the objects as a list or a gallery, uploads, the user's name."""
 
 from __future__ import annotations
 
+import json
+from collections import Counter
 from collections.abc import Callable, Mapping
+from datetime import UTC, datetime
 from typing import Any
 
 import viser
 
 from app.server.app_state import AppState
-from app.server.pointer_messages import title_buttons
-from app.viewer.panels.object_list import ButtonLook, Entry, ObjectList, muted
-from app.viewer.panels.queue_names import clipped, queue_names
+from app.server.pointer_messages import call_page
+from app.server.queue_names import clipped
+from app.viewer.panels.markup import Presses, icon
 from app.viewer.panels.user_name import UserName
 from app.viewer.panels.widgets import put
 from app.viewer.picture import palette
 from app.viewer.tab import Tab
-from app.viewer.text import plain
 from app.viewer.words import common
 from app.viewer.words import queue as words
+from model.core.errors import CommandError
 from model.validation.report import Severity
-from sessions.records import ObjectRecord
 
-PAGE = 14
 NAME_LENGTH = 22
-_ICONS = {
-    "todo": viser.Icon.CIRCLE,
-    "in_progress": viser.Icon.PENCIL,
-    "predicted": viser.Icon.SPARKLES,
-    "accepted": viser.Icon.CIRCLE_CHECK,
-    "rejected": viser.Icon.CIRCLE_X,
-}
 
 
 class QueuePanel:
-    """The list of objects, uploads, and the user's name.
+    """What the queue's panel shows; the page's script asks for the objects that are seen.
 
     Attributes:
-        list: the objects.
         on_hold: the button that opens the first object on hold.
         user_name: the box for the user's name.
     """
@@ -45,9 +38,11 @@ class QueuePanel:
         self,
         tab: Tab,
         app_state: AppState,
+        presses: Presses,
         open_object: Callable[[int], None],
         step: Callable[[int], None],
         remember: Callable[[], None],
+        export: Callable[[list[int]], None],
     ) -> None:
         """Make the panel.
 
@@ -55,8 +50,10 @@ class QueuePanel:
             open_object: gets the id of the object that was chosen.
             step: goes to the next object (1) or to the one before (-1).
             remember: is called once the user's name changed.
+            export: gets the ids of objects to export.
         """
         self._tab, self._app_state, self._open_object = tab, app_state, open_object
+        self._export = export
         self._shown: tuple[Any, ...] | None = None
         self._on_hold = 0
         gui, warning = tab.client.gui, palette.SEVERITY_COLORS[Severity.WARNING]
@@ -64,9 +61,7 @@ class QueuePanel:
         with panel.add_tab(words.TITLE, viser.Icon.LIST_DETAILS):
             self._summary = gui.add_markdown("")
             self._bar = gui.add_progress_bar(0.0, color="green")
-            self.list = ObjectList(
-                tab, common.STATES.values(), words.SEARCH_HINT, PAGE, open_object
-            )
+            gui.add_html('<div id="artiworld-queue"></div>')
             self.on_hold = gui.add_button(
                 "", icon=viser.Icon.ALERT_TRIANGLE, color=warning, visible=False,
                 hint=words.ON_HOLD_HINT,
@@ -80,80 +75,67 @@ class QueuePanel:
             )
             self.user_name = UserName(tab, remember)
         panel.dock_left()
-        panel.set_width(230)
+        panel.set_width(250)
         navigate.on_click(
             lambda e: tab.act(lambda: step(1 if e.target.value == common.PREVIOUS_NEXT[1] else -1))
         )
         self.on_hold.on_click(lambda _: tab.act(lambda: open_object(self._on_hold)))
         self._restore.on_click(lambda _: tab.act(lambda: open_object(app_state.queue.restore())))
         upload.on_upload(lambda e: self._uploaded(e.target.value))
+        presses.on("open", lambda id: open_object(int(id)))
+        presses.on("bulk", self._bulk)
+        call_page(tab.client, "Queue.start", _page_words())
 
     def _uploaded(self, file: Any) -> None:
         add = self._app_state.add_upload
         self._tab.act(lambda: self._open_object(add(file.name, file.content)))
 
+    def _bulk(self, message: str) -> None:
+        """Begin what the gallery asks for about the selected objects."""
+        asked = json.loads(message)
+        known = {r.id: r for r in self._app_state.queue.records()}
+        ids = [i for i in map(int, asked["ids"]) if i in known]
+        action, value, bulk = asked["action"], str(asked["value"]), self._app_state.bulk
+        if action == "category":
+            if not value.strip():
+                raise CommandError(words.NO_CATEGORY)
+            bulk.set_category(ids, value.strip(), self._tab.user, self._notify)
+        elif action == "predict":
+            bulk.predict(ids, self._tab.user, self._notify)
+        elif action == "accept":
+            least = _share(value)
+            sure = {i for i in ids if (self._app_state.gallery.confidence(known[i]) or 0) >= least}
+            ids = [i for i in ids if i in sure and known[i].state == "predicted"]
+            bulk.accept(ids, self._tab.user, self._notify)
+        elif action == "export":
+            self._export(ids)
+
+    def _notify(self, title: str, text: str, color: str) -> None:
+        self._tab.notify(title, text, color, elsewhere=True)
+
     def draw(self) -> None:
-        """Bring the page up to date; nothing is sent where nothing changed."""
+        """Bring the panel up to date; nothing is sent where nothing changed."""
         app_state, obj = self._app_state, self._tab.selection.object
         records = app_state.queue.records()
         current = None if obj is None else obj.record.id
-        names = queue_names(records)
-        ids = self.list.page(
-            (Entry(r.id, common.STATES[r.state], names[r.id]) for r in records), current
-        )
-        page = [r for r in records if r.id in ids]
-        running = {r.id: words.CHECKING for r in page if app_state.is_validating(r.id)}
-        running |= {r.id: words.SAVING for r in page if app_state.is_saving(r.id)}
-        on_hold = [r.id for r in records if app_state.on_hold(r)]
-        now = (
-            tuple((r.id, names[r.id], r.state, self._alarm(r)) for r in page), current,
-            self.list.place, tuple(r.state for r in records), app_state.queue.removed, running,
-            on_hold,
-        )  # fmt: skip
+        shown = tuple((r.id, r.state, r.category, app_state.shown_state(r)) for r in records)
+        now = shown, current, app_state.queue.removed, app_state.bulk.progress
         if now == self._shown:
             return
         self._shown = now
-        done = sum(r.state == "accepted" for r in records)
-        put(self._summary, "content", words.progress(done, len(records)))
-        put(self._bar, "value", round(100 * done / max(len(records), 1), 1))
+        counts = Counter(r.state for r in records)
+        today = datetime.now(UTC).date().isoformat()
+        accepted = sum(r.state == "accepted" and r.updated[:10] == today for r in records)
+        put(self._summary, "content", words.progress(dict(counts), accepted))
+        put(self._bar, "value", round(100 * counts["accepted"] / max(len(records), 1), 1))
         removed = app_state.queue.removed
         put(self._restore, "visible", bool(removed))
         if removed:
             name = app_state.store.object(removed[-1]).name
             put(self._restore, "label", words.restore(clipped(name, NAME_LENGTH - 4)))
-        self._draw_on_hold([i for i in on_hold if i != current], names)
-        states = {r.id: running.get(r.id) or self._alarm(r) or common.STATES[r.state] for r in page}
-        self.list.draw(
-            [self._look(r, names[r.id], states[r.id], r.id == current, running) for r in page]
-        )
-        titles = (f"{names[r.id]}: {states[r.id]}" for r in page)
-        uuids = (button._impl.uuid for button in self.list.buttons)
-        title_buttons(self._tab.client, dict(zip(uuids, titles, strict=False)))
-
-    def _look(
-        self, record: ObjectRecord, name: str, state: str, here: bool, running: Mapping[int, str]
-    ) -> ButtonLook:
-        alarm = self._alarm(record)
-        icon = viser.Icon.ALERT_TRIANGLE if alarm else _ICONS[record.state]
-        color = palette.STATE_COLORS[record.state]
-        color = color if here else muted(color)
-        if self._app_state.on_hold(record):
-            color = palette.SEVERITY_COLORS[Severity.WARNING]
-        return ButtonLook(
-            common.SELECTED * here + clipped(name, NAME_LENGTH),
-            viser.Icon.DEVICE_FLOPPY if record.id in running else icon,
-            color,
-            f"{plain(name)}: {state}",
-        )
-
-    def _alarm(self, record: ObjectRecord) -> str:
-        """The reason for attention, or ""."""
-        app_state = self._app_state
-        if record.id in app_state.queue.unreadable:
-            return common.UNREADABLE
-        if why := app_state.on_hold(record):
-            return words.on_hold_because(why)
-        return words.INTERRUPTED if app_state.was_interrupted(record) else ""
+        on_hold = [id for id, _, _, (state, _) in shown if state == "on_hold" and id != current]
+        self._draw_on_hold(on_hold, app_state.gallery.names())
+        call_page(self._tab.client, "Queue.changed", current)
 
     def _draw_on_hold(self, ids: list[int], names: Mapping[int, str]) -> None:
         """Show the button that opens the first object on hold."""
@@ -162,3 +144,26 @@ class QueuePanel:
             name = clipped(names[ids[0]], NAME_LENGTH - 10)
             put(self.on_hold, "label", words.on_hold(name, len(ids) - 1))
             self._on_hold = ids[0]
+
+
+def _page_words() -> dict[str, Any]:
+    return {
+        **words.PAGE_WORDS,
+        "found": str(words.found),
+        "because": str(words.on_hold_because),
+        "states": [[s, common.STATES[s]] for s in words.STATE_ORDER],
+        "sorts": list(words.SORTS.items()),
+        "shown": words.SHOWN,
+        "categories": list(palette.CATEGORIES),
+        "icon": icon(viser.Icon.LAYOUT_GRID),
+    }
+
+
+def _share(percent: str) -> float:
+    try:
+        share = float(percent) / 100
+    except ValueError:
+        share = -1.0
+    if not 0 <= share <= 1:
+        raise CommandError(words.NOT_A_SHARE)
+    return share

@@ -1,12 +1,17 @@
-"""The light of a tab: with reflections, or simple for browsers without a GPU."""
+"""The light of a tab, with or without reflections, and its theme, light or dark."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import viser
 
-from app.viewer.picture.stage import LIGHT_ROOT
+from app.server.pointer_messages import call_page
+from app.viewer.panels.markup import Presses
+from app.viewer.picture.object_picture import ObjectPicture
+from app.viewer.picture.scene_picture import ScenePicture
+from app.viewer.picture.stage import GRID, LIGHT_ROOT, SCENE_ROOT, set_backdrop
 from app.viewer.tab import Tab
 from app.viewer.words import common as words
 
@@ -65,3 +70,29 @@ class LightSwitch:
                     f"{LIGHT_ROOT}/lamp", color=(255, 250, 244), intensity=0.9, position=_BESIDE
                 ),
             ]
+
+
+class Theme:
+    """Light or dark, as the browser's system has it."""
+
+    def __init__(
+        self, tab: Tab, presses: Presses, pictures: tuple[ObjectPicture | ScenePicture, ...]
+    ) -> None:
+        self._tab, self._pictures = tab, pictures
+        self._set("light")
+        presses.on("theme", self._set)
+        call_page(tab.client, "Markup.theme")  # it answers, and again when it changes
+
+    def _set(self, theme: str) -> None:
+        dark = theme == "dark"
+        self._tab.client.gui.configure_theme(
+            show_logo=False, show_share_button=False, dark_mode=dark
+        )
+        scene = self._tab.client.scene
+        set_backdrop(scene, dark=dark)
+        for picture in self._pictures:
+            picture.dark = dark
+        for name in ("/ground", f"{SCENE_ROOT}/ground"):
+            floor: Any = scene.get_handle_by_name(name)
+            if floor is not None:
+                floor.cell_color, floor.section_color = GRID[dark]

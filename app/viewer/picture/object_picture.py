@@ -21,6 +21,7 @@ from app.viewer.picture.label_overlay import LabelOverlay
 from app.viewer.picture.moving_parts import MovingParts
 from app.viewer.picture.overlays import Overlays
 from app.viewer.picture.stage import (
+    GRID,
     LIGHT_ROOT,
     SCENE_ROOT,
     aim,
@@ -50,12 +51,14 @@ class ObjectPicture:
         touch: the box for fingers, or None.
         scan: the drawn object, or None.
         overlay: its labels and marks, or None.
+        dark: whether the floor is drawn for a dark backdrop.
     """
 
     def __init__(self, client: viser.ClientHandle, in_scene: bool = False) -> None:
         self._client = client
         self._scene = client.scene
         self._in_scene = in_scene
+        self.dark = False
         self._forget()
 
     def _forget(self) -> None:
@@ -148,8 +151,8 @@ class ObjectPicture:
             wxyz=vtf.SO3.from_matrix(asset_from_shown[:3, :3]).wxyz,
             cell_size=float(cell),
             section_size=float(2 * cell),
-            cell_color=(205, 210, 216),
-            section_color=(184, 190, 198),
+            cell_color=GRID[self.dark][0],
+            section_color=GRID[self.dark][1],
             infinite_grid=True,
             fade_distance=8 * span,
         )

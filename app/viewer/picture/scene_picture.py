@@ -34,7 +34,14 @@ from app.viewer.picture.scene_nodes import (
     send,
     wxyz_of,
 )
-from app.viewer.picture.stage import SCENE_ROOT, aim, fitting_distance, set_stage, view_direction
+from app.viewer.picture.stage import (
+    GRID,
+    SCENE_ROOT,
+    aim,
+    fitting_distance,
+    set_stage,
+    view_direction,
+)
 
 ROOT = SCENE_ROOT
 Array = npt.NDArray[np.float64]
@@ -59,6 +66,7 @@ class ScenePicture:
         own: whether all objects look as the source has them; else only the static ones do.
         ghosted: the object that is worked on in place, or None.
         camera: where it was before that.
+        dark: whether the floor is drawn for a dark backdrop.
     """
 
     def __init__(self, client: viser.ClientHandle, workspace: SceneWorkspace) -> None:
@@ -79,6 +87,7 @@ class ScenePicture:
             client, f"{ROOT}/ghosts", lambda: self.in_scene(np.array(client.camera.position))
         )
         self.original_colors = False
+        self.dark = False
         self.ghosted: str | None = None
         self.camera: tuple[Any, ...] | None = None
 
@@ -238,8 +247,8 @@ class ScenePicture:
         self._client.scene.add_grid(
             f"{ROOT}/ground", width=4 * span, height=4 * span,
             position=(*bounds.mean(0)[:2], float(bounds[0, 2]) - 2e-3), cell_size=float(cell),
-            section_size=float(2 * cell), cell_color=(205, 210, 216),
-            section_color=(184, 190, 198), infinite_grid=True, fade_distance=6 * span,
+            section_size=float(2 * cell), cell_color=GRID[self.dark][0],
+            section_color=GRID[self.dark][1], infinite_grid=True, fade_distance=6 * span,
         )  # fmt: skip
         if self.ghosted is None and (first or self.camera is None):
             self.frame()

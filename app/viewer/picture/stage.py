@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -13,21 +13,31 @@ from model.geometry.crop import ROOM_METRES
 FIELD_OF_VIEW = 0.7
 SCENE_ROOT = "/world"
 """Node above all that belongs to a scene around the object."""
+_LIGHT = (222.0, 228.0, 236.0), (243.0, 244.0, 246.0)
+_DARK = (58.0, 64.0, 72.0), (36.0, 39.0, 44.0)
+"""RGB of the backdrop at its top and its bottom."""
 LIGHT_ROOT = "/light"
 """Node above the lights that the user chose."""
 
 
 def set_stage(scene: viser.SceneApi) -> None:
-    """Light and backdrop."""
+    """Light of the picture."""
     scene.configure_default_lights(cast_shadow=False)
-    scene.set_background_image(_backdrop(), format="png")
 
 
-def _backdrop() -> npt.NDArray[np.uint8]:
-    """A soft vertical gradient, so that white scans stand out."""
+def set_backdrop(scene: viser.SceneApi, *, dark: bool) -> None:
+    """A soft vertical gradient, so that white scans stand out, and black ones in the dark."""
     t = np.linspace(0.0, 1.0, 128)[:, None, None]
-    top, bottom = np.array([222.0, 228.0, 236.0]), np.array([243.0, 244.0, 246.0])
-    return np.repeat(top + t * (bottom - top), 4, axis=1).astype(np.uint8)
+    top, bottom = _DARK if dark else _LIGHT
+    image = np.array(top) + t * (np.array(bottom) - top)
+    scene.set_background_image(np.repeat(image, 4, axis=1).astype(np.uint8), format="png")
+
+
+GRID: Final[dict[bool, tuple[tuple[int, int, int], ...]]] = {
+    False: ((205, 210, 216), (184, 190, 198)),
+    True: ((66, 71, 79), (84, 90, 99)),
+}
+"""Colors of cells and sections of the floor, by whether it is dark."""
 
 
 def may_be_a_room(bounds: npt.NDArray[np.floating]) -> bool:

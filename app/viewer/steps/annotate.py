@@ -11,11 +11,11 @@ from app.server.open_object import OpenObject
 from app.viewer.input.pointing import Pointing
 from app.viewer.panels.category_guess import CategoryGuess
 from app.viewer.panels.choice import Choice
+from app.viewer.panels.markup import Presses
 from app.viewer.panels.part_list import PartList
 from app.viewer.panels.predict_buttons import PredictButtons
 from app.viewer.panels.prompt_list import PromptList
 from app.viewer.panels.source_panel import SourcePanel
-from app.viewer.panels.tool_buttons import ToolButtons
 from app.viewer.panels.widgets import put
 from app.viewer.picture import palette
 from app.viewer.picture.stage import may_be_a_room
@@ -36,10 +36,10 @@ class AnnotateStep:
         records: the queue.
         open_object: gets the id of an object that was cut out.
         prepare: the step before.
+        presses: of the controls of our own.
 
     Attributes:
         parts: the list of parts.
-        tools: the buttons of the tools.
         source: how the source is read, and what of it is left out.
     """
 
@@ -50,6 +50,7 @@ class AnnotateStep:
         records: Callable[[], Sequence[ObjectRecord]],
         open_object: Callable[[int], None],
         prepare: PrepareStep,
+        presses: Presses,
     ) -> None:
         self._tab, self._pointing, self._prepare = tab, pointing, prepare
         self._drawn: Any = None
@@ -67,8 +68,7 @@ class AnnotateStep:
         self._guess = CategoryGuess(
             tab, records, lambda category: tab.do(cmd.SetCategory(category))
         )
-        self.parts = PartList(tab, pointing)
-        self.tools = ToolButtons(tab, pointing)
+        self.parts = PartList(tab, pointing, presses)
         self._prompts = PromptList(tab)
         self.source = SourcePanel(tab, open_object)
         self._room.on_click(lambda _: tab.act(self._room_clicked))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Final
 
 from app.server.tool_tasks import NEXT_MASK
@@ -43,7 +42,8 @@ SUGGESTIONS_HINT: Final = (
 NO_SUGGESTION: Final = "No category is suggested"
 PARTS: Final = "Parts"
 PART: Final = "Part"
-PART_ACTIONS: Final = ("Add", "Hide", "Delete")
+ADD_PART: Final = "Add part"
+DELETE_THIS: Final = "Delete (Delete)"
 PART_NAME: Final = ("Part name", "Other name")
 UNNAMED, BASE = "part", "base"
 BASE_HAS_NO_NAME: Final = "Part 0 is the base: select another part"
@@ -51,6 +51,11 @@ DELETE: Final = "Delete"
 DELETE_ELSEWHERE: Final = "Parts are deleted in the Annotate step"
 DELETE_BASE: Final = "Part 0 is the base and can't be deleted"
 quick_names = Message("Shift+{first}…{last}")
+
+
+def part_hide(hidden: bool) -> str:
+    """The button that hides a part."""
+    return "Show (H)" if hidden else "Hide (H)"
 
 
 def part_button(part: int, name: str, share: str, hidden: bool) -> str:
@@ -71,62 +76,33 @@ def named_too(name: str, count: int) -> tuple[str, str]:
 # --- tools
 
 
-@dataclass(frozen=True)
-class ToolRow:
-    """A row of tools.
-
-    Attributes:
-        label: of the row.
-        tools: button → the tool's recorded name.
-        hint: what each does.
-    """
-
-    label: str
-    tools: dict[str, str]
-    hint: str
-
-
-TOOLS: Final = "Tools"
-TOOL_ROWS: Final[tuple[ToolRow, ...]] = (
-    ToolRow(
-        "Select",
-        {"Lasso": "lasso", "Brush": "brush"},
-        "Lasso (L) and brush (I): drag; Shift subtracts",
-    ),
-    ToolRow(
-        "Cut",
-        {"Line": "cut", "Rectangle": "rectangle"},
-        "Line (K): click two points; the part is cut along the line. Rectangle (K twice): click "
-        "two opposite corners of a door or drawer. Large faces are split",
-    ),
-    ToolRow(
-        "Mask",
-        {"Next": NEXT_MASK, "Connected": "connected"},
-        "Next (Tab, Shift+Tab back): another mask for the last click. Connected (O): add "
-        "everything connected to it",
-    ),
-    ToolRow(
-        "Size",
-        {"Grow": "grow", "Shrink": "shrink"},
-        "Grow (U) or shrink (J) by one ring of neighbors, never across a gap",
-    ),
-    ToolRow(
-        "Find",
-        {"Same shape": "same shape", "Mirror": "mirror", "All parts": "propose"},
-        "Same shape (Z): make parts of all pieces of this shape, such as knobs. Mirror: the "
-        "counterpart across the symmetry plane. All parts: segment everything",
-    ),
-    ToolRow(
-        "Clean up",
-        {"Merge": "merge", "Split": "split", "Fragments": "leftovers"},
-        "Merge (M): click the part to merge into the selected one. Split: one part per connected "
-        "piece. Fragments: assign small pieces to the part that they touch",
-    ),
+TOOL_ROWS: Final[tuple[dict[str, str], ...]] = (
+    {"lasso": "Lasso", "brush": "Brush", "cut": "Line", "rectangle": "Rectangle"},
+    {NEXT_MASK: "Next", "connected": "Connected", "grow": "Grow", "shrink": "Shrink"},
+    {"same shape": "Same shape", "mirror": "Mirror", "propose": "All parts"},
+    {"merge": "Merge", "split": "Split", "leftovers": "Fragments"},
 )
-PREVIEW: Final = "Preview (V)"
-PREVIEW_HINT: Final = "Dots show what a click would select"
+"""The tool's recorded name → its button, by what they are for."""
+TOOL_TIPS: Final[dict[str, str]] = {
+    "lasso": "Lasso (L): draw around what to add; Shift subtracts",
+    "brush": "Brush (I): paint what to add; Shift subtracts; [ ] size",
+    "cut": "Cut along a line (K): click two points",
+    "rectangle": "Cut out a rectangle (K, K): click opposite corners of a door or drawer",
+    NEXT_MASK: "Next mask for the last click (Tab; Shift+Tab: previous)",
+    "connected": "Connected (O): add everything connected to the last click",
+    "grow": "Grow (U) by one ring of neighbors, never across a gap",
+    "shrink": "Shrink (J) by one ring of neighbors",
+    "same shape": "Same shape (Z): make parts of all pieces of this shape, such as knobs",
+    "mirror": "Mirror: the counterpart across the symmetry plane",
+    "propose": "All parts: segment everything",
+    "merge": "Merge (M): click the part to merge into the selected one",
+    "split": "Split: one part per connected piece",
+    "leftovers": "Fragments: assign small pieces to the part that they touch",
+}
+PREVIEW: Final = "Preview"
+PREVIEW_HINT: Final = "Preview (V): dots show what a click would select"
 TOUCH: Final = "Touch screen"
-TOUCH_HINT: Final = "Taps select, without keys"
+TOUCH_HINT: Final = "Touch screen: taps select, without keys"
 CUT, CUT_RECTANGLE, NEXT = "Cut", "Cut a rectangle", "Next mask"
 NOTHING_FOUND: Final[dict[str, str]] = {
     "split": "The part is one connected piece",
@@ -197,13 +173,14 @@ hint_mask = Message("Mask {number} of {total} · Tab: next · Shift+Tab: previou
 
 PROMPTS: Final = "Prompts"
 PROMPTS_REMOVE: Final = "Remove"
+PROMPT_LIST: Final = "One by one"
 PROMPT_ACTIONS: Final = ("Last", "This part", "All")
 NO_PROMPTS: Final = "No prompts yet."
 NONE_ON_PART: Final = "This part has no prompts"
 OTHER_MASK: Final = "other mask"
 OTHER_TOOLS: Final[dict[str, str]] = {"box": "Box", "source": "From the file"}
 """Recorded names that no button has."""
-prompt_count = Message("{here} on this part, {total} in total. Click one to remove it.")
+prompt_count = Message("{here} on this part, {total} in total.")
 
 
 def prompt_click(sign: str, position: tuple[float, float, float]) -> str:
@@ -219,7 +196,7 @@ def prompt_region(sign: str, tool: str, count: int, kind: str) -> str:
 
 def tool_label(tool: str) -> str:
     """A recorded tool as on its button."""
-    labels = {name: label for row in TOOL_ROWS for label, name in row.tools.items()}
+    labels = {name: label for row in TOOL_ROWS for name, label in row.items()}
     return (labels | OTHER_TOOLS).get(tool, tool.capitalize())
 
 

@@ -17,7 +17,6 @@ CANCEL: Final = "Cancel"
 HISTORY_ACTIONS: Final = ("Undo", "Redo")
 PLAY_ONE: Final = "▶ / ■"
 EDIT: Final = "Edit"
-STEP: Final = "Step"
 NAVIGATE: Final = "Navigate"
 PREVIOUS_NEXT: Final = ("Previous (B)", "Next (N)")
 PAGE: Final = "Page"
@@ -53,8 +52,15 @@ RETRY: Final = "Retry"
 REMOVE: Final = "Remove"
 REMOVE_HINT: Final = "Removes it from the queue; the file and all decisions stay"
 CANCEL_ACCEPTANCE: Final = "Cancel acceptance (Esc)"
-PLAYBACK: Final = "Motion"
-PLAYBACK_ACTIONS: Final = ("Play / stop (Space)", "Reset pose (R)")
+UNDO_TIP, REDO_TIP = "Undo (Ctrl+Z)", "Redo (Ctrl+Shift+Z)"
+PLAY, RESET_POSE = "Play / stop (Space)", "Reset pose (R)"
+STEP_TIPS: Final[dict[str, str]] = {
+    "Prepare": "Level, size and clean the scan",
+    "Annotate": "Click on each part that moves",
+    "Joints": "How the parts move",
+    "Review": "Checks, then accept or reject",
+}
+DONE, ATTENTION, REFUSED = "done", "needs a decision", "rejected"
 STALE: Final = "⚠ Parts changed since the prediction. Predict again (P)"
 NEW_FIXED: Final = "is new and stays fixed until you predict again (P)"
 PREDICT: Final = "Predict joints (P)"

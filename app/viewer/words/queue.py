@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Final
 
+from app.viewer.words.common import STATES, UNREADABLE
 from app.viewer.words.message import Message
 
 TITLE: Final = "Queue"
-SEARCH_HINT: Final = "Part of the name"
 ON_HOLD_HINT: Final = "Accepted before the checks were done, which then found problems"
 UPLOAD: Final = "Add files"
 UPLOAD_HINT: Final = (
@@ -17,10 +17,19 @@ UPLOAD_HINT: Final = (
 CHECKING: Final = "checking, then accepted"
 SAVING: Final = "saving"
 INTERRUPTED: Final = "acceptance was interrupted"
-EMPTY: Final = ("The queue is empty", "Start with: artiworld serve PATH")
+HELD: Final = "on hold"
+EMPTY: Final = ("The queue is empty", "Add files, or start with: artiworld serve PATH")
 ALL_ACCEPTED: Final = "All other objects are accepted"
-progress = Message("**{accepted} of {total}** accepted")
 restore = Message("Restore {name}")
+STATE_ORDER: Final = ("accepted", "predicted", "in_progress", "todo", "rejected")
+
+
+def progress(counts: dict[str, int], today: int) -> str:
+    """How far all objects are, and how many of them were accepted today."""
+    total, done = sum(counts.values()), counts.get("accepted", 0)
+    others = [f"{counts[s]} {STATES[s]}" for s in STATE_ORDER[1:] if counts.get(s)]
+    first = f"**{done} of {total} accepted**" + (f", {today} today" if today else "")
+    return " · ".join([first, *others])
 
 
 def on_hold(name: str, others: int) -> str:
@@ -29,3 +38,46 @@ def on_hold(name: str, others: int) -> str:
 
 
 on_hold_because = Message("on hold: {why}")
+# --- the list and the gallery
+
+PAGE_WORDS: Final[dict[str, str]] = {
+    "title": TITLE,
+    "search": "Search",
+    "filter": "Show",
+    "sort": "Sort by",
+    "all": "All states",
+    "gallery": "Gallery or list",
+    "empty": "Nothing found. Clear the search, or add files below.",
+    "category": "Category",
+    "above": "Minimum confidence in percent",
+    "pick": "Select",
+    "picked": "selected",
+    "pickAll": "Select all",
+    "clear": "Clear",
+    "set": "Set",
+    "setCategory": "Set the category of the selected objects",
+    "predict": "Predict",
+    "accept": "Accept from",
+    "exportThem": "Export…",
+}
+"""What the page's own script shows of the queue, by the names that it has for it."""
+found = Message("{count} objects · {today} accepted today")
+SORTS: Final[dict[str, str]] = {
+    "order": "Order",
+    "name": "Name",
+    "category": "Category",
+    "state": "State",
+    "who": "Person",
+    "confidence": "Confidence",
+    "recent": "Recent",
+}
+SHOWN: Final[dict[str, str]] = {
+    **STATES,
+    "unreadable": UNREADABLE,
+    "saving": SAVING,
+    "validating": CHECKING,
+    "on_hold": HELD,
+    "interrupted": INTERRUPTED,
+}
+NOT_A_SHARE: Final = "the confidence must be between 0 and 100 percent"
+NO_CATEGORY: Final = "choose a category first"

@@ -1,0 +1,185 @@
+"""Work on many objects of the queue, one after the other: it is shown, and can be cancelled."""
+
+from __future__ import annotations
+
+import datetime
+import logging
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from app.server.accepting import accept
+from app.server.export_tasks import ExportTask, export_one
+from app.server.job import Job, WorkerDied
+from app.server.open_object import OpenObject
+from app.server.services import Services
+from model.core.errors import ArtiworldError, CommandError
+from model.core.progress import Cancelled
+from sessions import commands as cmd
+
+log = logging.getLogger(__name__)
+POLL_SECONDS = 0.05
+Notify = Callable[[str, str, str], None]
+"""Gets title, text and color of a note."""
+
+
+class BulkWork:
+    """One action on many objects at a time, for all tabs.
+
+    Args:
+        open_object: opens an object by its id.
+
+    Attributes:
+        progress: (share 0..1, text) of what runs; None where nothing does.
+    """
+
+    def __init__(self, services: Services, open_object: Callable[[int], OpenObject]) -> None:
+        self._services, self._open = services, open_object
+        self._cancelled = threading.Event()
+        self._lock = threading.Lock()
+        self._job: Job[Any] | None = None
+        self.progress: tuple[float, str] | None = None
+
+    def cancel(self) -> None:
+        """Stop after what runs now, and that, too, where it can be."""
+        self._cancelled.set()
+        job = self._job
+        if job is not None:
+            job.cancel()
+
+    def set_category(self, ids: Sequence[int], category: str, who: str, notify: Notify) -> None:
+        """Set the category of objects."""
+
+        def one(id: int) -> None:
+            session = self._services.hub.session(id)
+            if session.document.review.state == "accepted":
+                raise CommandError("accepted: reopen it first")
+            if session.document.category != category:
+                session.do(cmd.SetCategory(category), who)
+                self._services.queue.refresh(id)
+
+        self._start(f"Category {category}", ids, one, notify)
+
+    def predict(self, ids: Sequence[int], who: str, notify: Notify) -> None:
+        """Predict the joints of objects that have parts."""
+
+        def one(id: int) -> None:
+            obj = self._opened(id)
+            if obj.document.segmentation is None:
+                raise CommandError("no parts yet")
+            self._wait(lambda: obj.document.segmentation_current)
+            obj.predict(who)
+            self._wait(lambda: "predict" not in obj.jobs)
+            if obj.document.tree is None:
+                raise CommandError("no prediction")
+
+        self._start("Predict", ids, one, notify)
+
+    def accept(self, ids: Sequence[int], who: str, notify: Notify) -> None:
+        """Accept objects; those with warnings that nobody was shown are put on hold."""
+
+        def one(id: int) -> None:
+            obj = self._opened(id)
+            if obj.document.review.state == "accepted":
+                return
+            refused: list[CommandError] = []
+            at = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+            accept(obj, "", who, at, refused=refused.append)
+            self._wait(lambda: bool(refused) or not obj.being_accepted)
+            if obj.document.review.state != "accepted":
+                raise CommandError("on hold: see its warnings" if refused else "not accepted")
+
+        self._start("Accept", ids, one, notify)
+
+    def export(
+        self, ids: Sequence[int], task_of: Callable[[Path], ExportTask], notify: Notify,
+        done: Callable[[], None],
+    ) -> None:  # fmt: skip
+        """Export the saved assets of accepted objects; ``done`` once all files are there."""
+
+        def one(id: int) -> None:
+            saved = self._services.hub.session(id).document.saved
+            if saved is None or not Path(saved.folder).is_dir():
+                raise CommandError("not accepted: it has no asset yet")
+            job = self._services.workers.saving.submit(
+                export_one, task_of(Path(saved.folder)), on_progress=self._within
+            )
+            report = self._result(job)
+            wrong = [p for f in report["formats"] for p in f.get("problems", ())]
+            if wrong:
+                raise CommandError(wrong[0])
+
+        self._start("Export", ids, one, notify, done)
+
+    # --- running
+
+    def _start(
+        self, what: str, ids: Sequence[int], one: Callable[[int], None], notify: Notify,
+        done: Callable[[], None] | None = None,
+    ) -> None:  # fmt: skip
+        with self._lock:
+            if self.progress is not None:
+                raise CommandError(f"“{self.progress[1]}” still runs: wait for it or cancel it")
+            if not ids:
+                raise CommandError("no objects are selected")
+            self.progress = 0.0, what
+        self._cancelled.clear()
+        args = (what, tuple(ids), one, notify, done)
+        threading.Thread(target=self._run, args=args, name="bulk work", daemon=True).start()
+
+    def _run(
+        self, what: str, ids: tuple[int, ...], one: Callable[[int], None], notify: Notify,
+        done: Callable[[], None] | None,
+    ) -> None:  # fmt: skip
+        refused: Counter[str] = Counter()
+        count = 0
+        try:
+            for k, id in enumerate(ids):
+                self.progress = k / len(ids), f"{what}: {k + 1} of {len(ids)}"
+                self._services.queue.changed()
+                try:
+                    one(id)
+                    count += 1
+                except (ArtiworldError, WorkerDied) as error:
+                    refused[str(error)[:120]] += 1
+            if done is not None and count:
+                done()
+        except Cancelled:
+            refused["cancelled"] = len(ids) - count - refused.total()
+        except Exception:  # a thread's boundary
+            log.exception("%s failed", what)
+            refused["failed; see the server's log"] += 1
+        finally:
+            self.progress = None
+        why = "".join(f". {n}: {text}" for text, n in refused.most_common(3))
+        notify(what, f"{count} of {len(ids)} done{why}", "orange" if refused else "green")
+        self._services.queue.changed()
+
+    def _within(self, share: float, _: str) -> None:
+        """The share of the export of one object; the list shows how many are done."""
+        if self.progress is not None and share >= 1.0:
+            self._services.queue.changed()
+
+    def _opened(self, id: int) -> OpenObject:
+        obj = self._open(id)
+        self._wait(lambda: obj.asset is not None or obj.problem is not None)
+        if obj.problem is not None:
+            raise CommandError("it can't be read")
+        return obj
+
+    def _wait(self, ready: Callable[[], bool]) -> None:
+        while not ready():
+            if self._cancelled.is_set():
+                raise Cancelled
+            time.sleep(POLL_SECONDS)
+
+    def _result(self, job: Job[Any]) -> Any:
+        self._job = job
+        try:
+            self._wait(lambda: job.done)
+            return job.result()
+        finally:
+            self._job = None

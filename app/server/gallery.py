@@ -1,0 +1,182 @@
+"""The queue as the page asks for it: a piece of the sorted list, and thumbnails."""
+
+from __future__ import annotations
+
+from collections import Counter, OrderedDict
+from collections.abc import Callable, Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from threading import Lock
+from typing import Any, Final
+
+from app.server.job import Job
+from app.server.queue_names import queue_names
+from app.server.services import Services
+from app.server.tasks import ReadOptions, stamp_if_there
+from app.server.thumbnail_tasks import draw_thumbnail
+from sessions.records import ObjectRecord
+
+MOST_ROWS = 200
+"""In one answer."""
+MOST_WAITING = 60
+"""Thumbnails to draw: those that were asked for before are off the screen by now."""
+DRAW_SECONDS = 120.0
+"""Longest drawing of one."""
+_STATES = ("rejected", "in_progress", "todo", "predicted", "accepted")
+SORTS: Final[tuple[str, ...]] = (
+    "order", "name", "category", "state", "who", "confidence", "recent",
+)  # fmt: skip
+
+
+class Gallery:
+    """What the page shows of the queue; its methods may be called on any thread.
+
+    Args:
+        confidence: gives that of a predicted object, 0..1.
+        shown: gives the state of an object with what runs on it, and why it needs attention.
+    """
+
+    def __init__(
+        self,
+        services: Services,
+        confidence: Callable[[ObjectRecord], float],
+        shown: Callable[[ObjectRecord], tuple[str, str]],
+    ) -> None:
+        self._services, self._confidence, self._shown = services, confidence, shown
+        self._lock = Lock()
+        self._names: tuple[tuple[int, ...], dict[int, str]] = ((), {})
+        self._drawn: dict[tuple[int, str], tuple[Any, Path | None]] = {}
+        self._drawing: OrderedDict[tuple[int, str], Job[Path]] = OrderedDict()
+
+    # --- the list
+
+    def rows(self, query: Mapping[str, str]) -> dict[str, Any]:
+        """A piece of the list.
+
+        Args:
+            query: "first" and "count" of the piece; "search", "state" and "sort" of the list;
+                "current" is the id of an object whose place is asked for; "ids" for all ids.
+        """
+        records = self._services.queue.records()
+        chosen = self.chosen(query.get("search", ""), query.get("state", ""), query.get("sort", ""))
+        if query.get("ids"):
+            return {"ids": [r.id for r in chosen]}
+        first = max(_number(query.get("first"), 0), 0)
+        count = min(max(_number(query.get("count"), 60), 1), MOST_ROWS)
+        current = _number(query.get("current"), -1)
+        names, today = self.names(), datetime.now(UTC).date().isoformat()
+        return {
+            "total": len(chosen),
+            "all": len(records),
+            "states": Counter(r.state for r in records),
+            "today": sum(r.state == "accepted" and r.updated[:10] == today for r in records),
+            "at": next((i for i, r in enumerate(chosen) if r.id == current), -1),
+            "rows": [self._row(r, names[r.id]) for r in chosen[first : first + count]],
+        }
+
+    def names(self) -> dict[int, str]:
+        """Id → name of all objects of the queue."""
+        records = self._services.queue.records()
+        ids = tuple(r.id for r in records)
+        if ids != self._names[0]:
+            self._names = ids, queue_names(records)
+        return self._names[1]
+
+    def chosen(self, search: str, state: str, sort: str) -> list[ObjectRecord]:
+        """The objects whose name or category holds the words, in order."""
+        names, words = self.names(), search.lower().split()
+        found = [
+            r for r in self._services.queue.records()
+            if (not state or r.state == state)
+            and all(w in f"{names.get(r.id, '')} {r.category or ''}".lower() for w in words)
+        ]  # fmt: skip
+        key = self._key(sort, names)
+        return found if key is None else sorted(found, key=key, reverse=sort == "recent")
+
+    def _key(self, sort: str, names: dict[int, str]) -> Callable[[ObjectRecord], Any] | None:
+        return {
+            "name": lambda r: names.get(r.id, "").lower(),
+            "category": lambda r: (r.category is None, r.category or ""),
+            "state": lambda r: _STATES.index(r.state),
+            "who": lambda r: (not r.who, r.who),
+            "confidence": lambda r: (r.state != "predicted", self.confidence(r) or 0.0),
+            "recent": lambda r: r.updated,
+        }.get(sort)
+
+    def confidence(self, record: ObjectRecord) -> float | None:
+        """Of a prediction that isn't decided, 0..1; None where there is none."""
+        if record.state != "predicted":
+            return None
+        return self._confidence(record)
+
+    def _row(self, record: ObjectRecord, name: str) -> dict[str, Any]:
+        shown, why = self._shown(record)
+        return {
+            "id": record.id, "name": name, "state": record.state, "shown": shown, "why": why,
+            "category": record.category or "", "who": record.who if record.seq else "",
+            "confidence": self.confidence(record),
+        }  # fmt: skip
+
+    # --- thumbnails
+
+    def thumbnail(self, object_id: int) -> bytes | None:
+        """The picture of an object; None while it is drawn, or where it can't be."""
+        record = next((r for r in self._services.queue.records() if r.id == object_id), None)
+        if record is None:
+            return None
+        key, now = (object_id, record.state), stamp_if_there(record.path)
+        with self._lock:
+            known, path = self._drawn.get(key, (None, None))
+            if known != now:
+                self._ask(key, record, now)
+                return None
+        try:
+            return None if path is None else path.read_bytes()
+        except OSError:  # the folder was cleared
+            self._drawn.pop(key, None)
+            return None
+
+    def _ask(self, key: tuple[int, str], record: ObjectRecord, now: Any) -> None:
+        """Have it drawn, before those that were asked for earlier."""
+        if key in self._drawing:
+            self._drawing.move_to_end(key)
+            return
+        workers = self._services.workers
+        if workers.closing:
+            return
+        job = workers.readers[-1].submit(
+            draw_thumbnail,
+            record.path,
+            self._services.workspace,
+            self._options(record),
+            priority=-1,  # reading what somebody opens goes first
+            most_seconds=DRAW_SECONDS,
+        )
+        self._drawing[key] = job
+        job.add_done_callback(lambda job: self._ended(key, now, job))
+        while len(self._drawing) > MOST_WAITING:
+            self._drawing.popitem(last=False)[1].cancel()
+
+    def _ended(self, key: tuple[int, str], now: Any, job: Job[Path]) -> None:
+        with self._lock:
+            self._drawing.pop(key, None)
+            if job.state == "done":
+                self._drawn[key] = now, job.result()
+            elif job.state == "failed":
+                self._drawn[key] = now, None
+
+    def _options(self, record: ObjectRecord) -> ReadOptions:
+        """How the object is read, as far as that shows."""
+        config = self._services.config
+        if not record.seq:
+            return ReadOptions(config.up_axis, config.unit_scale)
+        doc = self._services.store.load(record.id).present
+        up_axis, scale = doc.up_axis or config.up_axis, doc.unit_scale * config.unit_scale
+        return ReadOptions(up_axis, scale, frame=doc.frame)
+
+
+def _number(text: str | None, otherwise: int) -> int:
+    try:
+        return int(text or otherwise)
+    except ValueError:
+        return otherwise
