@@ -163,6 +163,8 @@ METRICS: tuple[Metric, ...] = (
            _over_joints(lambda j: j.parent_right)),
     Metric("range_right", "range %", "%", True, "share of true joints with a usable range", _OURS,
            _over_joints(lambda j: j.range_right)),
+    Metric("range_iou", "range overlap", "", True, "intersection over union of the two ranges, "
+           "limited in both and of one type", _OURS, _over_joints(lambda j: j.range_iou)),
     Metric("tree_edits", "tree edits", "edits", False, "tree edit distance: parts on a wrong "
            "parent, missing or extra, a mean over objects", "Zhang and Shasha (1989), known nodes",
            _over_objects(lambda o: o.tree_edits)),

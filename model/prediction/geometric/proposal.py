@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
 
+from model.core.files import read_json
 from model.core.joint import Joint, JointType, canonical_axis_sign
 from model.core.motion_lexicon import Mechanism
+from model.core.part_names import known_word, words
+from model.core.resources import static_assets
 from model.prediction.explanation import Reason
 from model.prediction.geometric.sampled_object import SampledObject
 
@@ -83,6 +88,14 @@ def distinct_motions(proposals: list[JointProposal]) -> list[JointProposal]:
     return kept
 
 
+@lru_cache(maxsize=1024)
+def usual_stop(name: str | None) -> float:
+    """Metres after which a part of this name usually stops, infinite where none is known."""
+    stops = read_json(static_assets() / "physics" / "stops.json")["stops"]
+    known = (known_word(w, tuple(stops)) for w in words(name))
+    return min((float(stops[w]["metres"]) for w in known if w is not None), default=math.inf)
+
+
 def joints_of(
     sampled: SampledObject, part: int, parent: int, proposal: JointProposal
 ) -> list[Joint]:
@@ -93,6 +106,9 @@ def joints_of(
     origin = _three(frame.point_in_object(proposal.origin))
     scale = 1.0 if proposal.type in ("revolute", "continuous") else frame.diagonal
     lower, upper = proposal.lower * scale, proposal.upper * scale
+    if proposal.type == "prismatic":
+        stop = usual_stop(sampled.shapes[part].name)
+        lower, upper = max(lower, -stop), min(upper, stop)
     joint = Joint(f"joint_{link}", proposal.type, above, link, axis, origin, lower, upper)
     if proposal.travel is None:
         return [canonical_axis_sign(joint)]
