@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+import trimesh
 from scipy.spatial.transform import Rotation
 
 from model.core.asset import Asset
@@ -50,3 +51,22 @@ def raw_scan(
     moved = points @ frame[:3, :3].T + frame[:3, 3]
     write_cloud(PointCloud(moved.astype(np.float32), None, colors.astype(np.uint8)), out)
     return frame
+
+
+def saved_along_another_axis(
+    asset: Asset, path: Path, turn: npt.NDArray[np.float64] | None = None
+) -> Path:
+    """Write an upright asset so that it is read lying on its back, or under ``turn`` (3, 3)."""
+    y_up = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
+    read_as_y_up = path.suffix in (".obj", ".glb")
+    if turn is None:
+        turn = np.eye(3) if read_as_y_up else y_up
+    elif read_as_y_up:
+        turn = y_up @ turn
+    if asset.cloud is not None:
+        points = (asset.cloud.points @ turn.T).astype(np.float32)
+        write_cloud(PointCloud(points, None, asset.cloud.colors), path)
+        return path
+    assert asset.mesh is not None
+    trimesh.Trimesh(asset.mesh.vertices @ turn.T, asset.mesh.faces, process=False).export(path)
+    return path

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from app.cli.output import check_output, other_files_error
 from model.core.articulated_object import ArticulatedObject, Prediction, SegmentedObject, remarks_of
@@ -21,6 +22,7 @@ from model.core.progress import Progress, no_progress, scaled_progress
 from model.core.tree import KinematicTree
 from model.geometry import completion
 from model.geometry.prepare import tilt_remark
+from model.geometry.sampling import sample_surface
 from model.io.assets.asset_folder import write_asset
 from model.io.file_names import FileNames
 from model.io.open_asset import read_part_files
@@ -31,6 +33,8 @@ from model.prediction.registry import DEFAULT, load_predictor
 FORMAT = 1
 """Version of ``prediction.json``."""
 PREDICTION_JSON = "prediction.json"
+_SAMPLES = 100_000
+"""Points of meshes that are looked at for their up direction."""
 URDF_PRECISION = 1e-5
 """Metres or radians: a saved URDF rounds numbers to less than this."""
 
@@ -83,10 +87,8 @@ def predict(
     report = prediction_json(segmented, answer)
     if remark := category_remark(category):
         report["problems"].insert(0, remark)
-    scans = [p.cloud.points for p in segmented.parts if p.mesh is None and p.cloud is not None]
-    if scans:
-        whole = Asset(segmented.name, cloud=PointCloud(np.concatenate(scans)))
-        report["problems"] += filter(None, [tilt_remark(whole)])
+    whole = Asset(segmented.name, cloud=PointCloud(_points(segmented)))
+    report["problems"] += filter(None, [tilt_remark(whole, declared=not _scanned(segmented))])
     if answer.tree is None:
         write_json(out / PREDICTION_JSON, report)
         why = "; ".join(answer.problems) or "no reason was given"
@@ -140,6 +142,23 @@ def _named_for_files(
         replace(segmented, parts=parts, inertials=inertials, shapes=shapes),
         replace(answer, tree=names.tree(tree), confidence=confidence, notes=notes),
     )
+
+
+def _scanned(segmented: SegmentedObject) -> bool:
+    return any(p.mesh is None for p in segmented.parts)
+
+
+def _points(segmented: SegmentedObject) -> npt.NDArray[np.float32]:
+    """(N, 3) of all surfaces."""
+    meshes = [p.mesh for p in segmented.parts if p.mesh is not None]
+    area = max(sum(float(m.face_areas.sum()) for m in meshes), 1e-12)
+    rng = np.random.default_rng(0)
+    sampled = [
+        sample_surface(m, 1 + int(_SAMPLES * m.face_areas.sum() / area), rng)[0].points
+        for m in meshes if m.face_areas.sum() > 0
+    ]  # fmt: skip
+    scans = [p.cloud.points for p in segmented.parts if p.mesh is None and p.cloud is not None]
+    return np.concatenate([*sampled, *scans])
 
 
 def _check_replaceable(out: Path) -> None:

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from app.cli.output import check_output
+from model.core.asset import Source
 from model.core.files import write_json
 from model.core.progress import Progress, no_progress, scaled_progress
 from model.core.rotations import affine
-from model.geometry.prepare import Prepared, PrepareSettings, prepare
+from model.geometry.prepare import Prepared, PrepareSettings, Vector, prepare
+from model.io.geometry_files import default_up_axis, turned_up
 from model.io.open_asset import open_asset
 from model.io.write.glb import mesh_to_glb
 from model.io.write.meshes import write_cloud
@@ -33,7 +37,12 @@ def prepare_files(
             written.
     """
     check_output(out, scan, *([] if scan.is_dir() else [scan.parent]))
-    asset = open_asset(scan, up_axis="z", progress=scaled_progress(progress, 0.0, 0.4))
+    axis = "z" if settings.up is not None or scan.is_dir() else default_up_axis(scan)
+    asset = open_asset(scan, up_axis=axis, progress=scaled_progress(progress, 0.0, 0.4))
+    turn = turned_up(axis)
+    if settings.length is not None:
+        a, b, metres = settings.length
+        settings = replace(settings, length=(_turned(turn, a), _turned(turn, b), metres))
     found = prepare(asset, settings, scaled_progress(progress, 0.4, 0.5))
     progress(0.9, f"writing {out}")
     out.mkdir(parents=True, exist_ok=True)
@@ -48,11 +57,11 @@ def prepare_files(
     report = {
         "format": FORMAT,
         "object": target.name,
-        "object_from_source": _from_file(found, asset.source.shift if asset.source else (0, 0, 0)),
-        "up_in_source": list(found.levelling.up),
+        "object_from_source": _from_file(found, asset.source, turn),
+        "up_in_source": _turned(turn.T, found.levelling.up),
         "confidence": round(found.levelling.confidence, 4),
         "tilt_degrees": round(float(np.degrees(found.levelling.tilt)), 2),
-        "alternatives": [list(v) for v in found.levelling.alternatives],
+        "alternatives": [_turned(turn.T, v) for v in found.levelling.alternatives],
         "size": np.ptp(found.asset.bounds, axis=0).round(6).tolist(),
         "kept": "kept.npy",
         "elements": {"of": asset.element_kind, "kept": len(found.kept)},
@@ -65,7 +74,14 @@ def prepare_files(
     return report
 
 
-def _from_file(found: Prepared, shift: tuple[float, float, float]) -> list[list[float]]:
+def _from_file(
+    found: Prepared, source: Source | None, turn: npt.NDArray[np.float64]
+) -> list[list[float]]:
     """(4, 4) object_from_source of the file's own numbers, row by row."""
-    taken = affine(shift=-np.asarray(shift))
-    return (found.object_from_source @ taken).tolist()
+    taken = affine(shift=-np.asarray(source.shift if source else (0, 0, 0)))
+    return (found.object_from_source @ taken @ turn).tolist()
+
+
+def _turned(matrix: npt.NDArray[np.float64], vector: Vector) -> Vector:
+    x, y, z = (matrix[:3, :3] @ vector).tolist()
+    return x, y, z

@@ -22,6 +22,7 @@ from model.core.progress import Progress, no_progress, scaled_progress
 from model.geometry.parts import split
 from model.geometry.prepare import tilt_remark
 from model.geometry.units import UNITS, odd_size
+from model.io.geometry_files import declares_up
 from model.io.masks import read_masks, with_masks
 from model.io.open_asset import open_asset
 from model.io.write.meshes import write_cloud, write_mesh
@@ -126,7 +127,8 @@ def _problems(asset: Asset, file: PromptFile, parts: Sequence[Part]) -> list[str
     missing = [i for i in file.prompts.parts if f"link_{i}" not in found and i != 0]
     out = [*asset.warnings, *(f"part {i} got no {asset.element_kind}" for i in missing)]
     odd = odd_size(asset.bounds, asset.source.unit_scale if asset.source else 1.0)
-    if asset.element_part is None and (remark := tilt_remark(asset)):
+    declared = asset.source is not None and declares_up(asset.source.path)
+    if asset.element_part is None and (remark := tilt_remark(asset, declared)):
         out.append(remark)
     if odd is not None:
         remedy = "" if odd.unit is None else f" If so, give --unit-scale {UNITS[odd.unit]:g}"

@@ -141,11 +141,14 @@ class Preparing:
     @property
     def doubtful(self) -> bool:
         """Whether the scan doesn't seem to be upright, though which way is up isn't sure."""
-        found = self.current
-        if found is None or found.up is not None or found.levelling.tilt < TILT or self.tilt:
+        found, asset = self.current, self._obj.asset
+        if found is None or asset is None or found.up is not None or self.tilt:
+            return False
+        if found.levelling.tilt < TILT:
             return False
         level = found.levelling
-        return level.askew or (level.confidence >= SURE and self._along_an_axis)
+        on_axis = level.confidence >= SURE and self._along_an_axis
+        return level.askew or on_axis or level.lies(declares_up(asset.path))
 
     @property
     def _rejected(self) -> bool:

@@ -15,6 +15,13 @@ def plain(text: str, limit: int = 120) -> str:
     return "".join(c if c.isalnum() or c in _KEEP else f"&#{ord(c)};" for c in short)
 
 
+def path_with_tooltip(path: str, limit: int = 44) -> str:
+    """A path as literal markdown, shortened in the middle to a panel's width; whole on hovering."""
+    half = (limit - 1) // 2
+    short = path if len(path) <= limit else f"{path[:half]}…{path[-half:]}"
+    return f'<span title="{plain(path, 1000)}">{plain(short)}</span>'
+
+
 def percent(share: float) -> str:
     """A share, 0..1, with one digit; what there is at all is never shown as nothing."""
     return "< 0.1 %" if share < 0.0005 else f"{100 * share:.1f} %"

@@ -4,6 +4,9 @@ Candidates are the directions in which the surface faces most, and those square 
 is described by what speaks for it: a surface that the object stands on and that reaches beyond it,
 how much of the surface is level or upright, how broadly the object would stand, and what was seen
 of its underside. A logistic model weighs these features; its probability is the confidence.
+
+A scan with nothing below it whose faces lie along the file's axes is upright, or was saved with y
+up and lies on its back: a second model, for clean surfaces, chooses among these.
 """
 
 from __future__ import annotations
@@ -33,6 +36,14 @@ _CANDIDATES = 6
 """Directions that are described, each both ways; of 400 scans none had its up further behind."""
 
 
+LYING = 0.8
+"""Probability from which a scan is said to lie on its back or front: of objects of other sources
+than the fit's, 6 % of the upright ones have it, and three quarters of those that lie."""
+LYING_DECLARED = 0.9
+"""The same where the format says which axis is up, which is seldom wrong: 2 %, and 60 %."""
+UPRIGHT = (0.0, 0.0, 1.0)
+_UNUSUAL = 0.25
+"""Odds of the opposite of the expected up direction against it, where a scan lies; our estimate."""
 SURE = 0.5
 """Confidence from which a scan that lies askew is called tilted: chosen on the bundled objects and
 on crops of one room, of which none that is upright is."""
@@ -50,6 +61,8 @@ class Levelling:
         alternatives: other directions, the likelier first.
         askew: whether a main face is neither level nor upright as the scan lies, and none of the
             directions is along z.
+        lying: probability that the scan lies on its back or front; None where it is askew or
+            stands on something.
     """
 
     up: tuple[float, float, float]
@@ -57,17 +70,24 @@ class Levelling:
     support: float | None
     alternatives: tuple[tuple[float, float, float], ...] = ()
     askew: bool = False
+    lying: float | None = None
 
     @property
     def tilt(self) -> float:
         """Radians between ``up`` and +z."""
         return float(np.arccos(np.clip(self.up[2], -1, 1)))
 
+    def lies(self, declared: bool) -> bool:
+        """Whether it lies on its back or front; ``declared``: the format says which axis is up."""
+        return (self.lying or 0.0) >= (LYING_DECLARED if declared else LYING)
+
 
 def find_up(
     points: npt.NDArray[np.floating],
     normals: Array | None = None,
     progress: Progress = no_progress,
+    *,
+    mistaken: float = 1.0,
 ) -> Levelling:
     """The likeliest up direction of a scan.
 
@@ -75,11 +95,13 @@ def find_up(
         points: (N, 3) in any unit.
         normals: (N, 3) of the points where they are known, either way round.
         progress: called between the steps.
+        mistaken: y of the up direction, 1 or -1, where the file's up axis was taken for another.
 
     Raises:
         GeometryError: for fewer than four finite points.
     """
-    found = candidates_of(points, normals, progress)
+    sample, facing = sampled(np.asarray(points, np.float64), normals)
+    found = _described(sample, facing, progress)
     features = np.array([c.described.features for c in found])
     weights = _weights()
     scores = (features - weights.mean) / weights.scale @ weights.weight
@@ -88,13 +110,28 @@ def find_up(
     order = np.argsort(-odds)
     best = found[order[0]]
     off = np.arccos([min(abs(float(c.up[2])), 1.0) for c in found[::2]])
-    return Levelling(
-        _vector(best.refined),
-        float(odds[order[0]]),
-        best.height,
-        tuple(_vector(found[k].up) for k in order[1:4]),
-        bool((off > _SQUARE).all() and (off[:2] < np.pi / 2 - _SQUARE).any()),
-    )
+    askew = bool((off > _SQUARE).all() and (off[:2] < np.pi / 2 - _SQUARE).any())
+    others = tuple(_vector(found[k].up) for k in order[:4])
+    if not askew and best.height is None:
+        return _along_axes(sample, facing, mistaken, others)
+    return Levelling(_vector(best.refined), float(odds[order[0]]), best.height, others[1:], askew)
+
+
+def _along_axes(
+    sample: Array, facing: Array, mistaken: float, others: tuple[tuple[float, float, float], ...]
+) -> Levelling:
+    """Upright, or lying on its back or front."""
+    ups = np.array([UPRIGHT, [0.0, mistaken, 0.0], [0.0, -mistaken, 0.0]])
+    features = np.array([bare_features(sample, facing, up) for up in ups])
+    weights = _weights(bare=True)
+    odds = np.exp((features - weights.mean) / weights.scale @ weights.weight)
+    lying = float(odds[1:].sum() / odds.sum())
+    order = np.argsort(-odds * [1.0, 1.0, _UNUSUAL])
+    first = order[order > 0][0] if lying >= LYING else 0
+    rest = [_vector(ups[k]) for k in order if k != first]
+    far = [u for u in others if max(np.abs(u)) < np.cos(_SQUARE) or abs(u[0]) > 0.5]
+    confidence = lying if first else 1 - lying
+    return Levelling(_vector(ups[first]), confidence, None, (*rest, *far), lying=lying)
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +156,10 @@ def candidates_of(
     progress: Progress = no_progress,
 ) -> list[Candidate]:
     """The directions that may be up; arguments and errors as of :func:`find_up`."""
-    sample, facing = _sampled(np.asarray(points, np.float64), normals)
+    return _described(*sampled(np.asarray(points, np.float64), normals), progress)
+
+
+def _described(sample: Array, facing: Array, progress: Progress) -> list[Candidate]:
     out: list[Candidate] = []
     progress(0.5, "finding up")
     for up in _candidates(sample, facing):
@@ -137,7 +177,7 @@ def supporting_height(
     points: npt.NDArray[np.floating], normals: Array | None, up: Array
 ) -> float | None:
     """Height along ``up`` of the surface that an object stands on, where it reaches beyond it."""
-    sample, facing = _sampled(np.asarray(points, np.float64), normals)
+    sample, facing = sampled(np.asarray(points, np.float64), normals)
     return describe(sample, facing, up).support
 
 
@@ -213,6 +253,30 @@ def describe(points: Array, normals: Array, up: Array) -> Described:
     return Described(features, support if supported else None, on)
 
 
+BARE_FEATURES = (
+    *FEATURES[5:8], "mirror image upside down", "middle height", "level surface at the top",
+    "height against diagonal",
+)  # fmt: skip
+_MIRRORED = 0.025
+"""Of the diagonal: how near a point has to lie to its mirror image."""
+
+
+def bare_features(points: Array, normals: Array, up: Array) -> Array:
+    """(F,) of a scan with nothing below it, see :data:`BARE_FEATURES`."""
+    height = points @ up
+    low, high = np.percentile(height, [0.5, 99.5])
+    extent = max(float(high - low), 1e-12)
+    size = max(float(np.linalg.norm(np.ptp(points, axis=0))), 1e-12)
+    some = points[:: max(len(points) // 4000, 1)]
+    middle = np.percentile(height, [1, 99]).mean()
+    image = some[::4] - 2 * np.outer(some[::4] @ up - middle, up)
+    alike = float((KDTree(some).query(image)[0] < _MIRRORED * size).mean())
+    share = np.clip((height - low) / extent, 0, 1)
+    top = float(((np.abs(normals @ up) > 0.95) & (share > 0.9)).mean())
+    shape = np.array([alike, share.mean(), top, np.log(extent / size)])
+    return np.concatenate([describe(points, normals, up).features[5:8], shape])
+
+
 def _stand(flat: Array, foot: npt.NDArray[np.bool_]) -> tuple[float, float]:
     """Breadth of what touches the ground against the whole, and how well the centre is over it."""
     try:
@@ -225,7 +289,7 @@ def _stand(flat: Array, foot: npt.NDArray[np.bool_]) -> tuple[float, float]:
     return float(stand.volume / whole.volume), inside / max(float(np.sqrt(whole.volume)), 1e-12)
 
 
-def _sampled(points: Array, normals: Array | None) -> tuple[Array, Array]:
+def sampled(points: Array, normals: Array | None) -> tuple[Array, Array]:
     """At most :data:`_SAMPLE` points, evenly over the surface, and their normals."""
     finite = np.isfinite(points).all(1)
     points = points[finite]
@@ -313,8 +377,9 @@ class _Weights:
 
 
 @cache
-def _weights() -> _Weights:
+def _weights(bare: bool = False) -> _Weights:
     data = json.loads((static_assets() / "levelling.json").read_text())
+    data = data["bare"] if bare else data
     return _Weights(*(np.array(data[k]) for k in ("mean", "scale", "weight")))
 
 

@@ -21,8 +21,16 @@ from model.core.rotations import affine
 from model.core.tree import KinematicTree
 from model.geometry.cleaning import KIND_NAMES, OBJECT, Kinds, classify
 from model.geometry.crop import crop
-from model.geometry.levelling import SURE, Levelling, find_up, supporting_height
+from model.geometry.levelling import (
+    LYING_DECLARED,
+    SURE,
+    UPRIGHT,
+    Levelling,
+    find_up,
+    supporting_height,
+)
 from model.geometry.sampling import sample_surface
+from model.geometry.units import category_of, unusual_height
 
 Array = npt.NDArray[np.float64]
 Vector = tuple[float, float, float]
@@ -112,7 +120,14 @@ def propose(
     settings = settings or PrepareSettings()
     progress(0.0, "finding up")
     points, normals, face = _surface(asset)
-    found = _levelling(points, normals, settings.up, scaled_progress(progress, 0.0, 0.45))
+    given = settings.up
+    if given is None:
+        told = scaled_progress(progress, 0.0, 0.45)
+        found = _found_up(asset, points, normals, told)
+    else:
+        x, y, z = (np.asarray(given, float) / np.linalg.norm(given)).tolist()
+        support = supporting_height(points, normals, np.array([x, y, z]))
+        found = Levelling((x, y, z), 1.0, support)
     progress(0.45, "finding the object")
     rotation = _yaw_aligned(points, _rotation_to_z(np.array(found.up)))
     levelled = points @ rotation.T
@@ -124,13 +139,39 @@ def propose(
     )
 
 
-def tilt_remark(asset: Asset) -> str | None:
-    """A remark for people where a scan certainly isn't upright, else None."""
+def tilt_remark(asset: Asset, declared: bool = False) -> str | None:
+    """A remark for people where a scan seems not to be upright, else None.
+
+    Args:
+        declared: whether the file's format says which axis is up.
+    """
     points, normals, _ = _surface(asset)
-    found = find_up(points, normals)
-    if not found.askew or found.confidence < SURE:
+    found = _found_up(asset, points, normals)
+    if found.askew and found.confidence >= SURE:
+        return f"tilted by {np.degrees(found.tilt):.0f}°: level it first with artiworld prepare"
+    if not found.lies(declared):
         return None
-    return f"tilted by {np.degrees(found.tilt):.0f}°: level it first with artiworld prepare"
+    sure = f"confidence {100 * found.confidence:.0f} %"
+    return f"seems to lie on its back or front ({sure}): stand it up with artiworld prepare"
+
+
+def _found_up(
+    asset: Asset, points: Array, normals: Array | None, progress: Progress = no_progress
+) -> Levelling:
+    """The up direction by the surface, and by the height of what the file is named after."""
+    # Where the axis that was taken for the file's up is wrong, it is mostly the other of z and y.
+    other = -1.0 if asset.source is not None and asset.source.up_axis == "y" else 1.0
+    found = find_up(points, normals, progress, mistaken=other)
+    category = category_of(asset.name)
+    if found.lying is None or category is None:
+        return found
+    _, lies, stands = (unusual_height(category, v) is None for v in np.ptp(asset.bounds, axis=0))
+    if lies == stands:
+        return found
+    up = UPRIGHT if stands else found.up if found.up != UPRIGHT else (0.0, other, 0.0)
+    others = tuple(v for v in (found.up, *found.alternatives) if v != up)
+    lying = 1 - LYING_DECLARED if stands else max(found.lying, LYING_DECLARED)
+    return Levelling(up, max(lying, 1 - lying), None, others, lying=lying)
 
 
 def prepare(
@@ -230,15 +271,6 @@ def _face_kinds(
         _, near = KDTree(points).query(asset.element_centers[bare], workers=2)
         kinds[bare] = of_points[near]
     return kinds
-
-
-def _levelling(
-    centers: Array, normals: Array | None, up: Vector | None, progress: Progress
-) -> Levelling:
-    if up is None:
-        return find_up(centers, normals, progress)
-    x, y, z = (np.asarray(up, float) / np.linalg.norm(up)).tolist()
-    return Levelling((x, y, z), 1.0, supporting_height(centers, normals, np.array([x, y, z])))
 
 
 def _frame(

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+
+from model.core.motion_lexicon import CATEGORY_ALIASES
 
 UNITS = {"metres": 1.0, "centimetres": 0.01, "millimetres": 0.001, "inches": 0.0254}
 """Metres per unit."""
@@ -54,6 +57,17 @@ def unusual_height(category: str | None, height: float) -> UnusualHeight | None:
     if usual is None or usual[0] / _UNUSUAL <= height <= usual[1] * _UNUSUAL:
         return None
     return UnusualHeight(*usual)
+
+
+def category_of(name: str) -> str | None:
+    """The category with a usual height in an object's name; the thing comes last."""
+    words = re.findall(r"[a-z]+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name).lower())
+    for end in range(len(words), 0, -1):
+        for start in (end - 2, end - 1):
+            word = "".join(words[max(start, 0) : end])
+            if (category := CATEGORY_ALIASES.get(word, word)) in USUAL_HEIGHTS:
+                return category
+    return None
 
 
 @dataclass(frozen=True)

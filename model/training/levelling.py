@@ -2,6 +2,8 @@
 
 Objects are scanned as phones do, with and without the table they stand on; the candidate nearest to
 the true up is the right one. A logistic model over the candidates' features learns to choose it.
+Another learns from the scans without table and from whole surfaces whether an object stands, or
+lies on its back or front.
 """
 
 from __future__ import annotations
@@ -17,19 +19,32 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import minimize
 
+from model.core.articulated_object import ArticulatedObject
 from model.core.errors import ArtiworldError
 from model.core.resources import static_assets
 from model.data.registry import DatasetOptions, open_dataset
 from model.data.simulated.reconstruction import ReconstructionSettings, reconstruct_scan
 from model.evaluation.pool import robust_map
 from model.geometry.cleaning import SUPPORT
-from model.geometry.levelling import FEATURES, candidates_of
+from model.geometry.levelling import (
+    BARE_FEATURES,
+    FEATURES,
+    bare_features,
+    candidates_of,
+    sampled,
+)
+from model.geometry.sampling import sample_surface
 
 Array = npt.NDArray[np.float64]
 
 POINTS = 60_000
 RIDGE = 0.01
 """Weight of the squared coefficients in the loss; chosen by us, not tuned."""
+
+
+POSES = ((0, 2, 3), (3, 0, 1), (2, 1, 0))
+"""What lies along z, y and -y of a file that stands, or lies on its back or front: 0 is the
+object's top, 1 its bottom, 2 its back, 3 its front."""
 
 
 @dataclass(frozen=True)
@@ -40,11 +55,13 @@ class Sample:
         features: (C, F).
         error: (C,) radians between each refined candidate and the true up.
         table: whether the object stands on one.
+        bare: (4, F) features of top, bottom, back and front, where there is none.
     """
 
     features: Array
     error: Array
     table: bool
+    bare: Array | None = None
 
 
 def samples_of(data: DatasetOptions, seed: int, name: str) -> list[Sample]:
@@ -61,17 +78,43 @@ def samples_of(data: DatasetOptions, seed: int, name: str) -> list[Sample]:
             up = scan.source_from_object[:3, 2] / np.linalg.norm(scan.source_from_object[:3, 2])
             found = candidates_of(points)
             error = np.arccos(np.clip(np.array([c.refined @ up for c in found]), -1, 1))
-            out.append(Sample(np.array([c.described.features for c in found]), error, table))
+            features = np.array([c.described.features for c in found])
+            turn = scan.source_from_object[:3, :3]
+            sides = None if table else _sides(*sampled(points.astype(float), None), turn)
+            out.append(Sample(features, error, table, sides))
+        out.append(_whole(obj, rng))
     except ArtiworldError:
         return []
     return out
 
 
-def fitted(samples: Sequence[Sample]) -> dict[str, list[float]]:
-    """Mean, scale and weight of each feature."""
-    every = np.concatenate([s.features for s in samples])
+def _sides(points: Array, normals: Array, turn: Array) -> Array:
+    """(4, F) features of top, bottom, back and front under a (3, 3) scaled rotation."""
+    turn = turn / np.cbrt(np.linalg.det(turn))
+    ups = ((0, 0, 1), (0, 0, -1), (0, 1, 0), (0, -1, 0))
+    return np.array([bare_features(points, normals, turn @ up) for up in ups])
+
+
+def _whole(obj: ArticulatedObject, rng: np.random.Generator) -> Sample:
+    """All surfaces of an object."""
+    meshes = [p.mesh for p in obj.parts if p.mesh is not None and p.mesh.face_areas.sum() > 0]
+    area = sum(float(m.face_areas.sum()) for m in meshes)
+    clouds = [
+        sample_surface(m, 1 + int(20_000 * m.face_areas.sum() / area), rng)[0] for m in meshes
+    ]
+    points, normals = (
+        np.concatenate([np.asarray(v, np.float64) for v in values])
+        for values in zip(*((c.points, c.normals) for c in clouds), strict=True)
+    )
+    sides = _sides(*sampled(points, normals), np.eye(3))
+    return Sample(np.empty((0, len(FEATURES))), np.empty(0), False, sides)
+
+
+def fitted(chosen: Sequence[tuple[Array, int]]) -> dict[str, list[float]]:
+    """Mean, scale and weight of each feature, from (C, F) features and which of them is right."""
+    every = np.concatenate([features for features, _ in chosen])
     mean, scale = every.mean(0), every.std(0) + 1e-9
-    rows = [((s.features - mean) / scale, int(s.error.argmin())) for s in samples]
+    rows = [((features - mean) / scale, right) for features, right in chosen]
 
     def loss(weight: Array) -> tuple[float, Array]:
         value, gradient = RIDGE * float(weight @ weight), 2 * RIDGE * weight
@@ -83,7 +126,7 @@ def fitted(samples: Sequence[Sample]) -> dict[str, list[float]]:
             gradient = gradient + (odds @ features - features[right]) / len(rows)
         return value, gradient
 
-    weight = minimize(loss, np.zeros(len(FEATURES)), jac=True, method="L-BFGS-B").x
+    weight = minimize(loss, np.zeros(len(mean)), jac=True, method="L-BFGS-B").x
     numbers = {"mean": mean, "scale": scale, "weight": weight}
     return {name: np.round(value, 5).tolist() for name, value in numbers.items()}
 
@@ -114,15 +157,23 @@ def main(arguments: Sequence[str] | None = None) -> None:
         work = partial(samples_of, data, args.seed)
         for _, found in robust_map(work, ids[: args.limit], args.jobs):
             samples += found or []
-    weights = fitted(samples)
-    on_table = [s for s in samples if s.table]
-    bare = [s for s in samples if not s.table]
+    scans = [s for s in samples if len(s.error)]
+    weights = fitted([(s.features, int(s.error.argmin())) for s in scans])
+    posed = [
+        (s.bare[list(pose)], right)
+        for s in samples if s.bare is not None
+        for right, pose in enumerate(POSES)
+    ]  # fmt: skip
+    on_table = [s for s in scans if s.table]
+    bare = [s for s in scans if not s.table]
     scores = {
-        "scans": len(samples),
+        "scans": len(scans),
         "within 2 degrees on a table": round(within(on_table, weights, 2), 3),
         "within 2 degrees without": round(within(bare, weights, 2), 3),
     }
+    standing = {"features": list(BARE_FEATURES), **fitted(posed), "fitted on": len(posed)}
     report = {"format": 1, "features": list(FEATURES), **weights, "fitted on": scores}
+    report["bare"] = standing
     args.out.write_text(json.dumps(report, indent=1) + "\n")
     print(json.dumps(scores))
 

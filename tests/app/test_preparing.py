@@ -27,7 +27,7 @@ from sessions.state import Context, SessionState, replay
 from sessions.store import Store
 from sessions.tool_commands import SOURCE_FRAME, ObjectFrame, Placed
 from tests.builders import wait_until
-from tests.raw_scans import raw_scan
+from tests.raw_scans import raw_scan, saved_along_another_axis
 
 ALL = Marks((SUPPORT, CLUTTER, OUTLIER))
 
@@ -134,6 +134,33 @@ def test_upright_clean_objects_are_not_called_tilted(opened, name: str) -> None:
     obj = opened(static_assets() / "examples" / name)
     assert not obj.preparing.tilt and not obj.preparing.doubtful
     assert not obj.preparing.noticed()
+
+
+@pytest.mark.parametrize(
+    ("name", "suffix"),
+    [("kettle", ".ply"), ("kettle", ".obj"), ("kettle", ".glb"), ("refrigerator_scan", ".ply")],
+)
+def test_a_file_of_another_up_axis_is_told(opened, tmp_path: Path, name: str, suffix: str) -> None:
+    """PLY is read z-up and saved y-up here, OBJ and GLB the other way round."""
+    found = next((static_assets() / "examples").glob(f"{name}.*"))
+    path = saved_along_another_axis(open_asset(found), tmp_path / f"{name}{suffix}")
+    obj = opened(path)
+    assert obj.preparing.doubtful or obj.preparing.tilt
+    prepared(obj, Marks())
+    top = obj.asset.display_centers[:, 2]
+    expected = open_asset(found).element_centers[:, 2]
+    assert np.ptp(top) == pytest.approx(np.ptp(expected), rel=0.02)
+    middle = (expected.mean() - expected.min()) / np.ptp(expected)
+    assert (top.mean() - top.min()) / np.ptp(top) == pytest.approx(float(middle), abs=0.1)
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".obj", ".glb"])
+def test_an_upright_mesh_is_not_asked_about_in_any_format(
+    opened, tmp_path: Path, suffix: str
+) -> None:
+    kettle = open_asset(static_assets() / "examples" / "kettle.glb")
+    obj = opened(saved_along_another_axis(kettle, tmp_path / f"kettle{suffix}", turn=np.eye(3)))
+    assert not obj.preparing.tilt and not obj.preparing.doubtful
 
 
 def test_heights_far_from_the_usual_ones_are_told() -> None:

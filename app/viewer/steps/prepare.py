@@ -19,7 +19,7 @@ from app.viewer.picture.object_picture import ObjectPicture, View
 from app.viewer.picture.prepare_marks import PrepareMarks
 from app.viewer.picture.stage import may_be_a_room
 from app.viewer.tab import Step, Tab
-from app.viewer.text import plain
+from app.viewer.text import path_with_tooltip, plain
 from app.viewer.words import prepare as words
 from app.viewer.words.common import warning
 from model.core.errors import CommandError
@@ -446,7 +446,7 @@ class PrepareStep:
         put(self._apply, "label", words.APPLY if offers else words.CONTINUE)
         note = [] if doc.left_out is None else [words.removed(doc.left_out.count)]
         note += [
-            plain(str(obj.record.path), 200),
+            path_with_tooltip(str(obj.record.path)),
             *(warning(plain(w, 300)) for w in asset.warnings),
         ]
         put(self._note, "content", "\n\n".join(note))
