@@ -41,6 +41,7 @@ class BulkWork:
         self._cancelled = threading.Event()
         self._lock = threading.Lock()
         self._job: Job[Any] | None = None
+        self._place = 0, 1
         self.progress: tuple[float, str] | None = None
 
     def cancel(self) -> None:
@@ -67,7 +68,10 @@ class BulkWork:
         """Predict the joints of objects that have parts."""
 
         def one(id: int) -> None:
-            obj = self._opened(id)
+            state = self._services.hub.session(id).state
+            if state.seq and state.present.segmentation is None:
+                raise CommandError("no parts yet")
+            obj = self._opened(id)  # which takes the parts of a file that has them
             if obj.document.segmentation is None:
                 raise CommandError("no parts yet")
             self._wait(lambda: obj.document.segmentation_current)
@@ -105,7 +109,10 @@ class BulkWork:
             if saved is None or not Path(saved.folder).is_dir():
                 raise CommandError("not accepted: it has no asset yet")
             job = self._services.workers.saving.submit(
-                export_one, task_of(Path(saved.folder)), on_progress=self._within
+                export_one,
+                task_of(Path(saved.folder)),
+                on_progress=self._within,
+                priority=-1,  # what somebody accepts meanwhile is saved first
             )
             report = self._result(job)
             wrong = [p for f in report["formats"] for p in f.get("problems", ())]
@@ -138,6 +145,7 @@ class BulkWork:
         count = 0
         try:
             for k, id in enumerate(ids):
+                self._place = k, len(ids)
                 self.progress = k / len(ids), f"{what}: {k + 1} of {len(ids)}"
                 self._services.queue.changed()
                 try:
@@ -159,8 +167,10 @@ class BulkWork:
         self._services.queue.changed()
 
     def _within(self, share: float, _: str) -> None:
-        """The share of the export of one object; the list shows how many are done."""
-        if self.progress is not None and share >= 1.0:
+        """How far the object at hand is, 0..1."""
+        if self.progress is not None:
+            count, total = self._place
+            self.progress = (count + share) / total, self.progress[1]
             self._services.queue.changed()
 
     def _opened(self, id: int) -> OpenObject:

@@ -15,6 +15,7 @@ from app.viewer.input.keys import KeySheet, add_keys
 from app.viewer.input.pointing import PointerActions, Pointing
 from app.viewer.input.queries import Point, PointerQueries
 from app.viewer.navigation import Memory, Navigation
+from app.viewer.panels.exporting import Exporting
 from app.viewer.panels.history import History
 from app.viewer.panels.markup import Presses
 from app.viewer.panels.object_header import ObjectHeader
@@ -73,7 +74,8 @@ class ClientApp:
         self.commands = Commands(tab, self._navigation)
         self._sheet = KeySheet(tab)
         self._presses = Presses(tab)
-        self._bar = StepBar(tab, self._presses, self.commands.cancel)
+        self._bar = StepBar(tab, self._presses, app_state.bulk, self.commands.cancel)
+        self._exporting = Exporting(tab, app_state.bulk, app_state.workspace)
         self.rail = ToolRail(tab, self._presses, self.pointing, self._rail_actions())
         self._build()
         steps = (self.prepare, self.annotate, self.joints, self.review)
@@ -100,7 +102,7 @@ class ClientApp:
                 self._navigation.open,
                 self._navigation.step,
                 self._remember,
-                lambda ids: None,
+                self._exporting.ask,
             )
         else:
             self.scene = SceneStep(
@@ -159,6 +161,7 @@ class ClientApp:
                 go_on=self.commands.go_on,
                 name_of=app_state.display_name,
                 drawn=lambda: self.drawing.drawn,
+                export=lambda: self._exporting.ask([tab.selection.need_object().record.id]),
             )
             self.review = ReviewStep(tab, self.motion, self.commands.rejecting, review)
 
@@ -204,7 +207,7 @@ class ClientApp:
         """Close the sheet of keys and the question for a reason; whether one was open."""
         asking = self.commands.rejecting.asking
         self.commands.rejecting.cancel()
-        return self._sheet.close() or asking
+        return self._exporting.close() or self._sheet.close() or asking
 
     def _click_scene(self, origin: Point, direction: Point) -> bool:
         if self.scene is None or not self.scene.in_front:

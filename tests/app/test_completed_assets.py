@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.server.export_tasks import ExportTask, export_one
 from app.server import part_tasks, tasks
 from app.server.display_tasks import open_asset
+from app.server.export_tasks import ExportTask, export_one
 from app.server.part_tasks import PartSource, articulated_object
 from app.server.saving_tasks import prepare_asset
 from app.server.tasks import ReadOptions

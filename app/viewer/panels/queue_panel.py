@@ -32,6 +32,7 @@ class QueuePanel:
     Attributes:
         on_hold: the button that opens the first object on hold.
         user_name: the box for the user's name.
+        open: opens the object of an id.
     """
 
     def __init__(
@@ -52,7 +53,7 @@ class QueuePanel:
             remember: is called once the user's name changed.
             export: gets the ids of objects to export.
         """
-        self._tab, self._app_state, self._open_object = tab, app_state, open_object
+        self._tab, self._app_state, self.open = tab, app_state, open_object
         self._export = export
         self._shown: tuple[Any, ...] | None = None
         self._on_hold = 0
@@ -88,7 +89,7 @@ class QueuePanel:
 
     def _uploaded(self, file: Any) -> None:
         add = self._app_state.add_upload
-        self._tab.act(lambda: self._open_object(add(file.name, file.content)))
+        self._tab.act(lambda: self.open(add(file.name, file.content)))
 
     def _bulk(self, message: str) -> None:
         """Begin what the gallery asks for about the selected objects."""

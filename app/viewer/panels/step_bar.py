@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from html import escape
 
+from app.server.bulk import BulkWork
 from app.server.display_names import display_text
 from app.server.open_object import OpenObject
 from app.viewer.panels.markup import Place, Presses, button
@@ -17,13 +18,16 @@ _SIGNS = {"": "", words.DONE: "✓", words.ATTENTION: "●", words.REFUSED: "✕
 class StepBar:
     """Where the work on the open object stands, and what runs; each has a place of its own."""
 
-    def __init__(self, tab: Tab, presses: Presses, cancel: Callable[[], None]) -> None:
-        """Make both; ``cancel`` stops the running jobs."""
-        self._tab = tab
+    def __init__(
+        self, tab: Tab, presses: Presses, bulk: BulkWork, cancel: Callable[[], None]
+    ) -> None:
+        """Make both; ``cancel`` stops the jobs of the open object."""
+        self._tab, self._bulk = tab, bulk
         self._steps, self._progress = Place(tab, "steps"), Place(tab, "progress")
         presses.on("step", tab.selection.set_step)  # type: ignore[arg-type]
         # At once: the tab's actions may be waiting for what is to be stopped.
         presses.on("cancel", lambda _: cancel(), at_once=True)
+        presses.on("cancel bulk", lambda _: bulk.cancel(), at_once=True)
 
     def draw(self, obj: OpenObject | None, noticed: bool = False) -> None:
         """Bring both up to date; ``noticed`` where the object needs preparing."""
@@ -34,7 +38,12 @@ class StepBar:
         else:
             steps = STEPS[1:] if self._tab.in_scene else STEPS
             self._steps.show("".join(self._button(s, _state(s, obj, noticed)) for s in steps))
-        self._progress.show("" if obj is None else self._running(obj))
+        many = self._bulk.progress
+        if many is not None:
+            share, text = many
+            self._progress.show(_progress(text, share, ("cancel bulk", words.CANCEL)))
+        else:
+            self._progress.show("" if obj is None else self._running(obj))
 
     def _button(self, step: Step, state: str) -> str:
         sign = f'<i class="aw-sign" title="{state}">{_SIGNS[state]}</i>' if state else ""
@@ -62,9 +71,15 @@ class StepBar:
             detail = "" if shown == "encode" else display_text(obj.document, message)
             text = words.job(shown, f"{100 * done:.0f} % " if done else "", detail)
         label = words.CANCEL_ACCEPTANCE if waiting else words.CANCEL
-        stop = button("cancel", "", label, style="aw-small") if stoppable or waiting else ""
-        bar = f'<div class="aw-bar"><div style="width:{100 * done:.0f}%"></div></div>'
-        return f"<span>{escape(text[:90])}</span>{stop}{bar if shown else ''}"
+        stop = ("cancel", label) if stoppable or waiting else None
+        return _progress(text, done if shown else None, stop)
+
+
+def _progress(text: str, done: float | None, stop: tuple[str, str] | None) -> str:
+    """A text, a bar where it is known how much is ``done`` (0..1), and the button that stops."""
+    cancel = "" if stop is None else button(stop[0], "", stop[1], style="aw-small")
+    bar = "" if done is None else f'<div style="width:{100 * done:.0f}%"></div>'
+    return f'<span>{escape(text[:90])}</span>{cancel}<div class="aw-bar">{bar}</div>'
 
 
 def _state(step: Step, obj: OpenObject, noticed: bool) -> str:

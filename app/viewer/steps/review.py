@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import datetime
-import io
-import zipfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -17,6 +15,7 @@ from app.server.accepting import accept, withdraw
 from app.server.display_names import display_text, joint_title
 from app.server.open_object import OpenObject
 from app.server.validating import UnseenWarningsError
+from app.viewer.panels.exporting import send_folder
 from app.viewer.panels.joint_text import confidence_text, range_text
 from app.viewer.panels.rejecting import RejectButtons, Rejecting
 from app.viewer.panels.validation_list import ValidationList
@@ -26,6 +25,7 @@ from app.viewer.tab import Tab
 from app.viewer.text import plain
 from app.viewer.words import review as words
 from app.viewer.words.common import EDITED, STATES
+from app.viewer.words.export import EXPORT, EXPORT_HINT
 from model.core.errors import CommandError
 from model.validation.report import Severity, ValidationReport
 from sessions import commands as cmd
@@ -33,7 +33,6 @@ from sessions.document import Document
 from sessions.review import RejectReason
 from sessions.store import ObjectRecord
 
-DOWNLOAD_BYTES = 400_000_000
 DECIDED = ("accepted", "rejected")
 
 
@@ -46,6 +45,7 @@ class ReviewActions:
         go_on: goes to the next object after a decision.
         name_of: an object's name on the screens.
         drawn: whether the open object's picture was sent.
+        export: asks how to export the object.
     """
 
     accept: Callable[[], None]
@@ -53,6 +53,7 @@ class ReviewActions:
     go_on: Callable[[], None]
     name_of: Callable[[ObjectRecord], str]
     drawn: Callable[[], bool]
+    export: Callable[[], None]
 
 
 class ReviewStep:
@@ -89,6 +90,10 @@ class ReviewStep:
         self._download = gui.add_button(
             words.DOWNLOAD, icon=viser.Icon.DOWNLOAD, color="gray", visible=False
         )
+        self._export = gui.add_button(
+            EXPORT, icon=viser.Icon.PACKAGE_EXPORT, color="gray", visible=False, hint=EXPORT_HINT
+        )
+        self._export.on_click(lambda _: tab.act(actions.export))
         self._accept.on_click(lambda _: actions.accept())
         tab.on_update(self._complete, lambda: tab.do(cmd.SetCompletion(self._complete.value)))
         self._download.on_click(lambda _: tab.act(self._send))
@@ -195,14 +200,7 @@ class ReviewStep:
         if saved is None or not Path(saved.folder).is_dir():
             raise CommandError(words.ASSET_MISSING)
         folder = Path(saved.folder)
-        files = sorted(p for p in folder.rglob("*") if p.is_file())
-        if sum(p.stat().st_size for p in files) > DOWNLOAD_BYTES:
-            raise CommandError(words.too_large(str(folder)))
-        buffer = io.BytesIO()
-        with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
-            for path in files:
-                archive.write(path, Path(folder.name) / path.relative_to(folder))
-        self._tab.client.send_file_download(f"{folder.name}.zip", buffer.getvalue())
+        send_folder(self._tab, folder, folder.name)
 
     def draw(self, obj: OpenObject) -> None:
         """Bring the panel up to date."""
@@ -258,6 +256,7 @@ class ReviewStep:
         put(self._accept, "disabled", doc.tree is None or "save" in obj.busy)
         put(self._accept, "visible", doc.review.state != "accepted")
         put(self._download, "visible", doc.saved is not None)
+        put(self._export, "visible", doc.saved is not None)
         put(self._saved, "visible", doc.saved is not None)
         if doc.saved is not None:
             put(self._saved, "content", words.saved_in(plain(doc.saved.folder, 200)))

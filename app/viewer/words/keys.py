@@ -41,7 +41,7 @@ SHEET: Final[tuple[tuple[str, str], ...]] = (
     ("Prepare: K; K, K; M", "level by floor, by edge; measure"),
     ("Prepare: Delete", "remove what is grey"),
     ("Ctrl+Z, Ctrl+Shift+Z", "undo, redo"),
-    ("Ctrl+K", "command palette"),
+    ("Ctrl+K; F6", "command palette; panels by keyboard"),
     ("Drag, right drag, wheel", "orbit, pan, zoom"),
     ("W A S D Q E, arrows", "move the camera"),
 )

@@ -50,7 +50,6 @@ def accept(edited: bool, warned: bool, errors: bool) -> str:
 
 
 saved_in = Message("Saved in {folder}")
-too_large = Message("too large to download: it is in {folder}")
 
 
 def pending(waiting: bool, held: str, interrupted: bool) -> str:

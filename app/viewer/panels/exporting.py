@@ -1,0 +1,140 @@
+"""The dialog that exports accepted objects: formats, collision, checks, download or folder."""
+
+from __future__ import annotations
+
+import io
+import re
+import secrets
+import shutil
+import zipfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, cast
+
+import viser
+
+from app.server.bulk import BulkWork
+from app.server.export_tasks import ExportTask
+from app.viewer.tab import Tab
+from app.viewer.words import export as words
+from model.core.errors import CommandError
+from model.io.export.registry import exporter_names, load_exporter
+from model.io.export.simready import AboutPackage
+from model.physics.collision.build import CollisionSettings, Method
+from model.physics.simulation_values import PhysicsSettings
+
+DOWNLOAD_BYTES = 400_000_000
+"""Largest download: it passes through the memory of server and browser."""
+
+
+class Exporting:
+    """Asks how to export, and has it done.
+
+    Args:
+        workspace: gets the exported files, in its folder ``exports``.
+    """
+
+    def __init__(self, tab: Tab, bulk: BulkWork, workspace: Path) -> None:
+        self._tab, self._bulk = tab, bulk
+        self._exports, self._store = workspace / "exports", workspace / "collision"
+        self._modal: Any = None
+
+    def ask(self, ids: Sequence[int]) -> None:
+        """Show the dialog for objects."""
+        gui, tab = self._tab.client.gui, self._tab
+        self.close()
+        self._modal = gui.add_modal(words.title(len(ids)))
+        with self._modal:
+            self._formats = {
+                name: gui.add_checkbox(name, name == "urdf", hint=load_exporter(name).description)
+                for name in exporter_names()
+            }
+            self._collision = gui.add_dropdown(words.COLLISION, tuple(words.COLLISIONS))
+            self._check = gui.add_checkbox(words.CHECK, True, hint=words.CHECK_HINT)
+            self._package = gui.add_checkbox(words.PACKAGE, False, hint=words.PACKAGE_HINT)
+            self._author = gui.add_text(words.AUTHOR, tab.user, visible=False)
+            self._license = gui.add_text(words.LICENSE, "", visible=False, hint=words.LICENSE_HINT)
+            self._folder = gui.add_text(words.FOLDER, "", hint=words.FOLDER_HINT)
+            begin = gui.add_button(words.BEGIN, icon=viser.Icon.DOWNLOAD, color="blue")
+            close = gui.add_button(words.CLOSE, color="gray")
+        tab.on_update(self._package, self._package_chosen)
+        begin.on_click(lambda _: tab.act(lambda: self._begin(list(ids))))
+        close.on_click(lambda _: self._close_clicked())
+
+    def close(self) -> bool:
+        """Close the dialog; whether it was there."""
+        modal, self._modal = self._modal, None
+        if modal is not None:
+            modal.close()
+        return modal is not None
+
+    def _close_clicked(self) -> None:
+        self.close()
+
+    def _package_chosen(self) -> None:
+        self._author.visible = self._license.visible = self._package.value
+
+    def _begin(self, ids: list[int]) -> None:
+        formats = [name for name, box in self._formats.items() if box.value]
+        package = None
+        if self._package.value:
+            if not (self._author.value.strip() and self._license.value.strip()):
+                raise CommandError(words.NEED_PACKAGE)
+            package = AboutPackage(self._author.value.strip(), self._license.value.strip())
+            formats = list(dict.fromkeys([*formats, "usd"]))
+        if not formats:
+            raise CommandError(words.NO_FORMAT)
+        physics = physics_settings(words.COLLISIONS[self._collision.value])
+        name = self._folder.value.strip()
+        out = self._exports / (name or f".{secrets.token_hex(8)}")
+        if name and not re.fullmatch(r"\w[\w.-]{0,99}", name):
+            raise CommandError(words.BAD_NAME)
+        if out.exists():
+            raise CommandError(words.TAKEN)
+        check, store = self._check.value, self._store
+
+        def task_of(asset: Path) -> ExportTask:
+            base = out if len(ids) == 1 else out / asset.name
+            folders = tuple((f, base / f if len(formats) > 1 else base) for f in formats)
+            return ExportTask(asset, folders, physics, store, check, package=package)
+
+        def done() -> None:
+            if name:
+                self._tab.notify(words.EXPORT, words.written(str(out)), "green", elsewhere=True)
+                return
+            try:
+                send_folder(self._tab, out, f"artiworld_{'_'.join(formats)}")
+            finally:
+                shutil.rmtree(out, ignore_errors=True)
+
+        self._bulk.export(ids, task_of, self._notify, done)
+        self.close()
+
+    def _notify(self, title: str, text: str, color: str) -> None:
+        self._tab.notify(title, text, color, elsewhere=True)
+
+
+def physics_settings(collision: str) -> PhysicsSettings:
+    """Settings with a method of collision: "" for the default, "none" for no shapes."""
+    if collision == "none":
+        return PhysicsSettings(collision=None)
+    if not collision:
+        return PhysicsSettings()
+    method = cast("Method", collision)
+    return PhysicsSettings(collision=CollisionSettings(method=method), declared_shapes=False)
+
+
+def send_folder(tab: Tab, folder: Path, name: str) -> None:
+    """Send a folder as a zip, in which it has that name.
+
+    Raises:
+        CommandError: where it is too large.
+    """
+    files = sorted(p for p in folder.rglob("*") if p.is_file())
+    if sum(p.stat().st_size for p in files) > DOWNLOAD_BYTES:
+        raise CommandError(words.too_large(str(folder)))
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+        for path in files:
+            archive.write(path, Path(name) / path.relative_to(folder))
+    tab.client.send_file_download(f"{name}.zip", buffer.getvalue())
