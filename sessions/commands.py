@@ -14,6 +14,7 @@ from typing import Any, cast, get_args
 from model.core import codec
 from model.core.articulated_object import Prediction
 from model.core.asset import UpAxis
+from model.core.composite_joints import Composite
 from model.core.errors import CommandError
 from model.core.joint import Joint
 from model.segmentation.prompts import BASE, MAX_PARTS, Click
@@ -228,6 +229,19 @@ class SetJoint:
 
 
 @dataclass(frozen=True)
+class SetComposite:
+    """Let the part ``child`` move by one joint, or by a chain of several.
+
+    Attributes:
+        child: link of the part.
+        motion: kind, and the pitch of a screw.
+    """
+
+    child: str
+    motion: Composite
+
+
+@dataclass(frozen=True)
 class SetRoot:
     """Make ``link`` the root; the joints on the path to the former root are reversed."""
 
@@ -356,6 +370,7 @@ Command = (
     | RecordSegmentation
     | RecordPrediction
     | SetJoint
+    | SetComposite
     | SetRoot
     | ResetJoint
     | LockJoint
@@ -390,6 +405,7 @@ KINDS: Mapping[str, type[Command]] = {
     "record_segmentation": RecordSegmentation,
     "record_prediction": RecordPrediction,
     "set_joint": SetJoint,
+    "set_composite": SetComposite,
     "set_root": SetRoot,
     "reset_joint": ResetJoint,
     "lock_joint": LockJoint,

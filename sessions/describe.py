@@ -23,6 +23,7 @@ from sessions.commands import (
     Saved,
     SetCategory,
     SetCompletion,
+    SetComposite,
     SetFrame,
     SetJoint,
     SetRoot,
@@ -73,6 +74,9 @@ def describe(command: Command) -> str:
             return what
         case SetJoint(joint=joint):
             return f"change joint {joint.name}"
+        case SetComposite(child=child, motion=motion):
+            words = motion.kind.replace("_", " ").replace("single", "one joint")
+            return f"{child} moves by {words}"
         case SetRoot(link=link):
             return f"make {link} the root"
         case ResetJoint(child=child):

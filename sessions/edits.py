@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+from model.core.composite_joints import with_composite
 from model.core.errors import ArtiworldError, CommandError
 from model.core.joint import Joint
 from model.core.tree import KinematicTree
@@ -29,6 +30,7 @@ from sessions.commands import (
     Saved,
     SetCategory,
     SetCompletion,
+    SetComposite,
     SetFrame,
     SetJoint,
     SetRoot,
@@ -51,7 +53,13 @@ from sessions.document import (
 from sessions.review import Action, Role, transition
 from sessions.scene_commands import DecideObjects, PickOut, SetArticulable
 from sessions.tool_commands import ApplyTool, CropOut, CutFaces, LeaveOut, Placed
-from sessions.tree_edits import replace_joint, with_fixed, without_link
+from sessions.tree_edits import (
+    holds_part,
+    replace_joint,
+    with_chain_of,
+    with_fixed,
+    without_link,
+)
 
 
 @dataclass(frozen=True)
@@ -176,7 +184,7 @@ def _changed(document: Document, command: Command, context: Context) -> tuple[Do
             return replace(document, complete=complete), "adjust"
         case RecordPrediction():
             return _record_prediction(document, command)
-        case SetJoint() | SetRoot() | ResetJoint() | LockJoint():
+        case SetJoint() | SetComposite() | SetRoot() | ResetJoint() | LockJoint():
             return _edit_tree(document, command), "adjust"
         case Accept():
             problems = acceptance_problems(document)
@@ -214,7 +222,7 @@ def _reviewed(
     joint_edits = before.joint_edits
     if isinstance(command, (RecordPrediction, SetFrame, Prepare)):
         joint_edits = 0
-    elif isinstance(command, (SetJoint, SetRoot, ResetJoint)):
+    elif isinstance(command, (SetJoint, SetComposite, SetRoot, ResetJoint)):
         joint_edits += 1
     return replace(
         after,
@@ -402,7 +410,7 @@ def _record_prediction(document: Document, command: RecordPrediction) -> tuple[D
 
 
 def _edit_tree(
-    document: Document, command: SetJoint | SetRoot | ResetJoint | LockJoint
+    document: Document, command: SetJoint | SetComposite | SetRoot | ResetJoint | LockJoint
 ) -> Document:
     tree = document.tree
     if tree is None:
@@ -415,10 +423,16 @@ def _edit_tree(
         turned = tree.path_to_root(command.link)
         parents = {tree.joint_of[c].parent for c in turned if c in locked}
         locked = (locked - frozenset(turned)) | parents
+    elif isinstance(command, SetComposite):
+        after = with_composite(tree, command.child, command.motion, holds_part)
+        locked = _still_locked(locked, after)
     else:
         joint = command.joint if isinstance(command, SetJoint) else _predicted(document, command)
+        was = document.prediction.tree if document.prediction is not None else None
+        if isinstance(command, ResetJoint) and was is not None:
+            tree = with_chain_of(tree, was, command.child)
         after = replace_joint(tree, joint)
-    if after == tree:
+    if after == document.tree:
         return document
     return replace(document, tree=after, locked=locked)
 

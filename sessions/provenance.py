@@ -23,6 +23,7 @@ from sessions.commands import (
     Redo,
     ResetJoint,
     Saved,
+    SetComposite,
     SetFrame,
     SetJoint,
     SetRoot,
@@ -39,7 +40,7 @@ FORMAT = 1
 MASKS = "masks "
 """What the tool that took parts from masks is called, before the file."""
 
-_JOINT_EDITS = (SetJoint, SetRoot, ResetJoint, LockJoint)
+_JOINT_EDITS = (SetJoint, SetComposite, SetRoot, ResetJoint, LockJoint)
 
 
 def provenance(

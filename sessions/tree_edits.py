@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from model.core.errors import KinematicsError
 from model.core.joint import Joint
-from model.core.tree import KinematicTree
+from model.core.tree import KinematicTree, moving_chain
 
 
 def replace_joint(tree: KinematicTree, joint: Joint) -> KinematicTree:
@@ -27,6 +27,33 @@ def replace_joint(tree: KinematicTree, joint: Joint) -> KinematicTree:
     joints = [joint if j.child == joint.child else _renamed(j, old, joint) for j in tree.joints]
     joints = [replace(j, parent=old.parent) if j.child == lifted else j for j in joints]
     return replace(tree, joints=tuple(joints))
+
+
+def with_chain_of(tree: KinematicTree, other: KinematicTree, child: str) -> KinematicTree:
+    """Return the tree where ``child`` hangs on the helper links that it has in ``other``.
+
+    Where they are the same, or ``child`` has no joint in one of them, nothing changes.
+    """
+    if child not in tree.joint_of or child not in other.joint_of:
+        return tree
+    now, then = moving_chain(tree, child, holds_part), moving_chain(other, child, holds_part)
+    if now == then:
+        return tree
+    above = tree.joint_of[now[0]].parent
+    added = [other.joint_of[link] for link in then]
+    added[0] = replace(added[0], parent=above)
+    gone = {tree.joint_of[link].name for link in now} - {j.name for j in added}
+    kept = [
+        replace(j, mimic=None) if j.mimic is not None and j.mimic.joint in gone else j
+        for j in tree.joints if j.child not in now
+    ]  # fmt: skip
+    links = (*(x for x in tree.links if x not in now[:-1]), *then[:-1])
+    return KinematicTree(links, (*kept, *added))
+
+
+def holds_part(link: str) -> bool:
+    """Whether a session's link holds a part; the others are helpers."""
+    return link.startswith("link_")
 
 
 def _renamed(follower: Joint, old: Joint, new: Joint) -> Joint:

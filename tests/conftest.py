@@ -78,6 +78,7 @@ SLOW = (
     "tests/model/io/test_asset_folder.py::test_a_scanned_part",
     "tests/model/io/test_asset_folder.py::test_real_objects",
     "tests/model/io/test_asset_folder.py::test_an_asset_with_shapes",
+    "tests/model/io/test_round_trips.py",
     "tests/model/io/test_budgets.py::test_a_process_with_a_limit",
     "tests/model/io/test_damaged_files.py::test_damaged_bytes",
     "tests/model/io/test_exporters.py",

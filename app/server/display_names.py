@@ -7,14 +7,10 @@ import re
 from model.core.display_names import joint_display_name, link_display_name
 from model.core.tree import KinematicTree, moving_chain
 from sessions.document import Document
+from sessions.tree_edits import holds_part
 
 _LINK = re.compile(r"(?<![\w/])(?:link|helper)_\d+(?!\.?\w)")
 """A link in a sentence; neither a file name nor a part of a longer one."""
-
-
-def holds_part(link: str) -> bool:
-    """Whether a link holds a part; the others are helpers between the joints of a serial chain."""
-    return link.startswith("link_")
 
 
 def part_title(doc: Document, link: str) -> str:

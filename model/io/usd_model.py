@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
+from model.core.composite_joints import Composite, composite_joints, free_helpers
 from model.core.errors import InputFileError, KinematicsError
 from model.core.files import free_name
 from model.core.inertial import Inertial, inertial_problems
@@ -42,7 +43,7 @@ APART = 1e-3
 """Difference of two joint frames in metres, beside the joint's own motion, that is remarked."""
 _TYPES: dict[str, JointType] = {
     "PhysicsRevoluteJoint": "revolute", "PhysicsPrismaticJoint": "prismatic",
-    "PhysicsFixedJoint": "fixed",
+    "PhysicsFixedJoint": "fixed", "PhysicsSphericalJoint": "revolute",
 }  # fmt: skip
 _LABEL = "semantics:labels:class"
 
@@ -54,7 +55,7 @@ def read_usd_model(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> UrdfModel 
 
     - Each link has one way to the root: the world where a joint fixes a body to it, else the body
       that no joint moves. Joints that close a loop are left out, with a remark.
-    - Joints of other kinds are fixed, with a remark.
+    - Spherical joints become three turns; joints of other kinds are fixed, with a remark.
     - Bodies without a joint stand where they are.
 
     Raises:
@@ -237,6 +238,7 @@ class _Reader:
         if any(v.link == WORLD for v in visuals) or any(WORLD in (j.zero, j.one) for j in joined):
             links.insert(0, WORLD)
         joints, written = self._tree(links, joined)
+        joints = [one for j in joints for one in self._ball(j, written, links)]
         holding = {v.link for v in visuals}
         if links[0] == WORLD and WORLD not in holding:
             below = [j for j in joints if j.parent == WORLD]
@@ -331,6 +333,17 @@ class _Reader:
             limits = (0.0, 0.0)
         a, o = axis.tolist(), joint.frame[:3, 3].tolist()
         return Joint(name, type_, parent, child, (a[0], a[1], a[2]), (o[0], o[1], o[2]), *limits)
+
+    def _ball(self, joint: Joint, written: dict[str, _Link], links: list[str]) -> tuple[Joint, ...]:
+        """A spherical joint as three turns; the links between them are added to ``links``."""
+        prim = written[joint.name].prim if joint.name in written else None
+        if prim is None or str(prim.GetTypeName()) != "PhysicsSphericalJoint":
+            return (joint,)
+        cone = prim.GetAttribute("physics:coneAngle0Limit").Get()
+        swing = math.radians(cone) if cone is not None and 0 <= cone < 90 else math.pi / 2
+        helpers = free_helpers(joint.child, 2, links)
+        links += helpers
+        return composite_joints(Composite("ball"), joint, helpers, swing=swing)
 
     def _mimics(self, written: dict[str, _Link]) -> dict[str, Mimic]:
         """PhysX's mimic joints: q + gearing * q(leader) + offset = 0, in degrees or the unit."""

@@ -111,7 +111,8 @@ def limit_findings(scene: Scene, joint: Joint) -> list[Finding]:
         add(Severity.WARNING, messages.POSE_OUTSIDE)
     if joint.rotates and lower < -slack and upper > slack and _is_door(scene, joint):
         add(Severity.WARNING, messages.BOTH_WAYS)
-    if joint.rotates and span > TURNS_LIMIT:
+    screw = any(j.mimic and j.mimic.joint == joint.name for j in scene.obj.tree.joints)
+    if joint.rotates and span > TURNS_LIMIT and not screw:
         turns = span / (2 * math.pi)
         severity = Severity.WARNING if turns < TURNS_ABSURD else Severity.ERROR
         add(severity, messages.MANY_TURNS, turns=f"{turns:.1f}")

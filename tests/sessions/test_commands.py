@@ -164,6 +164,7 @@ VERSION_1 = [
         "segmentation": REF,
     },
     {"kind": "set_joint", "joint": JOINT},
+    {"kind": "set_composite", "child": "link_1", "motion": {"kind": "screw", "pitch": 0.004}},
     {"kind": "set_root", "link": "link_1"},
     {"kind": "reset_joint", "child": "link_1"},
     {"kind": "lock_joint", "child": "link_1", "locked": True},
@@ -250,6 +251,11 @@ BAD = [
     ({"kind": "set_joint", "joint": JOINT | {"axis": [0, 0, 0]}}, "axis", "zero"),
     ({"kind": "set_joint", "joint": JOINT | {"lower": 2.0}}, "lower", "114.6°"),
     ({"kind": "set_joint", "joint": JOINT | {"type": "screw"}}, "type", "'screw'"),
+    (
+        {"kind": "set_composite", "child": "link_1", "motion": {"kind": "screw", "pitch": 0.0}},
+        "screw",
+        "0.0",
+    ),
     (
         {"kind": "record_segmentation", "prompts_key": "k", "labels": REF, "segmenter": "s"}
         | {"seconds": 0.1, "counts": {"one": 3}},

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from model.core.articulated_object import Prediction
+from model.core.composite_joints import Composite, composite_of
 from model.core.errors import CommandError
-from model.core.joint import Joint
+from model.core.joint import Joint, Mimic
 from model.core.tree import KinematicTree
 from model.segmentation.prompts import Click
 from sessions.commands import (
@@ -30,6 +33,7 @@ from sessions.commands import (
     Saved,
     SetCategory,
     SetCompletion,
+    SetComposite,
     SetFrame,
     SetJoint,
     SetRoot,
@@ -46,6 +50,7 @@ from sessions.state import (
     prompts_key,
     review_problems,
 )
+from sessions.tree_edits import holds_part
 
 REF = "ab" * 32
 OTHER_REF = "cd" * 32
@@ -410,3 +415,36 @@ def test_a_new_part_is_fixed_until_it_is_predicted() -> None:
     # The prediction may have been asked for before the part was there.
     late = run(RecordPrediction(Prediction(tree), REF), state=state).present
     assert late.tree is not None and [j.child for j in late.new_joints] == ["link_2"]
+
+
+def test_a_part_moves_by_a_screw_and_back(predicted):
+    screw = Composite("screw", 0.004)
+    made = run(SetComposite("link_4", screw), state=predicted)
+    tree = made.present.tree
+    assert composite_of(tree, "link_4", holds_part) == screw
+    assert made.present.label == "link_4 moves by screw"
+    assert made.present.joint_edits == predicted.present.joint_edits + 1
+    lifted = tree.pose({"spin": 2 * math.pi})["link_4"][:3, 3]
+    assert np.linalg.norm(lifted) == pytest.approx(0.004)
+    assert run(SetComposite("link_4", screw), state=made) is made
+    assert run(Undo(), state=made).present.tree == predicted.present.tree
+    finer = run(SetComposite("link_4", Composite("screw", -0.002)), state=made)
+    assert composite_of(finer.present.tree, "link_4", holds_part).pitch == pytest.approx(-0.002)
+    # The joint as predicted is one joint again, a follower of the drawer.
+    reset = run(ResetJoint("link_4"), state=finer).present.tree
+    assert set(reset.links) == set(predicted.present.tree.links)
+    assert reset.by_name["spin"] == predicted.present.tree.by_name["spin"]
+
+
+def test_what_follows_a_part_follows_it_on(predicted):
+    tree = run(SetComposite("link_3", Composite("planar")), state=predicted).present.tree
+    assert composite_of(tree, "link_3", holds_part).kind == "planar"
+    assert tree.by_name["spin"].mimic == Mimic("slide", 2.0)  # its own joint stayed
+    with pytest.raises(CommandError, match="it is the root"):
+        run(SetComposite("link_0", Composite("ball")), state=predicted)
+
+
+def test_a_locked_part_keeps_its_lock(predicted):
+    locked = run(LockJoint("link_1", True), SetComposite("link_1", Composite("ball")),
+                 state=predicted)  # fmt: skip
+    assert locked.present.locked == {"link_1"}

@@ -67,7 +67,7 @@ class UrdfModel:
             part = load_part(link, visuals)
             parts.append(replace(part, name=self.part_names.get(link, part.name)))
         progress(1.0, "read")
-        return ArticulatedObject(self.name, tuple(parts), self.tree)
+        return ArticulatedObject(self.name, tuple(parts), self.tree, self.category)
 
 
 def renamed_helpers(

@@ -13,6 +13,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from model.core.articulated_object import ArticulatedObject
+from model.core.composite_joints import LIFT, Composite, composite_joints, free_helpers
 from model.core.errors import InputFileError, KinematicsError
 from model.core.joint import Joint, JointType, Mimic
 from model.core.mesh import Material
@@ -82,7 +83,7 @@ def read_urdf_model(
     """Read a URDF without loading meshes (their paths are checked, not their presence).
 
     - Axes are normalised; limits stay as they are, as other readers have it.
-    - Planar and floating joints become fixed; ``notes`` says so.
+    - Floating joints become fixed, planar ones a chain of three; ``notes`` says so.
     - Numbers that are separated by commas are read; ``notes`` says so.
     - Where no link has a visual, the collision geometry is taken.
     - A link without geometry is a helper; it is renamed where its name begins with ``link_``.
@@ -114,6 +115,7 @@ class _Reader:
         self.colors: dict[str, tuple[int, int, int, int]] = {}
         self.textures: dict[str, Material] = {}
         self.commas = self.moved = False
+        self.planar: set[str] = set()
         self.unlimited: list[str] = []  # mimic joints that take their leader's range
 
     def read(self) -> UrdfModel:
@@ -138,6 +140,7 @@ class _Reader:
         locals_: dict[str, FloatArray] = {}
         joints = [j for e in robot.findall("joint") if (j := self._joint(e, locals_)) is not None]
         joints = [self._followed(j, joints) for j in joints]
+        joints = [one for j in joints for one in self._in_plane(j, links, locals_)]
         if self.lenient:
             joints += self._joined(links, joints, locals_)
         geometry = self._geometry(robot)
@@ -269,6 +272,23 @@ class _Reader:
             return Joint(name or "?", "fixed", parent, child)
         return Joint(name, type_, parent, child, (x, y, z), (0, 0, 0), lower, upper, mimic)
 
+    def _in_plane(
+        self, joint: Joint, links: list[str], locals_: dict[str, FloatArray]
+    ) -> tuple[Joint, ...]:
+        """A planar joint as two slides and a turn, in the child's frame."""
+        if joint.name not in self.planar or not joint.moves:
+            return (joint,)
+        helpers = free_helpers(joint.child, 2, links)
+        chain = composite_joints(Composite("planar"), joint, helpers)
+        links += helpers
+        # The whole way from the parent comes first.
+        locals_ |= {chain[0].name: locals_[joint.name]} | {j.name: np.eye(4) for j in chain[1:]}
+        self.notes.append(
+            f"joint {joint.name!r} is planar: read as two slides, {LIFT:g} m either way as a "
+            "guess, and a turn"
+        )
+        return chain
+
     def _followed(self, joint: Joint, joints: Sequence[Joint]) -> Joint:
         """A follower without limits has its leader's range times the multiplier."""
         leader = next((j for j in joints if joint.mimic and j.name == joint.mimic.joint), None)
@@ -314,6 +334,9 @@ class _Reader:
 
     def _joint_type(self, element: Element, where: str) -> JointType:
         given = element.get("type", "")
+        if given == "planar" and not self.lenient:
+            self.planar.add(element.get("name", ""))
+            return "continuous"
         if given in _TO_FIXED:
             self.notes.append(f"{where}: {given} joints are not supported; it became fixed")
         elif given not in _MOVING and given != "fixed":

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 from xml.etree import ElementTree as ET  # only makes elements; reading is defusedxml's
@@ -18,7 +19,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from model.core.errors import InputFileError
+from model.core.composite_joints import Composite, composite_joints, free_helpers
+from model.core.errors import InputFileError, KinematicsError
+from model.core.joint import Joint
 from model.core.rotations import affine, rotation_from_rpy, rpy_from_rotation
 from model.io.urdf.files import MODEL_URI, PACKAGE_URI
 from model.io.xml_file import parse
@@ -34,6 +37,7 @@ _HEAD = 1 << 16
 _BEGINS = re.compile(rb"<sdf\b[^>]*>(?:\s|<!--.*?-->)*<model\b", re.DOTALL)
 _KINDS = {"revolute": "revolute", "continuous": "continuous", "prismatic": "prismatic",
           "fixed": "fixed"}  # fmt: skip
+_TWO_AXES = ("universal", "revolute2")
 _SHAPES = {"box": ("size",), "cylinder": ("radius", "length"), "sphere": ("radius",),
            "capsule": ("radius", "length")}  # fmt: skip
 
@@ -47,8 +51,9 @@ MODEL = XmlSchema.of(
         ),
         ("link", "pose inertial visual collision", "name"),
         ("frame", "pose", "name attached_to"),
-        ("joint", "pose parent child axis", "name type"),
+        ("joint", "pose parent child axis axis2 screw_thread_pitch thread_pitch", "name type"),
         ("axis", "xyz limit dynamics mimic use_parent_model_frame", ""),
+        ("axis2", "xyz limit dynamics mimic use_parent_model_frame", ""),
         ("xyz", "", "expressed_in"),
         ("limit", "lower upper effort velocity stiffness dissipation", ""),
         ("dynamics", "damping friction spring_reference spring_stiffness", ""),
@@ -232,29 +237,78 @@ class _Model:
 
     def _joint(self, joint: Element, out: Element) -> None:
         name, given = joint.get("name", ""), joint.get("type", "")
+        parent, child = _text(joint, "parent"), _text(joint, "child")
+        frame = self.frame[child]
+        place = np.linalg.inv(self.frame.get(parent, np.eye(4))) @ frame
+        try:
+            chain = self._chain(joint, given, frame)
+        except KinematicsError as error:
+            raise ValueError("; ".join(error.problems)) from None
+        for k, one in enumerate(chain):
+            if one.child != child:
+                ET.SubElement(out, "link", name=one.child)
+            second = one.name == name and given in _TWO_AXES
+            said = joint.find("axis2" if second else "axis") if one.mimic is None else None
+            limits = None if one.lower is None or one.upper is None else (one.lower, one.upper)
+            made = _begun(out, one.name, one.type, one.parent, one.child, place if k == 0 else None)
+            ET.SubElement(made, "axis", xyz=" ".join(map(repr, one.axis)))
+            self._resisting(made, said, limits)
+            if one.mimic is not None:
+                ET.SubElement(made, "mimic", joint=one.mimic.joint,
+                              multiplier=repr(one.mimic.multiplier), offset="0")  # fmt: skip
+        if chain:
+            return
         kind = _KINDS.get(given, "fixed")
         if given not in _KINDS:
             self.notes.append(f"joint {name!r}: {given} joints are not supported; it became fixed")
-        parent, child = _text(joint, "parent"), _text(joint, "child")
         axis = joint.find("axis")
         limits = self._limits(axis)
         if kind == "revolute" and limits is None:
             kind = "continuous"
-        made = ET.SubElement(out, "joint", name=name, type=kind)
-        ET.SubElement(made, "parent", link=parent)
-        ET.SubElement(made, "child", link=child)
-        frame = self.frame[child]
-        _origin(made, np.linalg.inv(self.frame.get(parent, np.eye(4))) @ frame)
+        made = _begun(out, name, kind, parent, child, place)
         if kind == "fixed" or axis is None:
             return
-        ET.SubElement(made, "axis", xyz=self._axis(axis, frame))
+        ET.SubElement(made, "axis", xyz=" ".join(map(repr, self._axis(axis, frame))))
         if limits is None and kind == "prismatic":
             self.notes.append(f"joint {name!r} slides without limits: its range is taken as 0")
             limits = (0.0, 0.0)
+        self._resisting(made, axis, limits)
+
+    def _chain(self, joint: Element, given: str, frame: FloatArray) -> tuple[Joint, ...]:
+        """Joints through helper links, in the child's frame; () for one joint alone."""
+        name, parent, child = joint.get("name", ""), _text(joint, "parent"), _text(joint, "child")
+        taken = {link.get("name", "") for link in self.model.findall("link")}
+        helpers = free_helpers(child, 2, taken)
+        base = Joint(name or "?", "continuous", parent, child)
+        if given == "ball":
+            return composite_joints(Composite("ball"), base, helpers, swing=math.pi / 2)
+
+        def turn(tag: str) -> Joint:
+            axis = joint.find(tag)
+            if axis is None:
+                return base
+            x, y, z = self._axis(axis, frame)
+            lower, upper = self._limits(axis) or (None, None)
+            kind = "continuous" if lower is None else "revolute"
+            return Joint(base.name, kind, parent, child, (x, y, z), (0, 0, 0), lower, upper)
+
+        if given == "screw" and (pitch := _pitch(joint)):
+            return composite_joints(Composite("screw", pitch), turn("axis"), helpers)
+        if given in _TWO_AXES:
+            first = replace(turn("axis"), name=f"joint_{helpers[0]}", child=helpers[0])
+            return first, replace(turn("axis2"), parent=helpers[0])
+        return ()
+
+    def _resisting(
+        self, made: Element, axis: Element | None, limits: tuple[float, float] | None
+    ) -> None:
+        """Limits, damping, friction and what the joint follows."""
         limit = ET.SubElement(made, "limit")
         if limits is not None:
             limit.set("lower", repr(limits[0]))
             limit.set("upper", repr(limits[1]))
+        if axis is None:
+            return
         for key in ("effort", "velocity"):  # negative ones stand for none
             text = _text(axis, f"limit/{key}")
             if text and not text.startswith("-"):
@@ -282,8 +336,8 @@ class _Model:
             raise ValueError("a limit is not a number")
         return None if max(map(abs, ends)) > UNLIMITED else (ends[0], ends[1])
 
-    def _axis(self, axis: Element, frame: FloatArray) -> str:
-        """The axis in the joint's frame."""
+    def _axis(self, axis: Element, frame: FloatArray) -> list[float]:
+        """(3,) the axis in the joint's frame."""
         given = axis.find("xyz")
         xyz = _numbers((given.text if given is not None else None) or "0 0 1", 3, "axis")
         within = "" if given is None else given.get("expressed_in", "")
@@ -291,7 +345,27 @@ class _Model:
             within = "__model__"
         if within:
             xyz = frame[:3, :3].T @ self._place(within)[:3, :3] @ xyz
-        return " ".join(map(repr, xyz.tolist()))
+        return xyz.tolist()
+
+
+def _begun(
+    out: Element, name: str, kind: str, parent: str, child: str, place: FloatArray | None
+) -> Element:
+    made = ET.SubElement(out, "joint", name=name, type=kind)
+    ET.SubElement(made, "parent", link=parent)
+    ET.SubElement(made, "child", link=child)
+    _origin(made, np.eye(4) if place is None else place)
+    return made
+
+
+def _pitch(joint: Element) -> float:
+    """Metres of a right-handed turn of a screw; 0 where nothing usable is said."""
+    said = _text(joint, "screw_thread_pitch")
+    if said:
+        return float(_numbers(said, 1, "screw_thread_pitch")[0])
+    old = _text(joint, "thread_pitch")  # rad/m, of a left-handed thread
+    per_metre = float(_numbers(old, 1, "thread_pitch")[0]) if old else 1.0
+    return -2 * math.pi / per_metre if per_metre else 0.0
 
 
 def _text(element: Element, path: str) -> str:

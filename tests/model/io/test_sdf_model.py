@@ -2,36 +2,25 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from model.core.composite_joints import Composite, composite_of
 from model.core.errors import InputFileError
-from model.io.assets.reader import load_object
 from model.io.export.registry import load_exporter, write_object
 from model.io.find_assets import find_assets
 from model.io.model_files import files_named_by, is_model, read_model
 from model.io.open_asset import open_asset
-from model.physics.simulation_values import physics_of
+from model.physics.simulation_values import plain_physics
 from tests.model.io.test_exporters import make_object
 
 
-def test_an_export_comes_back_with_joints_masses_and_shapes(tmp_path) -> None:
+def test_an_export_is_found_and_names_its_files(tmp_path) -> None:
     obj = make_object()
-    physics = physics_of(obj)
-    path = write_object(obj, load_exporter("sdf"), tmp_path / "a", physics=physics)[0]
-    back = load_object(path)
-    assert {j.name: j.type for j in back.tree.joints} == {j.name: j.type for j in obj.tree.joints}
-    for q in ({}, {"hinge": 0.7, "turn <&>": 1.1, "slide": 0.2}):
-        ours, theirs = obj.pose(q), back.pose(q)
-        for link in obj.tree.links:
-            np.testing.assert_allclose(theirs[link], ours[link], atol=1e-6)
-    for link, inertial in physics.inertials.items():
-        np.testing.assert_allclose(back.inertials[link].tensor, inertial.tensor, atol=1e-6)
-    for ours, theirs in zip(obj.parts, back.parts, strict=True):
-        np.testing.assert_allclose(theirs.bounds, ours.bounds, atol=0.02)  # a cloud is meshed
-    assert set(back.shapes) == {n for n, s in physics.collision.items() if s}
+    path = write_object(obj, load_exporter("sdf"), tmp_path / "a", physics=plain_physics(obj))[0]
     assert find_assets([tmp_path]) == [tmp_path / "a"]
     assert open_asset(tmp_path / "a").tree is not None
     assert all(p.is_file() for p in files_named_by(path)) and len(files_named_by(path)) > 4
@@ -99,7 +88,7 @@ def test_what_is_not_read_is_told(tmp_path) -> None:
         <link name='b'>{BOX.format("1 1 1")}
           <visual name='p'><geometry><plane/></geometry></visual></link>
         <link name='c'>{BOX.format("1 1 1")}</link>
-        <joint name='ball' type='ball'><parent>a</parent><child>b</child></joint>
+        <joint name='odd' type='gearbox'><parent>a</parent><child>b</child></joint>
         <joint name='free' type='prismatic'><parent>a</parent><child>c</child>
           <axis><xyz>1 0 0</xyz></axis></joint>
         <model name='inner'/>
@@ -107,7 +96,7 @@ def test_what_is_not_read_is_told(tmp_path) -> None:
     notes = " | ".join(read_model(path).notes)
     for words in (
         "<model> in the model", "a visual of <plane> is not read", "<glow> in <link> (1)",
-        "ball joints are not supported; it became fixed", "slides without limits",
+        "gearbox joints are not supported; it became fixed", "slides without limits",
     ):  # fmt: skip
         assert words in notes
 
@@ -130,6 +119,43 @@ def test_what_cannot_be_resolved_is_refused(tmp_path, a, b, axis, says) -> None:
     path = written(tmp_path / "a.sdf", links + JOINT.format(axis))
     assert is_model(path)
     with pytest.raises(InputFileError, match=says):
+        read_model(path)
+
+
+MOVING = """<joint name='j' type='{}'><parent>a</parent><child>b</child>{}</joint>"""
+AXIS = "<axis><xyz>0 1 0</xyz><limit><lower>-1</lower><upper>3</upper></limit></axis>"
+
+
+@pytest.mark.parametrize(
+    ("kind", "said", "motion"),
+    [
+        ("screw", f"{AXIS}<screw_thread_pitch>0.02</screw_thread_pitch>", Composite("screw", 0.02)),
+        ("screw", f"{AXIS}<thread_pitch>-100</thread_pitch>", Composite("screw", math.pi / 50)),
+        ("ball", "", Composite("ball")),
+        ("universal", f"{AXIS}{AXIS.replace('axis', 'axis2').replace('0 1 0', '1 0 0')}",
+         Composite("universal")),
+    ],
+)  # fmt: skip
+def test_joints_of_several_motions_become_chains(tmp_path, kind, said, motion) -> None:
+    links = "".join(f"<link name='{n}'>{BOX.format('1 1 1')}</link>" for n in "ab")
+    model = read_model(written(tmp_path / "a.sdf", links + MOVING.format(kind, said)))
+    assert not any("became fixed" in note for note in model.notes)
+    found = composite_of(model.tree, "b", lambda link: link in "ab")
+    assert (found.kind, found.pitch) == (motion.kind, pytest.approx(motion.pitch))
+    own = model.tree.by_name["j"]
+    if kind == "screw":
+        assert (own.axis, own.lower, own.upper) == ((0, 1, 0), -1, 3)
+        turn = model.tree.pose({"j": math.pi})["b"]
+        np.testing.assert_allclose(turn[:3, 3], (0, motion.pitch / 2, 0), atol=1e-9)
+    if kind == "universal":
+        assert [j.axis for j in model.tree.joints] == [(0, 1, 0), (1, 0, 0)]
+
+
+def test_a_screw_without_an_axis_is_refused_by_name(tmp_path) -> None:
+    links = "".join(f"<link name='{n}'>{BOX.format('1 1 1')}</link>" for n in "ab")
+    axis = AXIS.replace("0 1 0", "0 0 0") + "<screw_thread_pitch>1</screw_thread_pitch>"
+    path = written(tmp_path / "a.sdf", links + MOVING.format("screw", axis))
+    with pytest.raises(InputFileError, match=r"a\.sdf: joint 'j': axis must not be zero"):
         read_model(path)
 
 

@@ -10,6 +10,7 @@ import pytest
 import trimesh
 import yourdfpy
 
+from model.core.composite_joints import Composite, composite_of
 from model.core.errors import InputFileError
 from model.core.rotations import rotation_from_rpy
 from model.io.urdf.writer import read_urdf, read_urdf_model
@@ -107,7 +108,9 @@ def test_what_is_not_supported_is_noted(write):
     model = read_urdf_model(path)
     types = {j.name: j.type for j in model.tree.joints}
     assert types == {
-        "p": "fixed",
+        "joint_helper_b": "prismatic",
+        "joint_helper_b_2": "prismatic",
+        "p": "continuous",
         "f": "fixed",
         "i": "continuous",
         "w": "revolute",
@@ -115,7 +118,8 @@ def test_what_is_not_supported_is_noted(write):
     }
     swapped = model.tree.by_name["w"]
     assert (swapped.lower, swapped.upper) == (-2, 1)
-    assert [n.split("'")[1] for n in model.notes] == ["p", "f", "i", "w", "e"]
+    assert sorted(n.split("'")[1] for n in model.notes) == ["e", "f", "i", "p", "w"]
+    assert composite_of(model.tree, "b", "abcdeh".__contains__) == Composite("planar")
 
 
 def test_helpers_are_renamed_so_that_they_never_look_like_parts(write):

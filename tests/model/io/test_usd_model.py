@@ -10,35 +10,19 @@ from pxr import Gf, Usd, UsdGeom, UsdPhysics
 
 from app.cli.commands import ServeCommand
 from app.cli.serve import scene_to_open
+from model.core.composite_joints import Composite, composite_of
 from model.core.errors import InputFileError
-from model.io.assets.reader import load_object
 from model.io.export.registry import load_exporter, write_object
 from model.io.model_files import read_model
 from model.io.open_asset import open_asset
 from model.io.usd_model import read_usd_model
-from model.physics.simulation_values import physics_of
+from model.physics.simulation_values import plain_physics
 from tests.model.io.test_exporters import make_object
 
 
-def test_an_export_comes_back_with_joints_masses_shapes_and_names(tmp_path) -> None:
+def test_an_export_comes_back_with_names_and_couplings(tmp_path) -> None:
     obj = make_object()
-    physics = physics_of(obj)
-    path = write_object(obj, load_exporter("usd"), tmp_path, physics=physics)[0]
-    back = load_object(path)
-    assert {j.name: j.type for j in back.tree.joints} == {j.name: j.type for j in obj.tree.joints}
-    for q in ({}, {"hinge": 0.7, "turn <&>": 1.1, "slide": 0.2}):
-        ours, theirs = obj.pose(q), back.pose(q)
-        for link in obj.tree.links:
-            np.testing.assert_allclose(theirs[link], ours[link], atol=1e-6)
-    for link, inertial in physics.inertials.items():
-        np.testing.assert_allclose(back.inertials[link].mass, inertial.mass, rtol=1e-5)
-        np.testing.assert_allclose(back.inertials[link].tensor, inertial.tensor, atol=1e-6)
-    assert {n: len(s) for n, s in back.shapes.items()} == {
-        n: len(s) for n, s in physics.collision.items()
-    }
-    hinge = back.tree.by_name["hinge"].dynamics
-    assert hinge is not None
-    assert hinge.damping == pytest.approx(physics.dynamics["hinge"].damping, rel=1e-4)
+    path = write_object(obj, load_exporter("usd"), tmp_path, physics=plain_physics(obj))[0]
     asset = open_asset(path)
     assert asset.part_names[:2] == ("base", "door") and asset.category == "cabinet"
     assert asset.tree is not None and asset.tree.by_name["follow"].mimic is not None
@@ -110,14 +94,30 @@ def test_units_up_axis_and_an_open_door(tmp_path) -> None:
 def test_loops_other_joints_and_loose_bodies_are_told(tmp_path) -> None:
     stage = stage_of(tmp_path / "a.usda")
     hinge(stage)
-    joined(stage, "SphericalJoint", "door", "drawer")
+    joined(stage, "DistanceJoint", "door", "drawer")
     joined(stage, "PrismaticJoint", "cabinet", "drawer", Axis="X", LocalPos1=Gf.Vec3f(1, 0, 0))
     stage.Save()
     model = read_usd_model(tmp_path / "a.usda")
     assert model is not None and len(model.tree.joints) == 2
     notes = " | ".join(model.notes)
-    assert "of type PhysicsSphericalJoint: read as fixed" in notes
+    assert "of type PhysicsDistanceJoint: read as fixed" in notes
     assert "closes a loop: left out" in notes and "m apart" in notes
+
+
+@pytest.mark.parametrize(("cone", "swing"), [(30.0, 30), (-1.0, 90)])
+def test_a_spherical_joint_becomes_three_turns(tmp_path, cone, swing) -> None:
+    stage = stage_of(tmp_path / "a.usda")
+    joined(stage, "SphericalJoint", "cabinet", "drawer", Axis="Z", ConeAngle0Limit=cone,
+           LocalPos0=Gf.Vec3f(15, 0, 10))  # fmt: skip
+    stage.Save()
+    model = read_usd_model(tmp_path / "a.usda")
+    assert model is not None and not any("read as fixed" in note for note in model.notes)
+    assert composite_of(model.tree, "drawer", lambda n: "helper" not in n) == Composite("ball")
+    tilts = [j for j in model.tree.joints if j.child.startswith("helper")]
+    assert [np.degrees(j.upper) for j in tilts] == pytest.approx([swing, swing])
+    # The file's +z, its twist, is -y here; all turn about one point.
+    np.testing.assert_allclose(model.tree.joint_of["drawer"].axis, (0, -1, 0), atol=1e-6)
+    np.testing.assert_allclose(tilts[0].origin, (0.15, -0.1, 0.5), atol=1e-6)
 
 
 def test_what_is_no_object_with_joints_is_opened_as_before(tmp_path) -> None:
