@@ -156,6 +156,11 @@ class AppState:
             return "on_hold", held
         return ("interrupted" if self.was_interrupted(record) else record.state), ""
 
+    def exceptions(self) -> dict[int, tuple[str, str]]:
+        """Return the shown states of the few objects whose record doesn't say it all."""
+        few = {*self.queue.unreadable, *self.acceptances.ids, *list(self._open)}
+        return {r.id: self.shown_state(r) for r in self.queue.records() if r.id in few}
+
     def sync_remote(self) -> None:
         """Take in what other servers of the workspace did."""
         last = self.store.last_commands()

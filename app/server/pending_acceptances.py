@@ -33,6 +33,11 @@ class PendingAcceptances:
     def __contains__(self, object_id: int) -> bool:
         return object_id in self._pending
 
+    @property
+    def ids(self) -> list[int]:
+        """Ids of objects that have or had one."""
+        return list(self._pending)
+
     def of(self, record: ObjectRecord) -> PendingAcceptance | None:
         """Return the pending acceptance of an object, unless the object changed since."""
         pending = self._pending.get(record.id)

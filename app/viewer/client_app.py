@@ -22,6 +22,7 @@ from app.viewer.panels.object_header import ObjectHeader
 from app.viewer.panels.queue_panel import QueuePanel
 from app.viewer.panels.step_bar import StepBar
 from app.viewer.panels.tool_rail import RailActions, ToolRail
+from app.viewer.panels.tour import Tour
 from app.viewer.panels.widgets import put
 from app.viewer.picture.drawing import ObjectDrawing
 from app.viewer.picture.light import PLAIN, LightSwitch, Theme
@@ -76,6 +77,7 @@ class ClientApp:
         self._presses = Presses(tab)
         self._bar = StepBar(tab, self._presses, app_state.bulk, self.commands.cancel)
         self._exporting = Exporting(tab, app_state.bulk, app_state.workspace)
+        self._tour = Tour(tab, self._presses, self.motion, self._remember)
         self.rail = ToolRail(tab, self._presses, self.pointing, self._rail_actions())
         self._build()
         steps = (self.prepare, self.annotate, self.joints, self.review)
@@ -126,6 +128,7 @@ class ClientApp:
             play=self.motion.play,
             reset_pose=self.motion.reset,
             show_keys=self._sheet.toggle,
+            tour=self._tour.begin,
         )
 
     def _build_object(self) -> None:
@@ -225,6 +228,7 @@ class ClientApp:
         memory = Memory.load(self.tab)
         self.light.plain = memory.light == PLAIN
         self.tab.user = memory.user or self.tab.user
+        self._tour.over = bool(memory.toured)
         if self.queue is not None:
             self.queue.user_name.show()
             self._navigation.start(memory.object)
@@ -242,9 +246,11 @@ class ClientApp:
             inside="" if scene is None else scene.edit.inside or "",
             light=PLAIN if self.light.plain else "",
             chosen="" if scene is None else scene.choice.selected or "",
+            toured="yes" if self._tour.over else "",
         ).store(self.tab)
 
     def _opened(self, obj: OpenObject) -> None:
+        self._tour.begin_at_first(obj)
         if obj.hold_reason:
             self.tab.selection.set_step("Review")
             self.review.validation_list.show_soon(obj)
@@ -277,6 +283,7 @@ class ClientApp:
         if self.scene is not None:
             self.scene.draw()
         obj = selection.object
+        self._tour.draw(obj)
         put(self._object_folder, "visible", obj is not None)
         broken = obj is not None and obj.problem is not None
         for step, folder in self._folders.items():

@@ -31,6 +31,7 @@ class Memory:
         inside: the object of a scene that is worked on, or "".
         light: "plain" where there are no reflections.
         chosen: the selected object of a scene, or "".
+        toured: "yes" once the tour was taken or skipped.
     """
 
     user: str = ""
@@ -38,10 +39,11 @@ class Memory:
     inside: str = ""
     light: str = ""
     chosen: str = ""
+    toured: str = ""
 
     def store(self, tab: Tab) -> None:
         """Keep it in the browser."""
-        lines = (self.user, self.object, self.inside, self.light, self.chosen)
+        lines = (self.user, self.object, self.inside, self.light, self.chosen, self.toured)
         tab.client.local_storage.set_item(_STORED, "\n".join(lines))
 
     @classmethod
@@ -52,7 +54,7 @@ class Memory:
         except (RuntimeError, TimeoutError):
             log.info("tab %s has no memory of its own", tab.client.client_id)
             return cls()
-        memory = cls(*(stored or "").split("\n")[:5])
+        memory = cls(*(stored or "").split("\n")[:6])
         try:
             return replace(memory, user=cmd.clean_text(memory.user, 60, "your name") or "")
         except ArtiworldError:

@@ -1,7 +1,7 @@
 // The queue: a list beside the picture, or a gallery over it. Only the pieces that are seen are
 // asked for, and only their cards exist, so that thousands of objects are no more work than ten.
 (() => {
-  const PIECE = 40, LATER_MS = 120, DRAWN_MS = 1200, TRIES = 60;
+  const PIECE = 40, LATER_MS = 30, DRAWN_MS = 1200, TRIES = 60;
   const LIST = { width: 0, height: 54 }, GALLERY = { width: 184, height: 196 };
   const view = { search: "", state: "", sort: "order", wide: false };
   const picked = new Set(), cards = new Map(), pieces = new Map(), asked = new Set();

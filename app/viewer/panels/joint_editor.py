@@ -13,6 +13,7 @@ from app.server import snapping_tasks
 from app.server.display_names import holds_part, joint_title, part_title
 from app.server.jobs import EDITS, WorkerProcess
 from app.server.open_object import OpenObject
+from app.viewer.panels.joint_motion import JointMotion
 from app.viewer.panels.joint_text import joint_note, shown
 from app.viewer.panels.widgets import differs, put
 from app.viewer.picture.motion import Motion
@@ -35,6 +36,7 @@ class JointEditor:
 
     Attributes:
         pose_box: the place for the slider that moves it.
+        several: its fields for motions of several joints, and what it follows.
     """
 
     def __init__(
@@ -52,6 +54,7 @@ class JointEditor:
         self.pose_box = gui.add_folder(None)
         self._note = gui.add_markdown("")
         self._type = gui.add_dropdown(words.TYPE, JOINT_TYPES)
+        self.several = JointMotion(tab, self._on_edit)
         self._parent = gui.add_dropdown(words.PARENT, (NONE,))
         self._axis = gui.add_vector3(words.AXIS, (0.0, 0.0, 1.0), step=0.001)
         self._axis_to = gui.add_button_group(words.SET_AXIS, words.SET_AXIS_ACTIONS)
@@ -234,6 +237,7 @@ class JointEditor:
         files = FileNames.of_tree(tree, names, doc.category)
         put(self._name, "value", files.joints.get(joint.name, joint.name))
         put(self._type, "value", joint.type)
+        self.several.draw(obj, tree, joint)
         below = tree.descendants(joint.child)
         above = tuple(part_title(doc, k) for k in tree.links if k not in below)
         put(self._parent, "options", above)

@@ -119,8 +119,9 @@ class QueuePanel:
         app_state, obj = self._app_state, self._tab.selection.object
         records = app_state.queue.records()
         current = None if obj is None else obj.record.id
-        shown = tuple((r.id, r.state, r.category, app_state.shown_state(r)) for r in records)
-        now = shown, current, app_state.queue.removed, app_state.bulk.progress
+        shown = tuple((r.id, r.state, r.category) for r in records)
+        exceptions = app_state.exceptions()
+        now = shown, exceptions, current, app_state.queue.removed, app_state.bulk.progress
         if now == self._shown:
             return
         self._shown = now
@@ -134,7 +135,7 @@ class QueuePanel:
         if removed:
             name = app_state.store.object(removed[-1]).name
             put(self._restore, "label", words.restore(clipped(name, NAME_LENGTH - 4)))
-        on_hold = [id for id, _, _, (state, _) in shown if state == "on_hold" and id != current]
+        on_hold = [i for i, (state, _) in exceptions.items() if state == "on_hold" and i != current]
         self._draw_on_hold(on_hold, app_state.gallery.names())
         call_page(self._tab.client, "Queue.changed", current)
 

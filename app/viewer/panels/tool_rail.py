@@ -15,6 +15,7 @@ from app.viewer.panels.markup import Place, Presses, button, icon
 from app.viewer.tab import AT_REST, Tab
 from app.viewer.words import annotate as words
 from app.viewer.words import common
+from app.viewer.words.tour import TOUR, TOUR_TIP
 
 _TOOLS = {label: tool for row in words.TOOL_ROWS for tool, label in row.items()}
 _ICONS: Final[dict[str, Any]] = {
@@ -44,6 +45,7 @@ class RailActions:
     play: Callable[[], None]
     reset_pose: Callable[[], None]
     show_keys: Callable[[], None]
+    tour: Callable[[], None]
 
 
 class ToolRail:
@@ -65,6 +67,7 @@ class ToolRail:
             common.PLAY: actions.play,
             common.RESET_POSE: actions.reset_pose,
             common.KEYS_BUTTON: actions.show_keys,
+            TOUR: actions.tour,
             words.PREVIEW: self.toggle_preview,
             words.TOUCH: self._toggle_touch,
         }
@@ -120,7 +123,10 @@ class ToolRail:
                 _view(words.PREVIEW, viser.Icon.EYE, words.PREVIEW_HINT, on),
                 _view(words.TOUCH, viser.Icon.HAND_FINGER, words.TOUCH_HINT, self.touch),
             ])  # fmt: skip
-        groups.append([_view(common.KEYS_BUTTON, viser.Icon.KEYBOARD)])
+        groups.append([
+            _view(common.KEYS_BUTTON, viser.Icon.KEYBOARD),
+            _view(TOUR, viser.Icon.SCHOOL, TOUR_TIP),
+        ])  # fmt: skip
         self._place.show("".join(f'<div class="aw-group">{"".join(g)}</div>' for g in groups))
 
     def _tool(self, label: str, tool: str) -> str:

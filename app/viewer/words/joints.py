@@ -16,6 +16,20 @@ ALL_JOINTS: Final = "All joints"
 ROW_EDIT: Final = "Edit"
 JOINT: Final = "Joint"
 TYPE: Final = "Type"
+MOTION: Final = "Motion"
+MOTIONS: Final[dict[str, str]] = {
+    "One joint": "single", "Screw": "screw", "Lift and swivel": "lift_and_swivel", "Ball": "ball",
+    "Universal joint": "universal", "Plane": "planar",
+}  # fmt: skip
+"""Entry of the list → kind of the motion."""
+MOTION_HINT: Final = "Screw, ball and others take several joints"
+PITCH: Final = "Pitch [mm a turn]"
+PITCH_START: Final = 4.0
+"""mm a turn of a new screw, about that of a bottle's cap."""
+FOLLOWS: Final = "Follows"
+FOLLOWS_HINT: Final = "As gears do: this joint moves with another one"
+RATIO: Final = "Ratio"
+RATIO_HINT: Final = "Radians or metres for each radian or metre of the other joint"
 PARENT: Final = "Parent"
 AXIS: Final = "Axis"
 SET_AXIS: Final = "Set axis"
