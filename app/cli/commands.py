@@ -343,8 +343,14 @@ class ExportCommand(Command):
     profile: Literal["robotics-prop"] | None = option(
         "with usd: a SimReady package of this profile, with thumbnail and metadata"
     )
-    author: str = option("author or organisation, for the package", "NAME", "")
-    license: str = option("licence of the asset, for the package, such as CC-BY-4.0", "NAME", "")
+    author: str = option(
+        "author or organisation, for the package (default: the workspace's last one)", "NAME", ""
+    )
+    license: str = option(
+        "licence of the asset, for the package, such as CC-BY-4.0 (default: the last one)",
+        "NAME",
+        "",
+    )
     qcode: str | None = option("its Wikidata item, for the package (default: by category)", "QCODE")
     jobs: int | None = option("processes for several assets (default: as many as processors)", "N")
     json: bool = json_flag()

@@ -17,18 +17,24 @@ from app.server.export_tasks import ExportTask, export_one
 from model.core.errors import ConfigurationError
 from model.core.progress import Progress
 from model.io.export.registry import exporter_names, load_exporter
-from model.io.export.simready import AboutPackage
+from model.io.export.simready import AboutPackage, remember, remembered
 
 
 def export(options: ExportCommand) -> int:
     """Write all assets in all formats, print the files, and return the exit code."""
     formats = named_formats(options.format)
     package = None
-    if options.profile is not None:
-        if "usd" not in formats:
-            raise ConfigurationError(f"--profile {options.profile} is of --format usd")
-        package = AboutPackage(options.author, options.license, qcode=options.qcode)
+    if options.profile is not None and "usd" not in formats:
+        raise ConfigurationError(f"--profile {options.profile} is of --format usd")
     assets = find_assets(options.assets)
+    if options.profile is not None:
+        # Accepted assets lie in the folder "assets" of their workspace.
+        workspace = assets[0].parent.parent if assets[0].parent.name == "assets" else None
+        author, license = remembered(workspace)
+        package = AboutPackage(
+            options.author or author, options.license or license, qcode=options.qcode
+        )
+        remember(workspace, package)
     physics, store = physics_settings(options.physics), shape_store(options.physics)
     check_output(options.out, *assets, *(a.parent for a in assets if a.is_file()))
     several = len(assets) > 1 or _is_collection(options.assets)

@@ -19,7 +19,7 @@ from app.viewer.tab import Tab
 from app.viewer.words import export as words
 from model.core.errors import CommandError
 from model.io.export.registry import exporter_names, load_exporter
-from model.io.export.simready import AboutPackage
+from model.io.export.simready import AboutPackage, remember, remembered
 from model.physics.collision.build import CollisionSettings, Method
 from model.physics.simulation_values import PhysicsSettings
 
@@ -36,12 +36,14 @@ class Exporting:
 
     def __init__(self, tab: Tab, bulk: BulkWork, workspace: Path) -> None:
         self._tab, self._bulk = tab, bulk
+        self._workspace = workspace
         self._exports, self._store = workspace / "exports", workspace / "collision"
         self._modal: Any = None
 
     def ask(self, ids: Sequence[int]) -> None:
         """Show the dialog for objects."""
         gui, tab = self._tab.client.gui, self._tab
+        author, license = remembered(self._workspace)
         self.close()
         self._modal = gui.add_modal(words.title(len(ids)))
         with self._modal:
@@ -52,8 +54,10 @@ class Exporting:
             self._collision = gui.add_dropdown(words.COLLISION, tuple(words.COLLISIONS))
             self._check = gui.add_checkbox(words.CHECK, True, hint=words.CHECK_HINT)
             self._package = gui.add_checkbox(words.PACKAGE, False, hint=words.PACKAGE_HINT)
-            self._author = gui.add_text(words.AUTHOR, tab.user, visible=False)
-            self._license = gui.add_text(words.LICENSE, "", visible=False, hint=words.LICENSE_HINT)
+            self._author = gui.add_text(words.AUTHOR, author or tab.user, visible=False)
+            self._license = gui.add_text(
+                words.LICENSE, license, visible=False, hint=words.LICENSE_HINT
+            )
             self._folder = gui.add_text(words.FOLDER, "", hint=words.FOLDER_HINT)
             begin = gui.add_button(words.BEGIN, icon=viser.Icon.DOWNLOAD, color="blue")
             close = gui.add_button(words.CLOSE, color="gray")
@@ -81,6 +85,7 @@ class Exporting:
             if not (self._author.value.strip() and self._license.value.strip()):
                 raise CommandError(words.NEED_PACKAGE)
             package = AboutPackage(self._author.value.strip(), self._license.value.strip())
+            remember(self._workspace, package)
             formats = list(dict.fromkeys([*formats, "usd"]))
         if not formats:
             raise CommandError(words.NO_FORMAT)

@@ -23,7 +23,7 @@ import numpy as np
 
 from model.core.articulated_object import ArticulatedObject
 from model.core.errors import ConfigurationError
-from model.core.files import read_json
+from model.core.files import read_json, write_json
 from model.core.installing import require
 from model.core.progress import Progress, no_progress
 from model.core.resources import static_assets
@@ -36,6 +36,9 @@ PROFILE, VERSION = "Robotics-Prop", "4.0.0"
 VALIDATOR = "simready-validate"
 THUMBNAIL = 256
 """Pixels along each side; the requirement names them in the folder."""
+REMEMBERED = "simready.json"
+"""File of a workspace with the author and licence that were given last."""
+_ASKED = ("author", "license")
 SECONDS = 300.0
 """Longest run of the validator on one asset."""
 
@@ -61,6 +64,25 @@ class AboutPackage:
                 raise ConfigurationError(f"a SimReady package names its {name}: give --{name}")
         if self.qcode is not None and not re.fullmatch(r"Q[0-9]+", self.qcode):
             raise ConfigurationError(f"the Q-code {self.qcode!r} must be Q and digits, as Q15026")
+
+
+def remembered(workspace: Path | None) -> tuple[str, str]:
+    """Author and licence of the last package of a workspace; "" where there was none.
+
+    Raises:
+        InputFileError: where the file that remembers them is damaged.
+    """
+    path = None if workspace is None else workspace / REMEMBERED
+    if path is None or not path.is_file():
+        return "", ""
+    said = read_json(path, "delete it; it holds author and licence of SimReady packages")
+    return tuple(str(said.get(k, "")) if isinstance(said, dict) else "" for k in _ASKED)  # type: ignore[return-value]
+
+
+def remember(workspace: Path | None, about: AboutPackage) -> None:
+    """Keep author and licence for the workspace's next package; outside of one nothing is kept."""
+    if workspace is not None:
+        write_json(workspace / REMEMBERED, {key: getattr(about, key) for key in _ASKED})
 
 
 class SimReadyExporter:

@@ -10,12 +10,14 @@ from PIL import Image
 from pxr import Sdf, Usd, UsdGeom, UsdShade
 
 from app.cli.main import main
-from model.core.errors import ConfigurationError
+from model.core.errors import ConfigurationError, InputFileError
 from model.io.assets.asset_folder import write_asset
 from model.io.export.simready import (
+    REMEMBERED,
     AboutPackage,
     SimReadyExporter,
     qcode_of,
+    remembered,
     simready_problems,
     validator_installed,
 )
@@ -100,6 +102,30 @@ def test_from_the_command_line(tmp_path, capsys) -> None:
     assert Sdf.Layer.FindOrOpen(str(written)).customLayerData["SimReady_Metadata"]["qcode"] == (
         "Q14745"
     )
+
+
+def test_author_and_licence_are_asked_once_a_workspace(tmp_path, capsys) -> None:
+    asset = write_asset(make_object(), tmp_path / "assets" / "a", provenance={}).folder
+    profile = ["--format", "usd", "--profile", "robotics-prop"]
+
+    def exported(name: str, *words: str) -> dict:
+        line = ["export", str(asset), "--out", str(tmp_path / name), "--json", *profile, *words]
+        assert main(line) == 0
+        file = json.loads(capsys.readouterr().out)["files"][0]["file"]
+        return Sdf.Layer.FindOrOpen(str(tmp_path / name / file)).customLayerData[
+            "SimReady_Metadata"
+        ]
+
+    assert main(["export", str(asset), "--out", str(tmp_path / "x"), *profile]) == 2
+    assert "give --author" in capsys.readouterr().err
+    exported("one", "--author", "Ann", "--license", "CC0-1.0")
+    said = exported("two", "--license", "MIT")
+    assert (said["author"], said["asset_license"]) == ("Ann", "MIT")
+    assert remembered(tmp_path) == ("Ann", "MIT")
+    assert remembered(None) == remembered(tmp_path / "elsewhere") == ("", "")
+    (tmp_path / REMEMBERED).write_text("{")
+    with pytest.raises(InputFileError, match=r"simready\.json.*delete it"):
+        remembered(tmp_path)
 
 
 @pytest.mark.skipif(not validator_installed(), reason="needs artiworld[simready]")
