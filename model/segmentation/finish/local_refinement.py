@@ -26,7 +26,6 @@ from model.segmentation.encode.nodes import ElementMap, Nodes
 from model.segmentation.encode.random_walk import RandomWalk
 from model.segmentation.encode.superpoints import build_superpoints
 from model.segmentation.finish.alternatives import offered
-from model.segmentation.parallel import together
 from model.segmentation.part_state import PartState
 from model.segmentation.prompt_steps import ClickStep, Step
 from model.segmentation.prompts import BASE
@@ -60,8 +59,9 @@ class RefinedPart:
 
     def concerns(self, step: Step) -> bool:
         """Whether a prompt touches the neighbourhood."""
-        nodes = step.node if isinstance(step, ClickStep) else step.nodes
-        return bool(np.isin(nodes, self.nodes).any())
+        nodes = np.atleast_1d(step.node if isinstance(step, ClickStep) else step.nodes)
+        place = np.searchsorted(self.nodes, nodes).clip(max=len(self.nodes) - 1)
+        return bool((self.nodes[place] == nodes).any())
 
 
 class Neighborhood:
@@ -88,10 +88,9 @@ class Neighborhood:
         superpoints = build_superpoints(
             *part, strength, edge_weight(strength, part[1]), len(self.nodes)
         )
-        # SuperLU frees memory only on the thread that allocated it: factorise on this one.
-        walk, hierarchy = together(
-            lambda: RandomWalk(superpoints), lambda: build_hierarchy(superpoints)
-        )
+        # First clicks need no walk. SuperLU frees memory only on the thread that allocated it.
+        walk = RandomWalk(superpoints, at_once=False)
+        hierarchy = build_hierarchy(superpoints)
         scorers = shipped_scorers("mesh" if nodes.of_mesh else "local")
         return object_solver(
             superpoints, hierarchy, walk, *scorers, axes=self._axes, of_mesh=nodes.of_mesh
@@ -265,9 +264,13 @@ class LocalRefinement:
             here = of_node[its.nodes]
             left, others = (here == part) & ~mask, (here != part) & ~mask
             if left.any():
-                around = points[its.nodes]
-                _, near = KDTree(around[others]).query(around[left])
-                here[left] = here[others][near]
+                taking = here[others]
+                if np.ptp(taking) > 0:
+                    around = points[its.nodes]
+                    _, near = KDTree(around[others]).query(around[left])
+                    here[left] = taking[near]
+                else:
+                    here[left] = taking[0]
             here[mask] = part
             of_node[its.nodes] = here
 
@@ -279,9 +282,9 @@ class LocalRefinement:
         """
         superpoints = self._encoding.superpoints
         assert state.mask is not None and refined.state.mask is not None
-        of_node = state.mask[superpoints.of_node]
-        of_node[refined.nodes] = refined.state.mask
-        held = np.bincount(superpoints.of_node, of_node, len(superpoints)) / superpoints.size
+        here = superpoints.of_node[refined.nodes]
+        change = refined.state.mask.astype(np.float64) - state.mask[here]
+        held = state.mask + np.bincount(here, change, len(superpoints)) / superpoints.size
         out = held > 0.5
         out[held.argmax()] = True
         return out
