@@ -45,12 +45,16 @@ class MaskShown:
         part: the part that it belongs to.
         number: 0 is the segmenter's first choice.
         total: number of masks.
+        rank: how many of them are smaller.
+        share: of the surface that it covers, 0..1.
     """
 
     prompts: tuple[Click | RegionRef, ...]
     part: int
     number: int
     total: int
+    rank: int = 0
+    share: float = 0.0
 
     def fits(self, doc: Document, part: int) -> bool:
         """Whether ``part`` still shows it: there are no other prompts since."""
@@ -332,7 +336,9 @@ class Segmenting:
             )
             obj.do(cmd.ApplyTool(tool_tasks.NEXT_MASK, regions, replaces), who)
         if offer.total > 1:
-            shown = MaskShown(obj.document.prompts, part, offer.number, offer.total)
+            shown = MaskShown(
+                obj.document.prompts, part, offer.number, offer.total, offer.rank, offer.share
+            )
             self._masks_shown.append(shown)
         return offer.total - 1
 

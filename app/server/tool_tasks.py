@@ -19,11 +19,14 @@ from model.core.lru_cache import LruCache
 from model.core.progress import Progress, no_progress
 from model.geometry.sampling import sample_surface
 from model.geometry.splitting import split_faces
+from model.segmentation.finish.alternatives import look_alike
+from model.segmentation.prompt_steps import locate
 from model.segmentation.prompts import BASE, Click, Prompts
 from model.segmentation.registry import DEFAULT
 from model.segmentation.tools.all_parts import absorb_small_components, propose_parts
 from model.segmentation.tools.connected import connected, grow
 from model.segmentation.tools.cuts import Cut, connected_components, line_cut
+from model.segmentation.tools.element_masks import to_elements
 from model.segmentation.tools.rectangles import rectangle_cut, surface_frame
 from model.segmentation.tools.similar import mirrored, same_shape
 from sessions.tool_commands import FaceCut
@@ -77,13 +80,17 @@ class MaskOffer:
 
     Attributes:
         regions: its difference from the segmenter's first choice; none for that itself.
-        number: its number; 0 is the first choice.
+        number: steps from the first choice to it, towards larger ones, modulo ``total``.
         total: number of masks, the first choice included.
+        rank: how many of them are smaller.
+        share: of the surface that it covers, 0..1.
     """
 
     regions: list[RegionOffer]
     number: int
     total: int
+    rank: int = 0
+    share: float = 0.0
 
 
 Offer = list[RegionOffer] | FaceCutOffer | MaskOffer
@@ -145,6 +152,12 @@ class _Input:
         return mask
 
     @cached_property
+    def weight(self) -> npt.NDArray[np.floating]:
+        """(E,) size of each element: m² of faces, the same for all points."""
+        mesh = asset_of(self.folder, textures=False).mesh
+        return np.ones(len(self.labels)) if mesh is None else mesh.face_areas
+
+    @cached_property
     def encoded(self) -> Any:
         """The default segmenter's encoding, which the tools need whatever segmenter is chosen."""
         if hasattr(self.session, "encoding"):
@@ -194,15 +207,42 @@ def _propose(given: _Input) -> list[RegionOffer]:
 
 
 def _next_mask(given: _Input) -> MaskOffer:
-    part = given.request.part
+    """Offer the masks from small to large, in turn from the first choice."""
+    part, first = given.request.part, given.labels == given.request.part
     others = given.session.candidates(given.prompts, part)
-    total = len(others) + 1
+    if hasattr(given.session, "encoding"):
+        others = [*others, *_around_click(given)]
+    weight = given.weight
+    masks = [first]
+    for mask in others:
+        if mask.any() and not any(look_alike(mask, one, weight) for one in masks):
+            masks.append(mask)
+    order = sorted(range(len(masks)), key=lambda k: float(weight @ masks[k]))
+    total, rank = len(masks), order.index(0)
     number = given.request.turn % total
-    if not number:
-        return MaskOffer([], 0, total)
-    mask, chosen = given.labels == part, others[number - 1]
-    regions = given.offer(mask & ~chosen, part, False) + given.offer(chosen & ~mask, part)
-    return MaskOffer(regions, number, total)
+    rank = (rank + number) % total
+    chosen = masks[order[rank]]
+    share = float(weight @ chosen) / max(float(weight.sum()), 1e-12)
+    regions = []
+    if number:
+        regions = given.offer(first & ~chosen, part, False) + given.offer(chosen & ~first, part)
+    return MaskOffer(regions, number, total, rank, share)
+
+
+def _around_click(given: _Input) -> list[Bool]:
+    """The smallest surface under the last click, its superpoint, and its connected shell: a knob
+    or a caster that no proposal separates."""
+    part = given.request.part
+    clicks = [c for c in given.prompts.clicks if c.part == part and c.positive]
+    if not clicks:
+        return []
+    session, (click, taken) = given.encoded, (clicks[-1], (given.labels > BASE))
+    taken &= given.labels != part
+    node = locate(session.asset, session.encoding.nodes, click.position, click.element)[1]
+    of_node = session.encoding.superpoints.of_node
+    smallest = to_elements(session, of_node == of_node[node]) & ~taken
+    shell = connected(session, click.position, click.element, taken)
+    return [smallest] if shell.nearly_all else [smallest, shell.mask]
 
 
 def _connected(given: _Input) -> list[RegionOffer]:

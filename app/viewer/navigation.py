@@ -50,7 +50,7 @@ class Memory:
     def load(cls, tab: Tab) -> Memory:
         """Get it from the browser; empty where that has none."""
         try:
-            stored = tab.client.local_storage.get_item(_STORED, timeout=3.0)
+            stored = tab.client.local_storage.get_item(_STORED, timeout=10.0)
         except (RuntimeError, TimeoutError):
             log.info("tab %s has no memory of its own", tab.client.client_id)
             return cls()

@@ -11,11 +11,11 @@ import trimesh
 from app.server import room_tasks, segmenting_tasks, tasks, tool_tasks
 from app.server.display_tasks import OpenedAsset, open_asset
 from app.server.scene_shapes import drawn_parts
-from app.server.segmenting_tasks import StoredRegion
+from app.server.segmenting_tasks import StoredRegion, session_of
 from app.server.tool_tasks import NEW_PART, ToolRequest, use_tool
 from model.core.errors import CommandError
 from model.core.progress import Cancelled
-from model.segmentation.prompts import Click
+from model.segmentation.prompts import Click, Prompts
 
 LID = (0.05, 0.02, 0.365)
 
@@ -200,6 +200,37 @@ def test_masks_go_round_and_begin_with_the_answer(chest):
     second, last = shown(1), shown(-1)
     assert second.regions and (second.number, last.number) == (1, answer.total - 1)
     assert shown(answer.total) == answer and shown(answer.total + 1) == second
+
+
+def test_masks_go_from_small_to_large_and_hold_the_small_part_under_the_click(tmp_path):
+    boxes = [
+        trimesh.creation.box(bounds=b).subdivide().subdivide()
+        for b in (
+            [[-0.3, -0.2, 0], [0.3, 0.2, 0.3]],
+            [[-0.29, -0.21, 0.02], [0.29, -0.2, 0.28]],
+            [[0.2, -0.235, 0.14], [0.22, -0.212, 0.16]],
+        )
+    ]
+    trimesh.util.concatenate(boxes).export(tmp_path / "drawer.ply")
+    opened = open_asset(tmp_path / "drawer.ply", tmp_path, tasks.ReadOptions())
+    mesh = tasks.asset_of(opened.folder).mesh
+    knob = points_of(opened)[:, 1] < -0.211
+    click = click_at(opened, (0.21, -0.235, 0.15), 1)
+    answer = use_tool(opened.folder, tmp_path, "default", (click,), ToolRequest("next mask", 1, 0))
+    first = session_of(opened.folder, "default").segment(Prompts((click,))).labels == 1
+    masks = {answer.rank: first}
+    for turn in range(1, answer.total):
+        request = ToolRequest("next mask", 1, turn)
+        offer = use_tool(opened.folder, tmp_path, "default", (click,), request)
+        mask = first.copy()
+        for change in offer.regions:
+            mask[tasks.arrays_of(tmp_path).get(change.elements)] = change.positive
+        masks[offer.rank] = mask
+        area = mesh.face_areas
+        assert offer.share == pytest.approx(area[mask].sum() / area.sum(), rel=1e-4)
+    sizes = [mesh.face_areas[masks[k]].sum() for k in range(answer.total)]
+    assert sizes == sorted(sizes) and len(np.unique(np.round(sizes, 6))) == answer.total
+    assert any(np.array_equal(m, knob) for m in masks.values())
 
 
 def test_the_preview_is_what_the_click_does(chest):

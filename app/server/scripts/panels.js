@@ -1,4 +1,5 @@
-// What viser's panels lack: the whole text of a clipped button, and a word while the server is away.
+// What viser's panels lack: the whole text of a clipped button, names for screen readers, and a word
+// while the server is away.
 (() => {
   let titles = {};
   window.addEventListener("pointerover", (event) => {
@@ -6,6 +7,25 @@
     if (button && button.id in titles) button.title = titles[button.id];
   }, true);
   window.__artiworldPanels = { titles(texts) { titles = texts; } };
+
+  // A row's label names all its fields: viser ties it to none.
+  const named = (selector, name) => {
+    for (const node of document.querySelectorAll(selector)) {
+      if (!node.getAttribute("aria-label")) node.setAttribute("aria-label", name);
+    }
+  };
+  setInterval(() => {
+    for (const label of document.querySelectorAll(".mantine-Flex-root label")) {
+      const row = label.closest(".mantine-Flex-root");
+      for (const field of row.querySelectorAll("input, textarea, [role='slider']")) {
+        if (!field.labels?.length && !field.getAttribute("aria-label")) {
+          field.setAttribute("aria-label", label.textContent);
+        }
+      }
+    }
+    named("button:has(.tabler-icon-list-search)", "Command palette (Ctrl+K)");
+    named("[role='progressbar']", "Accepted");
+  }, 500);
 
   // viser's worker says when its connection opens and closes.
   const AWAY = "The server is away. What you did is saved; this page goes on once it is back";

@@ -3,7 +3,7 @@
 // Messages go out on viser's own websocket; the server answers through window.__artiworld.
 (() => {
   const HOVER_MS = 60, HOVER_PX = 3, STEP_PX = 3, MOST = 2000, HOLD_MS = 300;
-  const SAID_MS = 1800, LATE_MS = 200, WATCH_MS = 60;
+  const SAID_MS = 1800, TURN_MS = 150, LATE_MS = 200, WATCH_MS = 60;
   const KEYS = { l: "lasso", i: "brush" };
   const state = { tool: "click", hover: false, drawing: false, radius: 0.02, anchor: false, frame: null,
     hint: "", said: "", away: "" };
@@ -197,6 +197,16 @@
   window.addEventListener("pointercancel", () => { stroke = null; draw(); }, true);
   document.addEventListener("pointerleave", quiet);
   window.addEventListener("blur", quiet);
+
+  // Alt and the wheel go through the masks of the last click by size; the wheel alone zooms.
+  let turned = 0;
+  window.addEventListener("wheel", (event) => {
+    if (!event.altKey || !onCanvas(event)) return;
+    stop(event);
+    if (!event.deltaY || Date.now() - turned < TURN_MS) return;
+    turned = Date.now();
+    window.__artiworldMarkup.send("mask", event.deltaY < 0 ? "1" : "-1");
+  }, { capture: true, passive: false });
 
   // A tool's key, tapped, keeps the tool; held while drawing, it ends with the key.
   let letGo = false;

@@ -24,6 +24,7 @@ from app.viewer.input.tools import Tools
 from app.viewer.picture.motion import Motion
 from app.viewer.picture.object_picture import ObjectPicture
 from app.viewer.tab import AT_REST, Step, Tab
+from app.viewer.text import percent
 from app.viewer.words import annotate as words
 from app.viewer.words import prepare as prepare_words
 from app.viewer.words.common import NO_JOINTS
@@ -201,7 +202,7 @@ class Pointing:
         obj = self._selection.need_object()
         shown = obj.segmenting.mask_shown(obj.document, self._selection.part)
         if shown is not None:
-            return words.hint_mask(shown.number + 1, shown.total)
+            return words.hint_mask(shown.rank + 1, shown.total, percent(shown.share))
         last = obj.document.prompts[-1] if obj.document.prompts else None
         if obj.segmenting.ineffective_clicks >= _IN_VAIN and isinstance(last, Click):
             return words.HINT_INEFFECTIVE

@@ -72,6 +72,7 @@ class ToolRail:
             words.TOUCH: self._toggle_touch,
         }
         presses.on("tool", self.use)
+        presses.on("mask", lambda step: self._turn(int(step)))
         presses.on("view", lambda label: self._view[label]())
 
     def use(self, label: str) -> None:
@@ -88,6 +89,11 @@ class ToolRail:
             pointing.tools.next_mask(1)
         else:
             pointing.tools.use(ToolRequest(tool, selection.part), label)
+
+    def _turn(self, step: int) -> None:
+        """Take a larger mask (1) or a smaller one (-1): Alt and the wheel."""
+        if self._tab.selection.object is not None and self._tab.selection.step == "Annotate":
+            self._pointing.tools.next_mask(step)
 
     def toggle_preview(self) -> None:
         """Switch the preview under the pointer on or off."""

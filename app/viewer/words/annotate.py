@@ -88,7 +88,7 @@ TOOL_TIPS: Final[dict[str, str]] = {
     "brush": "Brush (I): paint what to add; Shift subtracts; [ ] size",
     "cut": "Cut along a line (K): click two points",
     "rectangle": "Cut out a rectangle (K, K): click opposite corners of a door or drawer",
-    NEXT_MASK: "Next mask for the last click (Tab; Shift+Tab: previous)",
+    NEXT_MASK: "Larger mask for the last click (Tab; Shift+Tab: smaller; Alt+wheel)",
     "connected": "Connected (O): add everything connected to the last click",
     "grow": "Grow (U) by one ring of neighbors, never across a gap",
     "shrink": "Shrink (J) by one ring of neighbors",
@@ -168,7 +168,7 @@ def hint_points(left: int) -> str:
     return f"Cut: {left} more {plural('point', left)} · Esc cancels"
 
 
-hint_mask = Message("Mask {number} of {total} · Tab: next · Shift+Tab: previous")
+hint_mask = Message("Mask {number} of {total}: {share} · Tab: larger · Shift+Tab: smaller")
 # --- prompts
 
 PROMPTS: Final = "Prompts"

@@ -21,7 +21,7 @@ COLLISIONS: Final[dict[str, str]] = {
 """Label → method; "" is the default, which uses the shapes that a source file declares."""
 CHECK: Final = "Read back and compare"
 CHECK_HINT: Final = "Each file is read by other software, which must find the same link poses"
-PACKAGE: Final = "USD as a SimReady package"
+PACKAGE: Final = "SimReady package (USD)"
 PACKAGE_HINT: Final = "NVIDIA's profile robotics-prop, with thumbnail, metadata and a check"
 AUTHOR, LICENSE = "Author", "License"
 LICENSE_HINT: Final = "Such as CC-BY-4.0"

@@ -13,7 +13,7 @@ SHEET: Final[tuple[tuple[str, str], ...]] = (
     ("Shift + click", "remove from it"),
     ("1 … 9, 0", "select a part; 0 is the base"),
     ("Shift + 1 … 6, 0", "name the part; 0: suggested category"),
-    ("Tab, Shift+Tab", "next or previous mask; next joint or finding"),
+    ("Tab, Shift+Tab", "larger, smaller mask (Alt + wheel); next joint or finding"),
     ("Alt + drag", "box (Shift subtracts)"),
     ("L + drag", "lasso (Shift subtracts)"),
     ("I + drag", "brush, [ ] size (Shift subtracts)"),
