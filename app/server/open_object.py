@@ -321,7 +321,7 @@ class OpenObject(ObjectContext):
             if self._reading_stopped and self.is_shown:  # a tab came back meanwhile
                 self._reading_stopped = False
                 self.ensure_open(again=True)
-        elif what == "encode" and newest and error is not None and self.is_shown:
+        elif what == "encode" and newest and error and self.is_shown and not self.preparing.tilt:
             self.segmenting.prepare()  # a tab came back meanwhile
         elif error is not None and what in ("predict", "save"):
             self.notify("Cancelled", "Nothing was changed", "gray")

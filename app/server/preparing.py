@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from app.server import prepare_tasks
 from app.server.display_tasks import OpenedAsset
-from app.server.jobs import CLICKS
+from app.server.jobs import CLICKS, WorkerProcess
 from app.server.object_context import ObjectContext
 from app.server.prepare_tasks import Marks, ScanProposal, Vector
 from app.server.room_tasks import Removal
@@ -91,6 +91,8 @@ class Preparing:
                 if up is None:
                     level = proposal.levelling
                     self._ups = [level.up, *level.alternatives]
+                if self.tilt:  # it will be read in another frame
+                    obj.jobs.cancel("encode")
 
         obj.start("prepare", job, keep)
 
@@ -204,7 +206,11 @@ class Preparing:
             obj.do(self._command(matrix, leave_out, what, metres), who)
             done()
 
-        self._job(keep, prepare_tasks.marked_elements, asset.folder, found.up, marks)
+        # The process that made the proposal has it still.
+        self._job(
+            keep, prepare_tasks.marked_elements, asset.folder, found.up, marks,
+            worker=obj.lane.geometry,
+        )  # fmt: skip
 
     def _command(
         self, matrix: Array, leave_out: LeaveOut | None, what: str, metres: float | None = None
@@ -246,11 +252,14 @@ class Preparing:
             keep, prepare_tasks.restored_elements, asset.path, obj.read_options, camera, stroke
         )
 
-    def _job(self, keep: Callable[[Any], None], task: Callable[..., Any], *arguments: Any) -> None:
+    def _job(
+        self, keep: Callable[[Any], None], task: Callable[..., Any], *arguments: Any,
+        worker: WorkerProcess | None = None,
+    ) -> None:  # fmt: skip
         obj, left = self._obj, self._obj.document.left_out
         if obj.document.face_cuts:
             raise CommandError("faces were split by a cut: undo it first")
-        job = obj.services.workers.reading.submit(
+        job = (worker or obj.services.workers.reading).submit(
             task, obj.services.workspace, None if left is None else left.elements, *arguments,
             on_progress=obj.jobs.progress("room"), priority=6, preempted_by=CLICKS,
         )  # fmt: skip
