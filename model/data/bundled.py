@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,16 +19,27 @@ from model.io.open_asset import open_asset
 
 
 class Bundled:
-    """The objects of ``static_assets/examples`` that have a truth."""
+    """``<id>.glb`` or ``<id>.ply`` with ``truth/<id>.json``.
+
+    Args:
+        root: folder; by default the examples that ArtiWorld brings along.
+    """
 
     name = "bundled"
 
-    def __init__(self) -> None:
-        self._folder = static_assets() / "examples"
+    def __init__(self, root: Path | None = None) -> None:
+        self._folder = root or static_assets() / "examples"
 
     def ids(self) -> tuple[str, ...]:
-        """Names, sorted."""
-        return tuple(sorted(p.stem for p in (self._folder / "truth").glob("*.json")))
+        """Names, sorted.
+
+        Raises:
+            InputFileError: where there is none.
+        """
+        found = tuple(sorted(p.stem for p in (self._folder / "truth").glob("*.json")))
+        if not found:
+            raise InputFileError(self._folder, "no truth/<id>.json in it", "leave --root out")
+        return found
 
     def category(self, object_id: str) -> str | None:
         """Of the example."""

@@ -62,7 +62,7 @@ def open_dataset(options: DatasetOptions) -> Dataset:
         return DATASETS.load(
             "procedural", options.seed, options.n, options.families, fault=options.fault
         )
-    if options.name == "bundled":
+    if options.name == "bundled" and options.root is None:
         return DATASETS.load("bundled")
     if options.name == "procedural":
         return DATASETS.load("partnet-mobility", _folder(options), name="procedural")
