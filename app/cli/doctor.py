@@ -33,6 +33,7 @@ MIN_MEMORY_GB = 4.0
 MIN_DISK_GB = 2.0
 OPTIONAL = (
     ("mujoco", "drives joints, opens MJCF, reads URDF and MJCF back", "physics"),
+    ("sapien", "drives joints in PhysX, with --engine sapien", "sapien"),
     ("coacd", "another way to make collision shapes", "collision"),
     ("usd-core", "reads and writes USD", "usd"),
     ("pygltflib", "reads GLB back", "readers"),

@@ -61,6 +61,7 @@ class Sapien:
         ]
         self._drives: list[Drive] = []
         self._targets = np.zeros(len(joints))
+        self._sent = np.full(len(joints), np.nan)
 
     def _add_link(self, obj: ArticulatedObject, link: str, physics: Physics) -> Any:
         joint = obj.tree.joint_of.get(link)
@@ -144,8 +145,9 @@ class Sapien:
             q = self.q
             for k, leader, mimic in self._follow:
                 self._targets[k] = mimic.multiplier * q[leader] + mimic.offset
-        for made, target in zip(self._moved, self._targets.tolist(), strict=True):
-            made.set_drive_target(target)
+        for k in np.flatnonzero(self._targets != self._sent).tolist():
+            self._moved[k].set_drive_target(float(self._targets[k]))
+        self._sent = self._targets
 
     def set_gravity(self, along_z: float) -> None:
         """In m/s²."""
