@@ -63,8 +63,8 @@ class Taking:
             ServeConfig(paths=paths, workspace=workspace, port=0, user="annotator", **settings)
         )
         page = self._chromium.new_page(viewport={"width": size[0], "height": size[1]})
-        if reflections:
-            page.add_init_script("localStorage.setItem('viser-user:artiworld', '\\n')")
+        memory = "\\n\\n\\n" + ("" if reflections else "plain") + "\\n\\nyes"  # without the tour
+        page.add_init_script(f"localStorage.setItem('viser-user:artiworld', '{memory}')")
         page.goto(server.url)
         tab = kind(page, server)
         self._tabs.append(tab)
@@ -147,7 +147,7 @@ def cabinet(taking: Taking) -> None:
         tab.settled()
         away(tab)
         free_of_notes(tab)
-        taking.take(tab, "all_parts", (275, 165, 945, 665))
+        taking.take(tab, "all_parts", (305, 165, 975, 665))
         tab.app.tab.act(tab.app.commands.undo)
         wait_until(lambda: not tab.document.prompts, "undo")
     if not taking.wanted("joints", "review"):
@@ -186,7 +186,7 @@ def oven(taking: Taking) -> None:
         return
     tab = taking.open(EXAMPLES / "oven_scan.ply")
     look(tab, (-1.0, -2.05, 1.3), (0.0, -0.05, 0.45))
-    front = (480, 150, 1400, 697)  # the oven's front and the panel beside it
+    front = (510, 150, 1400, 697)  # the oven's front and the panel beside it
     if taking.wanted("preview"):
         x, y = tab.pixel(DOOR)
         tab.page.mouse.move(x - 3, y)
@@ -243,7 +243,7 @@ def rectangle(taking: Taking, tab: Tab) -> None:
     x, y = tab.pixel(DOOR_CORNERS[1])
     tab.page.mouse.move(x - 3, y)
     tab.page.mouse.move(x, y)
-    taking.take(tab, "rectangle", (234, 75, 1016, 845))
+    taking.take(tab, "rectangle", (254, 75, 1056, 845))
     tab.key("Escape")
     wait_until(lambda: tab.app.pointing.armed == "", "back to clicks")
 
@@ -261,7 +261,7 @@ def lasso(taking: Taking, tab: Tab) -> None:
     tab.page.mouse.down()
     for place in ring[1:]:
         tab.page.mouse.move(*place)
-    taking.take(tab, "lasso", (370, 215, 1400, 850))
+    taking.take(tab, "lasso", (400, 215, 1400, 850))
     tab.page.mouse.up()
 
 

@@ -55,11 +55,11 @@ class AnnotateStep:
         self._tab, self._pointing, self._prepare = tab, pointing, prepare
         self._drawn: Any = None
         gui = tab.client.gui
+        # Above what comes and goes, so that it keeps its place.
+        self._predict = PredictButtons(tab)
         self._hint = gui.add_markdown("")
         self._to_prepare = gui.add_button(PREPARE, color="blue", visible=False)
         self._room = gui.add_button("", icon=viser.Icon.SCISSORS, color="gray", visible=False)
-        # Above the parts, so that it keeps its place.
-        self._predict = PredictButtons(tab)
         self._category = Choice(
             tab, words.CATEGORY, palette.CATEGORIES,
             lambda: tab.selection.need_object().document.category,
