@@ -25,6 +25,8 @@ CELLS, POINTS_A_CELL = 160, 3
 scans get larger cells, so that their surfaces hang together."""
 _OUTLIER_SHARE = 0.002
 """A connected piece with fewer points than this share of the scan is no surface."""
+_MOST = 1_000_000
+"""Points that outlines are measured on, against the time."""
 _BESIDE = 0.02
 """How far beyond the object's outline a piece may stand and still belong to it, in its width."""
 
@@ -94,6 +96,8 @@ def _classified(points: Points, support: float | None) -> Kinds:
 
 def _belonging(points: Points, piece: npt.NDArray[np.int32], count: Index, large: Index) -> Index:
     """The main piece and those within its outline, seen from above."""
+    every = max(len(points) // _MOST, 1)
+    points, piece = points[::every], piece[::every]
     low, high = np.percentile(points[np.isin(piece, large)][:, :2], [1, 99], axis=0)
     # People scan around the object: the middle of all points is near it, whatever stands beside it.
     middle, width = np.median(points[:, :2], axis=0), float(np.linalg.norm(high - low))

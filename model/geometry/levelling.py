@@ -28,6 +28,10 @@ Array = npt.NDArray[np.float64]
 
 _SAMPLE = 20_000
 """Points that are looked at; more change no answer."""
+_MOST = 1_000_000
+"""Points among which they are chosen, against the time."""
+_LONE = 0.03
+"""Of the usual number of points in a cell: with fewer it holds outliers, in dense scans alone."""
 _DIRECTIONS = 1500
 """Directions of the half sphere whose share of normals is counted, 3.6 degrees apart."""
 _SQUARE = np.radians(6)
@@ -291,6 +295,8 @@ def _stand(flat: Array, foot: npt.NDArray[np.bool_]) -> tuple[float, float]:
 
 def sampled(points: Array, normals: Array | None) -> tuple[Array, Array]:
     """At most :data:`_SAMPLE` points, evenly over the surface, and their normals."""
+    some = slice(None, None, max(len(points) // _MOST, 1))
+    points, normals = points[some], None if normals is None else normals[some]
     finite = np.isfinite(points).all(1)
     points = points[finite]
     if len(points) < 4:
@@ -302,7 +308,10 @@ def sampled(points: Array, normals: Array | None) -> tuple[Array, Array]:
     cell = size / 120
     key = np.floor((points - points.min(0)) / max(cell, 1e-12)).astype(np.int64)
     span = key.max(0) + 1
-    _, first = np.unique((key[:, 0] * span[1] + key[:, 1]) * span[2] + key[:, 2], return_index=True)
+    flat = (key[:, 0] * span[1] + key[:, 1]) * span[2] + key[:, 2]
+    _, first, count = np.unique(flat, return_index=True, return_counts=True)
+    usual = float((count.astype(np.float64) ** 2).sum()) / len(points)  # of a point's cell
+    first = first[count >= _LONE * usual]  # in dense scans outliers fill many cells
     first = first[:: max(len(first) // _SAMPLE, 1)]
     if normals is not None:
         return points[first], normals[finite][inside][first]

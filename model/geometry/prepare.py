@@ -37,6 +37,8 @@ Vector = tuple[float, float, float]
 
 _SAMPLES = 200_000
 """Points of a mesh's surface that are looked at."""
+_MOST = 1_000_000
+"""Points of a scan that its bounds are measured on, against the time."""
 
 
 @dataclass(frozen=True)
@@ -130,7 +132,9 @@ def propose(
         found = Levelling((x, y, z), 1.0, support)
     progress(0.45, "finding the object")
     rotation = _yaw_aligned(points, _rotation_to_z(np.array(found.up)))
+    progress(0.55, "finding the object")
     levelled = points @ rotation.T
+    progress(0.65, "finding the object")
     of_points = classify(levelled, found.support)
     kinds = of_points if face is None else _face_kinds(asset, points, face, of_points)
     progress(0.9, "finding the frame")
@@ -278,6 +282,7 @@ def _frame(
 ) -> Array:
     """(4, 4) object_from_source, from what is known to be the object."""
     of_object = levelled[kinds == OBJECT]
+    of_object = of_object[:: max(len(of_object) // _MOST, 1)]
     low, high = np.percentile(of_object, [0.05, 99.95], axis=0)
     bottom = float(low[2]) if support is None else support
     scale = settings.unit_scale

@@ -7,6 +7,7 @@ import pytest
 import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from model.core.asset import Asset
 from model.core.errors import ConfigurationError
@@ -103,6 +104,34 @@ def test_what_lies_on_a_table_is_told_apart_from_it() -> None:
     kinds = classify(np.concatenate([table, box]), 0.0)
     assert (kinds[:8000] == SUPPORT).mean() > 0.98
     assert (kinds[8000:] == OBJECT).mean() > 0.99
+
+
+def test_a_dense_scan_is_levelled_among_its_outliers() -> None:
+    """In a dense scan outliers fill as many cells as surfaces do."""
+    rng = np.random.default_rng(0)
+    boxes = [((0.6, 0.4, 0.5), (0, 0, 0.25)), ((0.5, 0.03, 0.4), (0, -0.215, 0.25))]
+    sides = [trimesh.sample.sample_surface(trimesh.creation.box(s), 200_000, seed=1)[0] + at
+             for s, at in boxes]  # fmt: skip
+    table = np.column_stack([rng.uniform(-0.8, 0.8, (200_000, 2)), rng.normal(0, 0.001, 200_000)])
+    air = rng.uniform(-0.7, 0.9, (15_000, 3)) + [0, 0, 0.3]
+    turn = Rotation.random(rng=rng).as_matrix()
+    points = (np.concatenate([*sides, table, air]) @ turn.T).astype(np.float32)
+    found = find_up(points)
+    assert np.degrees(np.arccos(min(float(turn[:, 2] @ found.up), 1.0))) < 0.5
+    assert found.support is not None
+
+
+def test_preparing_is_cancelled_between_its_steps(tilted: Reconstruction) -> None:
+    told: list[float] = []
+
+    def progress(fraction: float, message: str) -> None:
+        told.append(fraction)
+        if fraction > 0.5:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        prepare(Asset("scan", cloud=tilted.cloud), progress=progress)
+    assert told == sorted(told) and len(told) > 5
 
 
 def test_a_mesh_keeps_its_faces_and_textures(textured) -> None:
