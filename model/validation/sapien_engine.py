@@ -113,15 +113,14 @@ class Sapien:
                 made.joint.pose_in_parent = self._pose(at, np.eye(3))
             return
         made.joint.name = joint.name
-        made.joint.type = {
-            "revolute": "revolute_unwrapped", "continuous": "continuous", "prismatic": "prismatic",
-        }[joint.type]  # fmt: skip
+        # Its own "continuous" has no degree of freedom (3.0.3).
+        made.joint.type = "revolute_unwrapped" if joint.rotates else "prismatic"
         turned = _from_x(np.asarray(joint.axis))
         at = self.origins[joint.child] - self.origins[joint.parent]
         made.joint.pose_in_parent = self._pose(at, turned)
         made.joint.pose_in_child = self._pose(np.zeros(3), turned)
-        if joint.limited:
-            made.joint.limit = np.array(joint.motion_range, np.float32)
+        ends = joint.motion_range if joint.limited else (-np.inf, np.inf)
+        made.joint.limit = np.array(ends, np.float32)
 
     def set_drives(self, drives: Sequence[Drive]) -> None:
         """Followers get drives without a limit of force."""

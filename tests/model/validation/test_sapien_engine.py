@@ -30,6 +30,10 @@ sapien = pytest.importorskip("sapien")
 
 def test_a_good_cabinet_with_its_shapes_moves_freely():
     said = run_physics(cabinet(), physics_of(cabinet()), engine="sapien")
+    wheel = replace(chain().tree.by_name["turn"], type="continuous")
+    turning = replace(chain(), tree=chain().tree.with_joint(wheel))
+    free = run_physics(turning, engine="sapien")
+    assert free.ran and not free.missed and not free.exploded
     assert (said.engine, said.ran, said.problem) == ("SAPIEN", True, "")
     assert said.shapes > 10
     assert not said.exploded and not said.missed and not said.drifted
@@ -52,8 +56,11 @@ def chain() -> ArticulatedObject:
     return ArticulatedObject("chain", parts, tree)
 
 
-def test_links_stand_where_the_object_says():
+@pytest.mark.parametrize("kind", ["revolute", "continuous"])
+def test_links_stand_where_the_object_says(kind):
     obj = chain()
+    turn = replace(obj.tree.by_name["turn"], type=kind)
+    obj = replace(obj, tree=obj.tree.with_joint(turn))
     joints = list(obj.tree.joints)
     engine = ENGINES["sapien"].build(obj, joints, rough_physics(obj))
     engine.set_drives([Drive(1.0, 1.0, 0.0)] * 2)
