@@ -2,7 +2,7 @@
 // asked for, and only their cards exist, so that thousands of objects are no more work than ten.
 (() => {
   const PIECE = 40, LATER_MS = 30, DRAWN_MS = 1200, TRIES = 60;
-  const LIST = { width: 0, height: 54 }, GALLERY = { width: 184, height: 196 };
+  const LIST = { width: 0, height: 54 }, GALLERY = { width: 184, height: 182 };
   const view = { search: "", state: "", sort: "order", wide: false };
   const picked = new Set(), cards = new Map(), pieces = new Map(), asked = new Set();
   let words = null, answer = { total: 0, all: 0, states: {}, today: 0, at: -1 };

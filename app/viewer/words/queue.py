@@ -28,7 +28,7 @@ def progress(counts: dict[str, int], today: int) -> str:
     """How far all objects are, and how many of them were accepted today."""
     total, done = sum(counts.values()), counts.get("accepted", 0)
     others = [f"{counts[s]} {STATES[s]}" for s in STATE_ORDER[1:] if counts.get(s)]
-    first = f"**{done} of {total} accepted**" + (f", {today} today" if today else "")
+    first = f"**{done}/{total} accepted**" + (f", {today} today" if today else "")
     return " · ".join([first, *others])
 
 
