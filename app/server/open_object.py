@@ -53,7 +53,7 @@ class OpenObject(ObjectContext):
         super().__init__(record, services)
         self._in_scene = in_scene
         self.problem: str | None = None
-        self._worker_died = self._reading_stopped = False
+        self._worker_died = self._reading_stopped = self._warm = False
         self.backend_away = False
         self.payloads: dict[str, list[PartPayload]] = {}
         self._frame: tuple[Any, ...] | None = None
@@ -231,6 +231,9 @@ class OpenObject(ObjectContext):
         if self.asset is not None:
             self.segmenting.update()
             self.validation.update()
+            if self.document.prompts and not self._warm and self.asset.element_kind == "point":
+                self._warm = True
+                self.services.workers.prediction.submit(part_tasks.warm_up, priority=-1)
         self.services.queue.refresh(self.record.id)
         self.changed()
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from importlib import import_module
 from importlib.metadata import version
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -140,6 +142,13 @@ def prepare_bodies(source: PartSource, progress: Progress = no_progress) -> None
     prepare(
         parts_of(source), source.workspace / "collision", progress, _declared_physics(source)[1]
     )
+
+
+def warm_up() -> None:
+    """Import what a scan's surfaces and checks need, which takes seconds."""
+    for name in ("open3d", "mujoco"):
+        if find_spec(name) is not None:
+            import_module(name)
 
 
 def predict(

@@ -171,7 +171,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "within 2 degrees on a table": round(within(on_table, weights, 2), 3),
         "within 2 degrees without": round(within(bare, weights, 2), 3),
     }
-    standing = {"features": list(BARE_FEATURES), **fitted(posed), "fitted on": len(posed)}
+    standing = {"features": list(BARE_FEATURES), **fitted(posed), "fitted on": {}}
+    standing["fitted on"] = {"surfaces, each in three poses": len(posed) // len(POSES)}
     report = {"format": 1, "features": list(FEATURES), **weights, "fitted on": scores}
     report["bare"] = standing
     args.out.write_text(json.dumps(report, indent=1) + "\n")
