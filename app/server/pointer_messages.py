@@ -76,19 +76,10 @@ def show_markup(client: viser.ClientHandle, place: str, html: str) -> None:
 
 
 def call_page(client: viser.ClientHandle, function: str, *values: Any) -> None:
-    """Call a function of ``window.__artiworldMarkup`` or ``window.__artiworldQueue``."""
+    """Call a function of the page's scripts, such as "Queue.changed"."""
     arguments = ", ".join(json.dumps(v) for v in values)
     owner, name = function.split(".")
     _run(client, f"window.__artiworld{owner}?.{name}({arguments})")
-
-
-def title_buttons(client: viser.ClientHandle, titles: dict[str, str]) -> None:
-    """Set the tooltips of all buttons that have one.
-
-    Args:
-        titles: by the button's uuid.
-    """
-    _run(client, f"window.__artiworldPanels?.titles({json.dumps(titles)})")
 
 
 def hide_on_page(client: viser.ClientHandle, out: npt.NDArray[np.bool_] | None) -> None:

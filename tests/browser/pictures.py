@@ -171,6 +171,8 @@ def cabinet(taking: Taking) -> None:
         wait_until(lambda count=count: len(tab.app.motion.q) == count, f"{part} is open")
     look(tab, (-1.0, -2.4, 1.4), (0.02, -0.2, 0.36))
     tab.page.evaluate("document.activeElement?.blur()")
+    top = "document.querySelectorAll('.mantine-ScrollArea-viewport').forEach(v => v.scrollTop = 0)"
+    tab.page.evaluate(top)
     away(tab)
     free_of_notes(tab)
     taking.take(tab, "joints")

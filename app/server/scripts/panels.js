@@ -1,13 +1,5 @@
-// What viser's panels lack: the whole text of a clipped button, names for screen readers, and a word
-// while the server is away.
+// What viser's panels lack: names for screen readers, and a word while the server is away.
 (() => {
-  let titles = {};
-  window.addEventListener("pointerover", (event) => {
-    const button = event.target instanceof Element && event.target.closest("button[id]");
-    if (button && button.id in titles) button.title = titles[button.id];
-  }, true);
-  window.__artiworldPanels = { titles(texts) { titles = texts; } };
-
   // A row's label names all its fields: viser ties it to none.
   const named = (selector, name) => {
     for (const node of document.querySelectorAll(selector)) {
