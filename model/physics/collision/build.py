@@ -44,8 +44,8 @@ SHEET = 0.003
 LEAST = 5e-4
 """Metres; no body is thinner."""
 SLIVER = 2.5e-4
-"""Metres, half of :data:`LEAST`: thinner hulls are left over from cuts, and PhysX, which welds what is
-closer than 0.7 to 1 mm when it cooks (measured with SAPIEN 3.0.3), makes other shapes of them."""
+"""Metres, half of :data:`LEAST`: thinner hulls are left over from cuts, and PhysX, which welds what
+is closer than 0.7 to 1 mm when it cooks (measured with SAPIEN 3.0.3), turns them into others."""
 COVERED = 0.05
 """Share of the free space whose covering makes "auto" try coacd."""
 SWEPT_POINTS = 1024
