@@ -54,6 +54,9 @@ def test_one_key_levels_and_cleans_a_raw_scan(start: Any, open_tab: Any, tmp_pat
     tab = open_tab(start(tmp_path / "oven.ply"))
     wait_until(lambda: tab.selection.step == "Prepare", "a tilted scan is noticed")
     tab.page.get_by_text(f"Tilted by {tilt(frame):.0f}°").first.wait_for(timeout=60_000)
+    whole = tab.page.locator(f'span[title="{tmp_path / "oven.ply"}"]')
+    whole.wait_for(timeout=60_000)
+    assert len(whole.inner_text()) <= 44, "the path is shortened, and whole on hovering"
     raw = tab.object.asset
     tab.key("Enter")
     wait_until(lambda: tab.selection.step == "Annotate", "annotating")
