@@ -61,9 +61,9 @@ class Gallery:
         chosen = self.chosen(query.get("search", ""), query.get("state", ""), query.get("sort", ""))
         if query.get("ids"):
             return {"ids": [r.id for r in chosen]}
-        first = max(_number(query.get("first"), 0), 0)
-        count = min(max(_number(query.get("count"), 60), 1), MOST_ROWS)
-        current = _number(query.get("current"), -1)
+        first = max(whole_number(query.get("first"), 0), 0)
+        count = min(max(whole_number(query.get("count"), 60), 1), MOST_ROWS)
+        current = whole_number(query.get("current"), -1)
         names, today = self.names(), datetime.now(UTC).date().isoformat()
         return {
             "total": len(chosen),
@@ -175,7 +175,8 @@ class Gallery:
         return ReadOptions(up_axis, scale, frame=doc.frame)
 
 
-def _number(text: str | None, otherwise: int) -> int:
+def whole_number(text: str | None, otherwise: int) -> int:
+    """The number that a page sent, or ``otherwise`` where it is none."""
     try:
         return int(text or otherwise)
     except ValueError:

@@ -18,7 +18,7 @@ import viser
 from app.server.app_state import AppState
 from app.server.config import ServeConfig
 from app.server.ending import EndSignals
-from app.server.gallery import Gallery
+from app.server.gallery import Gallery, whole_number
 from app.server.guard import Route, RouteAnswer, RouteRequest, guarded_server
 from app.server.network import url
 from model.core.errors import InputFileError
@@ -44,8 +44,7 @@ def queue_routes(gallery: Gallery) -> dict[str, Route]:
         return RouteAnswer(json.dumps(gallery.rows(request.query), separators=(",", ":")).encode())
 
     def thumbnail(request: RouteRequest) -> RouteAnswer:
-        id = request.query.get("id", "")
-        image = gallery.thumbnail(int(id)) if id.isdigit() else None
+        image = gallery.thumbnail(whole_number(request.query.get("id"), 0))
         return RouteAnswer(image or b"", "image/webp", 204 if image is None else 200)
 
     return {"/queue.json": rows, "/thumbnail": thumbnail}

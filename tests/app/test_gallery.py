@@ -1,0 +1,81 @@
+"""The queue as the page asks for it: pieces, search, order, and what is no number."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from app.server.app_state import AppState
+from app.server.config import ServeConfig
+from app.server.guard import Route, RouteRequest
+from app.server.server import queue_routes
+from sessions import commands as cmd
+from sessions.store import Store
+from tests.builders import wait_until
+
+
+@pytest.fixture
+def app_state(tmp_path: Path) -> Iterator[AppState]:
+    names = [f"chair {k:02}.ply" for k in range(30)] + ["oven.ply"]
+    for name in names:
+        (tmp_path / name).write_bytes(b"not read here")
+    paths = [tmp_path / name for name in names]
+    state = AppState(ServeConfig(workspace=tmp_path / "w"), Store(tmp_path / "w"), paths)
+    yield state
+    state.close()
+
+
+@pytest.fixture
+def rows(app_state: AppState) -> Route:
+    return queue_routes(app_state.gallery)["/queue.json"]
+
+
+def asked(rows: Route, **query: str) -> dict:
+    return json.loads(rows(RouteRequest("/queue.json", query)).body)
+
+
+def test_a_piece_of_the_list_says_how_long_it_is(rows: Route) -> None:
+    found = asked(rows, first="10", count="5")
+    assert [r["name"] for r in found["rows"]] == [f"chair {k}" for k in range(10, 15)]
+    assert (found["total"], found["all"], found["states"]) == (31, 31, {"todo": 31})
+    assert len(asked(rows, search="oven")["rows"]) == 1
+    shown = [r["id"] for r in asked(rows, search="7 CHAIR")["rows"]]
+    assert asked(rows, search="7 CHAIR", ids="1")["ids"] == shown and len(shown) == 3
+    assert asked(rows, search="table")["total"] == 0
+    assert asked(rows, state="accepted")["rows"] == []
+
+
+@pytest.mark.parametrize("number", ["", "-7", "x", "²", "9" * 5000, "1e3"])
+def test_what_is_no_number_is_the_beginning(app_state: AppState, number: str) -> None:
+    routes = queue_routes(app_state.gallery)
+    found = asked(routes["/queue.json"], first=number, count=number, current=number)
+    assert found["total"] == 31 and found["at"] == -1
+    thumbnail = routes["/thumbnail"](RouteRequest("/thumbnail", {"id": number}))
+    assert (thumbnail.status, thumbnail.body) == (204, b"")
+
+
+def test_a_category_for_many_is_found_and_sorted_by(app_state: AppState, rows: Route) -> None:
+    ids = asked(rows, search="chair 1", ids="1")["ids"]  # also 01 and 21
+    said: list[tuple[str, str, str]] = []
+    app_state.bulk.set_category(ids, "Chair", "ann", lambda *note: said.append(note))
+    wait_until(lambda: said, "the category is set")
+    assert said == [("Category Chair", "12 of 12 done", "green")]
+    found = asked(rows, sort="category", count="14")["rows"]
+    assert [r["category"] for r in found] == ["Chair"] * 12 + [""] * 2
+    assert {r["who"] for r in found[:12]} == {"ann"}
+    assert asked(rows, sort="recent", count="1")["rows"][0]["category"] == "Chair"
+    done = app_state.store.load(ids[0]).present
+    assert done.category == "Chair" and app_state.bulk.progress is None
+
+
+def test_what_can_not_be_done_is_counted_with_its_reason(app_state: AppState) -> None:
+    ids = [r.id for r in app_state.queue.records()][:2]
+    said: list[tuple[str, str, str]] = []
+    app_state.bulk.export(ids, lambda _: None, lambda *n: said.append(n), lambda: None)  # type: ignore[arg-type, return-value]
+    wait_until(lambda: said, "the export ends")
+    assert said == [("Export", "0 of 2 done. 2: not accepted: it has no asset yet", "orange")]
+    with pytest.raises(cmd.CommandError, match="no objects"):
+        app_state.bulk.predict([], "ann", lambda *n: None)
