@@ -124,8 +124,7 @@ def propose(
     points, normals, face = _surface(asset)
     given = settings.up
     if given is None:
-        told = scaled_progress(progress, 0.0, 0.45)
-        found = _found_up(asset, points, normals, told)
+        found = _found_up(asset, points, normals, scaled_progress(progress, 0.0, 0.45))
     else:
         x, y, z = (np.asarray(given, float) / np.linalg.norm(given)).tolist()
         support = supporting_height(points, normals, np.array([x, y, z]))
@@ -210,12 +209,6 @@ def standing(points: npt.NDArray[np.floating], rotation: Array) -> Array:
     turned = points @ rotation.T
     kinds = np.full(len(points), OBJECT, np.int8)
     return _frame(rotation, turned, kinds, None, PrepareSettings())
-
-
-def turned_to(up: npt.ArrayLike) -> Array:
-    """(3, 3) the least rotation that turns a direction, (3,), to +z."""
-    direction = np.asarray(up, float)
-    return _rotation_to_z(direction / np.linalg.norm(direction))
 
 
 def moved(asset: Asset, target_from_asset: Array) -> Asset:
