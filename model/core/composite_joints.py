@@ -68,13 +68,13 @@ def composite_joints(
     Args:
         joint: parent, child, axis, origin and limits; its name stays with the part's own joint. The
             axis is the screw's, a ball's twist, or the plane's normal.
-        helpers: free names of links, as many as :data:`HELPERS` says.
+        helpers: free names of links, at least as many as :data:`HELPERS` says.
         swing: radians of a tilt either way.
         slide: metres of a lift or a plane's slides.
     """
     if composite.kind == "single":
         return (joint,)
-    above = [joint.parent, *helpers]
+    above = [joint.parent, *helpers[: HELPERS[composite.kind]]]
     turn = _turning(joint, composite)
     x, y = _across(joint.axis)
     own = replace(turn, parent=above[-1])

@@ -261,7 +261,7 @@ class _Reader:
         felt: dict[str, list[UrdfVisual]] = {}
         for shape in self._shapes((p for _, p in self.stage.all_prims()), seen=False):
             felt.setdefault(renamed.get(shape.link, shape.link), []).append(shape)
-        moving = {j.name: written[j.name] for j in joints if j.moves}
+        moving = {j.name: written[j.name] for j in joints if j.moves and j.name in written}
         said = ((n, self._dynamics(link)) for n, link in moving.items())
         declared = DeclaredPhysics(
             self._inertials(bodies, renamed), {n: d for n, d in said if d is not None}, (),
