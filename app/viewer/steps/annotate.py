@@ -136,12 +136,14 @@ class AnnotateStep:
             asked = doc.category is None and not picking and doc.review.state != "accepted"
             self._guess.show(asked)
             self.parts.draw(doc, shares, self.likely_category)
-            self._prompts.draw(doc, "face" if obj.asset is None else obj.asset.element_kind)
+            asset = obj.asset
+            self._prompts.draw(doc, "face" if asset is None else asset.element_kind)
         self.source.draw(obj)
 
     def _draw_hint(self, obj: OpenObject, doc: Document) -> None:
         selection = self._tab.selection
-        wide = obj.asset is not None and may_be_a_room(obj.asset.bounds)
+        asset = obj.asset  # another thread may let it be read anew
+        wide = asset is not None and may_be_a_room(asset.bounds)
         room = wide and not self._tab.in_scene and doc.placement is None
         whole = room and doc.left_out is None and not doc.prompts
         noticed = self._prepare.notice(obj)

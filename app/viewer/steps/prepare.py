@@ -393,12 +393,13 @@ class PrepareStep:
             return
         self._shown_for = now
         self._draw_widgets(obj, obj.document, found, marks)
-        if overlay is None or obj.asset is None:  # it is read anew meanwhile
+        asset = obj.asset  # another thread may let it be read anew
+        if overlay is None or asset is None:
             return
         self._picture.preview(frame)
         if found is not None:
-            points = _moved(obj.asset.display_centers, found.object_from_asset)
-            overlay.mark(marks.of(points, found.kinds, obj.asset.display_confidence))
+            points = _moved(asset.display_centers, found.object_from_asset)
+            overlay.mark(marks.of(points, found.kinds, asset.display_confidence))
         box = marks.box if found is not None else None
         self._marks.draw(
             box, None if found is None else found.object_from_asset,
@@ -468,7 +469,8 @@ class PrepareStep:
 
 
 def _odd_size(obj: OpenObject) -> OddSize | None:
-    return None if obj.asset is None else odd_size(obj.asset.bounds, obj.asset.unit_scale)
+    asset = obj.asset
+    return None if asset is None else odd_size(asset.bounds, asset.unit_scale)
 
 
 def _moved(points: npt.NDArray[np.floating], matrix: Array) -> Array:

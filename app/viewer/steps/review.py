@@ -246,7 +246,8 @@ class ReviewStep:
         broken = report is not None and report.severity == Severity.ERROR and not decided
         put(self._complete, "value", bool(doc.complete))
         put(self._complete, "disabled", decided or "save" in obj.busy)
-        put(self._complete, "visible", obj.asset is not None and obj.asset.element_kind == "point")
+        asset = obj.asset
+        put(self._complete, "visible", asset is not None and asset.element_kind == "point")
         put(self._override, "visible", broken)
         warned = (
             report is not None and self.validation_list.looked_at(obj) is report and not decided
