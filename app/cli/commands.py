@@ -35,6 +35,7 @@ from app.cli.research_commands import (
     GenerateCommand,
     TrainCommand,
 )
+from app.cli.team_commands import StatsCommand
 from app.server.config import TOKEN_VARIABLE
 from app.server.ending import EndSignals
 from model.core.registry import at_place
@@ -419,6 +420,7 @@ COMMANDS: dict[str, type[Command]] = {
     "generate": GenerateCommand,
     "train": TrainCommand,
     "bench": BenchCommand,
+    "stats": StatsCommand,
     "doctor": DoctorCommand,
 }
 """Name → subcommand, in the order of the help page."""

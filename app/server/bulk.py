@@ -19,6 +19,7 @@ from app.server.services import Services
 from model.core.errors import ArtiworldError, CommandError
 from model.core.progress import Cancelled
 from sessions import commands as cmd
+from sessions.job_log import BULK, TimedJob, record_job
 
 log = logging.getLogger(__name__)
 POLL_SECONDS = 0.05
@@ -148,11 +149,14 @@ class BulkWork:
                 self._place = k, len(ids)
                 self.progress = k / len(ids), f"{what}: {k + 1} of {len(ids)}"
                 self._services.queue.changed()
+                begun = time.time()
                 try:
                     one(id)
                     count += 1
                 except (ArtiworldError, WorkerDied) as error:
                     refused[str(error)[:120]] += 1
+                job = TimedJob(id, BULK, begun, time.time() - begun)
+                record_job(self._services.workspace, job)
             if done is not None and count:
                 done()
         except Cancelled:

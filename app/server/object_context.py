@@ -20,6 +20,7 @@ from app.server.tasks import ReadOptions
 from model.core.errors import CommandError
 from model.segmentation.prompts import BASE
 from sessions import commands as cmd
+from sessions import job_log
 from sessions.document import Document
 from sessions.live import LiveSession
 from sessions.state import SessionState
@@ -43,7 +44,7 @@ class ObjectContext(Observable):
         self.live: LiveSession = services.hub.session(record.id)
         self.asset: OpenedAsset | None = None
         self.lane: Lane = services.workers.lanes.first
-        self.jobs = RunningJobs(f"object {record.id}", self.changed)
+        self.jobs = RunningJobs(f"object {record.id}", self.changed, self._record_job)
         self._lock = threading.RLock()
         self._stored: tuple[str, npt.NDArray[np.integer]] | None = None
 
@@ -118,6 +119,11 @@ class ObjectContext(Observable):
             # Reading those of millions of points takes a tenth of a second.
             stored = self._stored = record.labels, self.services.store.get_array(record.labels)
         return max(int(stored[1][element]), BASE)
+
+    def _record_job(self, kind: str, at: float, seconds: float) -> None:
+        if kind in job_log.KINDS:
+            job = job_log.TimedJob(self.record.id, kind, at, seconds)
+            job_log.record_job(self.services.workspace, job)
 
     def start(self, kind: str, job: Job[Any], keep: Callable[[Any], None]) -> None:
         """Follow a job; ``keep`` gets its result. Failures are shown in all tabs."""

@@ -21,7 +21,7 @@ from app.server.object_context import ObjectContext
 from app.server.observable import Listener, Notice
 from app.server.preparing import Preparing
 from app.server.scene_member import SceneMember
-from app.server.segmenting import SOURCE, Segmenting
+from app.server.segmenting import Segmenting
 from app.server.services import Services
 from app.server.tasks import Stamp, stamp_if_there
 from app.server.validating import JointCollision, Validation
@@ -32,6 +32,7 @@ from model.prediction.remote.http_predictor import BackendError
 from sessions import commands as cmd
 from sessions.review import transition
 from sessions.state import SessionState
+from sessions.statistics import SOURCE
 from sessions.store import ObjectRecord, PendingAcceptance
 
 INTERRUPTED = "Its server ended, or another one still works on it. Press Y to accept it"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -20,15 +21,21 @@ class RunningJobs:
     Args:
         owner: name in the log.
         changed: called whenever a job reports progress.
+        record: gets kind, start (seconds since 1970) and seconds of each job that ended.
 
     Attributes:
         busy: progress (0..1) and message of each job.
     """
 
-    def __init__(self, owner: str, changed: Callable[[], None]) -> None:
+    def __init__(
+        self,
+        owner: str,
+        changed: Callable[[], None],
+        record: Callable[[str, float, float], None] = lambda *_: None,
+    ) -> None:
         self.busy: dict[str, tuple[float, str]] = {}
         self._owner = owner
-        self._changed = changed
+        self._changed, self._record = changed, record
         self._jobs: dict[str, Job[Any]] = {}
 
     def __bool__(self) -> bool:
@@ -47,6 +54,8 @@ class RunningJobs:
         """Count a job as running until it is dropped; ``ended`` gets it when it is over."""
         self._jobs[kind] = job
         self.busy[kind] = progress
+        begun = time.time()  # before the callback that stores a result, so that this comes first
+        job.add_done_callback(lambda _: self._record(kind, begun, time.time() - begun))
         job.add_done_callback(ended)
 
     def progress(self, kind: str) -> Callable[[float, str], None]:

@@ -22,14 +22,13 @@ from model.segmentation.prompts import BASE, Click
 from sessions import commands as cmd
 from sessions.document import Document, RegionRef
 from sessions.state import needed_jobs
+from sessions.statistics import MASKS, SEGMENTER, SOURCE
 from sessions.tool_commands import ToolRegion
 
 T = TypeVar("T")
 
 TOOL_SECONDS = 120.0
 """Longest wait for a tool."""
-SOURCE, MASKS = "source file", "masks of another system"
-"""Recorded as the author of the parts and joints that a file holds, and of parts from masks."""
 _INEFFECTIVE_SHARE = 0.03
 """A click that changes less of its part than this share is ineffective."""
 _MASKS_KEPT = 50
@@ -199,7 +198,7 @@ class Segmenting:
             cmd.RecordSegmentation(
                 answer.prompts_key, answer.labels, answer.segmenter, answer.seconds, answer.counts
             ),
-            "segmenter",
+            SEGMENTER,
         )
 
     def _count_ineffective(self, answer: segmenting_tasks.SegmentationAnswer) -> None:
@@ -349,7 +348,7 @@ class Segmenting:
         obj.do(cmd.CutFaces(tool, offer.cut, regions), who)
         obj.do(
             cmd.RecordSegmentation(obj.document.key, offer.labels, "cut", 0.0, offer.counts),
-            "segmenter",
+            SEGMENTER,
         )
 
 
