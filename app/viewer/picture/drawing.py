@@ -107,6 +107,7 @@ class ObjectDrawing:
         picture.marks.show_contacts(obj.checks, doc.tree if moving else None)
         self._motion.pose()
         self._motion.handles.draw()
+        self._motion.limits.draw()
         pad = picture.touch
         new = picture.show_touch_pad(touch)
         if new is not None and new is not pad:

@@ -7,8 +7,10 @@ from collections.abc import Callable, Mapping
 import numpy as np
 import numpy.typing as npt
 
+from app.server.display_names import moved_part
 from app.viewer.picture.animation import Animation
 from app.viewer.picture.axis_handles import AxisHandles
+from app.viewer.picture.limit_handles import LimitHandles
 from app.viewer.picture.object_picture import ObjectPicture
 from app.viewer.tab import AT_REST, Step, Tab
 from app.viewer.words import common as words
@@ -23,12 +25,14 @@ class Motion:
     Attributes:
         q: joint name → radians or metres; a joint that isn't in it rests.
         handles: of the selected joint's axis.
+        limits: handles of its limits.
     """
 
     def __init__(self, tab: Tab, picture: ObjectPicture) -> None:
         self._tab, self._picture = tab, picture
         self.q: dict[str, float] = {}
         self.handles = AxisHandles(tab, self._parent_pose, self.stop)
+        self.limits = LimitHandles(tab, self._parent_pose, self._points_of, self._try)
         self._moment: dict[str, float] | None = None
         self._animation = Animation(self._animate)
         self._listeners: list[Callable[[Mapping[str, float]], None]] = []
@@ -62,6 +66,7 @@ class Motion:
     def forget(self) -> None:
         """Note that the picture was cleared, and handles and marks with it."""
         self.handles.forget()
+        self.limits.forget()
         self._moment = None
 
     def set_q(self, name: str, value: float) -> None:
@@ -112,6 +117,32 @@ class Motion:
             self._picture.parts.pose(poses)
             self._picture.marks.pose(poses)
             self.handles.place(poses)
+            self.limits.place(poses)
+
+    def _try(self, joint: Joint, value: float) -> None:
+        """Show a joint with other limits at a value, before they are decided."""
+        self.stop()
+        obj = self._tab.selection.object
+        tree = None if obj is None else obj.document.tree
+        if tree is None or joint.name not in tree.by_name:
+            return
+        changed = tree.with_joint(joint)
+        names = changed.by_name
+        q = {k: v for k, v in self.q.items() if k in names} | {joint.name: value}
+        self.q = q
+        poses = changed.pose(q)
+        with self._tab.client.atomic():
+            self._picture.parts.pose(poses)
+            self._picture.marks.pose(poses)
+
+    def _points_of(self, joint: Joint) -> npt.NDArray[np.floating] | None:
+        """(N, 3) of the part that a joint moves, at rest; None until the parts are drawn."""
+        obj = self._tab.selection.object
+        tree = None if obj is None else obj.document.tree
+        if tree is None or joint.child not in tree.joint_of:
+            return None
+        part = moved_part(tree, joint.child).removeprefix("link_")
+        return self._picture.parts.points(int(part)) if part.isdigit() else None
 
     def show_moment(self, moment: Finding | None, text: str) -> None:
         """Pose everything as in a finding, and mark it until the pose changes; None is rest."""

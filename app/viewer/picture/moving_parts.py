@@ -84,6 +84,13 @@ class MovingParts:
                 frame.wxyz = vtf.SO3.from_matrix(transform[:3, :3]).wxyz
                 frame.position = transform[:3, 3]
 
+    def points(self, part: int) -> npt.NDArray[np.floating] | None:
+        """(N, 3) vertices or points of a drawn part at rest, or None."""
+        for payload in self._payloads or ():
+            if payload.part == part:
+                return payload.points if payload.vertices is None else payload.vertices
+        return None
+
     def pick(
         self, origin: npt.ArrayLike, direction: npt.ArrayLike, hidden: frozenset[int]
     ) -> int | None:

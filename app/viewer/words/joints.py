@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from app.viewer.words.message import Message
+from model.core.joint import value_text
 
 EMPTY: Final = "No joints yet. Click the moving parts, then predict."
 ASK_CATEGORY: Final = "**What is the object?**"
@@ -99,6 +100,11 @@ def reset_to(file: bool) -> str:
 def limit(which: str, unit: str) -> str:
     """A field for the "lower" or "upper" limit."""
     return f"{which.capitalize()} [{unit}]"
+
+
+def limit_label(which: str, value: float, rotates: bool) -> str:
+    """Beside a limit's grip in the picture."""
+    return f"{which} {value_text(value, rotates)}"
 
 
 def pose(name: str, unit: str) -> str:
