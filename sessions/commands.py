@@ -21,6 +21,7 @@ from model.segmentation.prompts import BASE, MAX_PARTS, Click
 from sessions.checks import (
     NAME_LIMIT,
     check_count,
+    check_finite,
     check_part,
     check_ref,
     check_unit_scale,
@@ -297,17 +298,37 @@ class Accept:
 
 
 @dataclass(frozen=True)
+class Submit:
+    """Hand the object in for review.
+
+    Attributes:
+        comment: for the reviewer.
+    """
+
+    comment: str = ""
+
+    def __post_init__(self) -> None:
+        put_field(
+            self, "comment", clean_text(self.comment, COMMENT_LIMIT, "the comment", lines=True)
+        )
+
+
+@dataclass(frozen=True)
 class Reject:
     """Reject the object: it goes back to its annotator.
 
     Attributes:
         reason, comment: why.
         decided_at: as in :class:`Accept`.
+        joint: child link of the joint that the comment is about, else "".
+        place: (3,) what the comment is about, metres, object frame; None: no place.
     """
 
     reason: RejectReason
     comment: str = ""
     decided_at: str = ""
+    joint: str = ""
+    place: tuple[float, float, float] | None = None
 
     def __post_init__(self) -> None:
         if self.reason not in REJECT_REASONS:
@@ -317,6 +338,8 @@ class Reject:
             self, "comment", clean_text(self.comment, COMMENT_LIMIT, "the comment", lines=True)
         )
         put_field(self, "decided_at", clean_text(self.decided_at, NAME_LIMIT, "the time"))
+        put_field(self, "joint", clean_text(self.joint, NAME_LIMIT, "the joint"))
+        check_finite(self.place or (), "place")
 
 
 @dataclass(frozen=True)
@@ -375,6 +398,7 @@ Command = (
     | ResetJoint
     | LockJoint
     | SetCompletion
+    | Submit
     | Accept
     | Reject
     | Reopen
@@ -410,6 +434,7 @@ KINDS: Mapping[str, type[Command]] = {
     "reset_joint": ResetJoint,
     "lock_joint": LockJoint,
     "set_completion": SetCompletion,
+    "submit": Submit,
     "accept": Accept,
     "reject": Reject,
     "reopen": Reopen,

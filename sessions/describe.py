@@ -27,6 +27,7 @@ from sessions.commands import (
     SetFrame,
     SetJoint,
     SetRoot,
+    Submit,
     Undo,
     kind_of,
 )
@@ -91,7 +92,7 @@ def describe(command: Command) -> str:
             return f"reject ({reason.replace('_', ' ')})"
         case ClearPrompts(part=part):
             return "clear all prompts" if part is None else f"clear the prompts of part {part}"
-        case RemovePrompt() | Accept() | Reopen() | Saved() | Undo() | Redo():
+        case RemovePrompt() | Submit() | Accept() | Reopen() | Saved() | Undo() | Redo():
             return kind_of(command).replace("_", " ")
 
 

@@ -92,6 +92,7 @@ class ReviewRecord:
         problems: the warnings and errors known when it was accepted.
         override: why it was accepted despite errors, else "".
         decided_at: time of the scene's decision that led to the state, else "".
+        joint, place: what the comment is about; see :class:`~sessions.commands.Reject`.
     """
 
     state: ReviewState = "todo"
@@ -102,6 +103,8 @@ class ReviewRecord:
     problems: tuple[str, ...] = ()
     override: str = ""
     decided_at: str = ""
+    joint: str = ""
+    place: tuple[float, float, float] | None = None
 
 
 @dataclass(frozen=True)

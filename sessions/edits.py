@@ -34,6 +34,7 @@ from sessions.commands import (
     SetFrame,
     SetJoint,
     SetRoot,
+    Submit,
     Undo,
 )
 from sessions.describe import describe
@@ -191,7 +192,14 @@ def _changed(document: Document, command: Command, context: Context) -> tuple[Do
             if problems:
                 raise CommandError("can't accept: " + "; ".join(problems))
             return replace(document), "accept"
-        case Reject():
+        case Submit():
+            problems = acceptance_problems(document)
+            if problems:
+                raise CommandError("can't submit: " + "; ".join(problems))
+            return replace(document), "submit"
+        case Reject(joint=joint):
+            if joint and (document.tree is None or joint not in document.tree.joint_of):
+                raise CommandError(f"the comment is about {joint}, which has no joint here")
             return replace(document), "reject"
         case Reopen():
             return replace(document), "reopen"
@@ -205,7 +213,7 @@ def _reviewed(
     """Return ``after`` with its review state, counters and author."""
     state = transition(before.review.state, action, context.role)
     review = before.review
-    if isinstance(command, (Accept, Reject, Reopen)):
+    if isinstance(command, (Submit, Accept, Reject, Reopen)):
         review = ReviewRecord(
             state,
             context.who,
@@ -214,7 +222,9 @@ def _reviewed(
             command.comment,
             command.note_problems if isinstance(command, Accept) else (),
             command.override if isinstance(command, Accept) else "",
-            "" if isinstance(command, Reopen) else command.decided_at,
+            command.decided_at if isinstance(command, (Accept, Reject)) else "",
+            command.joint if isinstance(command, Reject) else "",
+            command.place if isinstance(command, Reject) else None,
         )
     elif state != review.state:
         # The reviewer's comment stays while the annotator corrects the object.

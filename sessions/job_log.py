@@ -18,12 +18,15 @@ from typing import Final
 log = logging.getLogger(__name__)
 
 FILE: Final = "jobs.jsonl"
-AWAITED: Final = frozenset({"open", "segment", "predict", "tool", "room"})
+PICK: Final = "pick"
+AWAITED: Final = frozenset({"open", PICK, "segment", "predict", "tool", "room"})
 """Jobs that a person sees nothing before the end of."""
 SAVE: Final = "save"
 BULK: Final = "bulk"
 """Work on many objects: commands of a person who isn't at it."""
 KINDS: Final = AWAITED | {SAVE, BULK}
+LEAST: Final = 0.05
+"""Seconds; nobody notices a shorter job, and most clicks are."""
 
 
 @dataclass(frozen=True)

@@ -55,8 +55,11 @@ class LiveSession:
         with self._lock:
             return seq in self._issued_here
 
-    def do(self, command: Command, who: str, *, role: Role = "reviewer") -> SessionState:
+    def do(self, command: Command, who: str, *, role: Role | None = None) -> SessionState:
         """Apply ``command``, store it, and notify the subscribers.
+
+        Args:
+            role: at most this role is used, as of a token; None: that of the account ``who``.
 
         The command is applied as read back from its written form, so a replay can't differ. Where
         another process was first, the command is applied after its commands.
@@ -65,7 +68,8 @@ class LiveSession:
             The state after it; the former one where it changes nothing.
 
         Raises:
-            CommandError: where the state doesn't allow the command; nothing was stored.
+            CommandError: where the state or the person's role doesn't allow the command; nothing
+                was stored.
             StoreError: where it couldn't be stored; the state is as before.
         """
         command = from_json(to_json(command))
@@ -103,7 +107,8 @@ class LiveSession:
 
         return unsubscribe
 
-    def _do(self, command: Command, who: str, role: Role) -> SessionState:
+    def _do(self, command: Command, who: str, most: Role | None) -> SessionState:
+        role = self.store.people.role_for(self.object_id, command, who, most)
         for attempt in range(MAX_ATTEMPTS):
             at = now()
             after = apply(self._state, command, Context(who, at, role))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 from sessions.commands import Command, kind_of
@@ -84,6 +84,6 @@ class PendingAcceptance:
     hold_reason: str = ""
 
 
-def now() -> str:
-    """The moment as ISO 8601, UTC, microseconds; sorts as text."""
-    return datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%S.%fZ")
+def now(seconds: float = 0.0) -> str:
+    """The moment in ``seconds`` as ISO 8601, UTC, microseconds; sorts as text."""
+    return (datetime.now(UTC) + timedelta(seconds=seconds)).strftime("%Y-%m-%dT%H:%M:%S.%fZ")

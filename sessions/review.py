@@ -7,14 +7,16 @@ from typing import Literal, get_args
 
 from model.core.errors import CommandError
 
-ReviewState = Literal["todo", "in_progress", "predicted", "accepted", "rejected"]
+ReviewState = Literal["todo", "in_progress", "predicted", "submitted", "accepted", "rejected"]
 RejectReason = Literal["range", "axis", "type", "parts", "not_articulated", "other"]
-Role = Literal["annotator", "reviewer"]
-Action = Literal["annotate", "adjust", "predict", "accept", "reject", "reopen"]
+Role = Literal["annotator", "reviewer", "manager"]
+Action = Literal["annotate", "adjust", "predict", "submit", "accept", "reject", "reopen"]
 
 REVIEW_STATES: tuple[ReviewState, ...] = get_args(ReviewState)
 REJECT_REASONS: tuple[RejectReason, ...] = get_args(RejectReason)
 ACTIONS: tuple[Action, ...] = get_args(Action)
+ROLES: tuple[Role, ...] = get_args(Role)
+"""Each may do what those before it may."""
 
 TRANSITIONS: Mapping[Action, Mapping[ReviewState, ReviewState]] = {
     # Prompts, parts and the frame: what was predicted before no longer describes them.
@@ -22,6 +24,7 @@ TRANSITIONS: Mapping[Action, Mapping[ReviewState, ReviewState]] = {
         "todo": "in_progress",
         "in_progress": "in_progress",
         "predicted": "in_progress",
+        "submitted": "in_progress",
         "rejected": "in_progress",
     },
     # Names and joints: a prediction that a person corrects is still a prediction to review.
@@ -29,29 +32,43 @@ TRANSITIONS: Mapping[Action, Mapping[ReviewState, ReviewState]] = {
         "todo": "in_progress",
         "in_progress": "in_progress",
         "predicted": "predicted",
+        "submitted": "submitted",
         "rejected": "in_progress",
     },
     "predict": {
         "todo": "predicted",
         "in_progress": "predicted",
         "predicted": "predicted",
+        "submitted": "predicted",
         "rejected": "predicted",
     },
-    "accept": {"in_progress": "accepted", "predicted": "accepted", "rejected": "accepted"},
+    "submit": {"in_progress": "submitted", "predicted": "submitted", "rejected": "submitted"},
+    "accept": {
+        "in_progress": "accepted",
+        "predicted": "accepted",
+        "submitted": "accepted",
+        "rejected": "accepted",
+    },
     "reject": {
         "todo": "rejected",
         "in_progress": "rejected",
         "predicted": "rejected",
+        "submitted": "rejected",
         "accepted": "rejected",
         "rejected": "rejected",
     },
-    "reopen": {"accepted": "in_progress", "rejected": "in_progress"},
+    "reopen": {
+        "accepted": "in_progress",
+        "submitted": "in_progress",
+        "rejected": "in_progress",
+    },
 }
 """Action → state before → state after. All else is refused."""
 
 PERMITTED: Mapping[Role, frozenset[Action]] = {
-    "annotator": frozenset({"annotate", "adjust", "predict"}),
+    "annotator": frozenset({"annotate", "adjust", "predict", "submit"}),
     "reviewer": frozenset(ACTIONS),
+    "manager": frozenset(ACTIONS),
 }
 """The permitted actions of each role. A person who works alone is a reviewer."""
 

@@ -23,6 +23,7 @@ from model.core.errors import CommandError, StoreError
 from sessions.arrays import ArrayFiles
 from sessions.commands import NAME_LIMIT, Command, from_json, kind_of, to_json
 from sessions.database import Database, commands, meta, objects, snapshots, sqlite_file
+from sessions.people import People
 from sessions.records import Entry, ObjectRecord, PendingAcceptance, now
 from sessions.review import Role
 from sessions.serialise import VERSION, state_from_json, state_to_json
@@ -63,6 +64,9 @@ class Store:
         database_url: any SQLAlchemy URL; None is SQLite at ``workspace/artiworld.db``.
         busy_timeout: seconds to wait for another process that is writing.
 
+    Attributes:
+        people: accounts, what they may do, and who works on what.
+
     Raises:
         StoreError: naming the file, where the workspace can't be used.
     """
@@ -81,6 +85,7 @@ class Store:
         url = database_url or sqlite_file(self.workspace / "artiworld.db")
         self._database = Database(url, busy_timeout)
         self._arrays = ArrayFiles(self.workspace / "arrays")
+        self.people = People(self._database)
 
     def close(self) -> None:
         """Close the database's connections."""
@@ -285,6 +290,7 @@ class Store:
         if current != seq - 1:
             raise self._conflict(object_id, seq - 1, current)
         connection.execute(insert(commands).values(line))
+        self.people.decided(connection, line)
         connection.execute(update(objects).where(objects.c.id == object_id).values(summary))
         if blob is None:
             return

@@ -22,7 +22,7 @@ MOST_WAITING = 60
 """Thumbnails to draw: those that were asked for before are off the screen by now."""
 DRAW_SECONDS = 120.0
 """Longest drawing of one."""
-_STATES = ("rejected", "in_progress", "todo", "predicted", "accepted")
+_STATES = ("rejected", "in_progress", "todo", "predicted", "submitted", "accepted")
 SORTS: Final[tuple[str, ...]] = (
     "order", "name", "category", "state", "who", "confidence", "recent",
 )  # fmt: skip

@@ -168,6 +168,7 @@ VERSION_1 = [
     {"kind": "set_root", "link": "link_1"},
     {"kind": "reset_joint", "child": "link_1"},
     {"kind": "lock_joint", "child": "link_1", "locked": True},
+    {"kind": "submit", "comment": "done"},
     {"kind": "accept", "comment": "fine\nreally", "note_problems": ["touches at 0.2 rad"]},
     {"kind": "reject", "reason": "not_articulated", "comment": ""},
     {"kind": "reopen", "comment": "again"},
@@ -179,7 +180,7 @@ VERSION_1 = [
 
 NEWER_FIELDS = {
     "accept": {"override": "", "decided_at": ""},
-    "reject": {"decided_at": ""},
+    "reject": {"decided_at": "", "joint": "", "place": None},
     "remove_prompt": {"count": 1},
     "decide_objects": {"looked": False},
 }

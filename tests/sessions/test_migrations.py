@@ -91,6 +91,43 @@ def test_format_1_opens_whole(tmp_path, snapshots):
     store.close()
 
 
+def test_names_of_format_1_become_accounts_that_can_be_claimed(tmp_path):
+    store = Store(written_by(1, tmp_path))
+    accounts = store.people.accounts
+    assert [(a.name, a.role, a.status) for a in accounts.all()] == [
+        ("ann", "annotator", "unclaimed"),
+        ("rob", "annotator", "unclaimed"),
+    ], "the segmenter is no person"
+    assert not accounts.in_use(), "nobody has to log in before somebody is invited"
+    store.append(1, Reopen(), "anybody", 21)
+    assert accounts.check("ann", "") is None, "an unclaimed account has no password"
+    ann = accounts.claim(accounts.invite("ANN", "reviewer"), "correct horse battery")
+    assert (ann.name, ann.role, ann.status) == ("ann", "reviewer", "active")
+    assert accounts.check("ann", "correct horse battery") == ann
+    assert {e.who for e in store.history(1)} >= {"ann", "rob"}, "decisions keep their names"
+    store.close()
+
+
+def test_format_2_opens_whole(tmp_path):
+    store = Store(written_by(2, tmp_path))
+    people = store.people
+    assert [(a.name, a.role, a.status) for a in people.accounts.all()] == [
+        ("ann", "annotator", "active"),
+        ("boss", "manager", "active"),
+        ("rob", "annotator", "unclaimed"),
+    ]
+    assert people.accounts.check("boss", "a long password") == people.accounts.find("boss")
+    assert [(t.account, t.label, t.scopes) for t in people.credentials.tokens()] == [
+        ("boss", "nightly", ("read",))
+    ]
+    assert people.work.assigned() == {2: "ann"}
+    assert [e.kind for e in people.audit.events()][::-1] == [
+        "account_added", "account_added", "token_made", "assigned",
+    ]  # fmt: skip
+    assert (store.object(1).state, len(store.history(1))) == ("accepted", 21)
+    store.close()
+
+
 def test_the_migrations_end_where_the_tables_are(tmp_path):
     Store(tmp_path).close()
     with reading(tmp_path) as connection:

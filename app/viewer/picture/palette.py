@@ -45,6 +45,7 @@ STATE_COLORS: Final[dict[str, Rgb]] = {
     "todo": (134, 142, 150),
     "in_progress": (51, 126, 204),
     "predicted": (121, 80, 200),
+    "submitted": (12, 133, 153),
     "accepted": (47, 158, 68),
     "rejected": (224, 49, 49),
 }

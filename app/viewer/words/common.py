@@ -29,11 +29,12 @@ STATES: Final[dict[str, str]] = {
     "todo": "to do",
     "in_progress": "in progress",
     "predicted": "to review",
+    "submitted": "submitted",
     "accepted": "accepted",
     "rejected": "rejected",
 }
 SCENE_STATES: Final[dict[str, str]] = {
-    **STATES,
+    **{state: word for state, word in STATES.items() if state != "submitted"},
     "predicted": "predicted",
     "on_hold": HELD,
     "validating": "checking",

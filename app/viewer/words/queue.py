@@ -21,7 +21,7 @@ HELD: Final = "on hold"
 EMPTY: Final = ("The queue is empty", "Add files, or start with: artiworld serve PATH")
 ALL_ACCEPTED: Final = "All other objects are accepted"
 restore = Message("Restore {name}")
-STATE_ORDER: Final = ("accepted", "predicted", "in_progress", "todo", "rejected")
+STATE_ORDER: Final = ("accepted", "submitted", "predicted", "in_progress", "todo", "rejected")
 
 
 def progress(counts: dict[str, int], today: int) -> str:
