@@ -38,7 +38,7 @@ SEGMENTER = "segmenter"
 _SOFTWARE = frozenset({SOURCE, MASKS, SEGMENTER, "scene", "scripted annotator", ""})
 """Authors that are no people; the last one but one is of ``bench segment``."""
 _RESULTS = frozenset({"record_segmentation", "saved", "placed"})
-_SAME_MOMENT = 5.0
+_SAME_MOMENT = 2.0
 """Seconds between the end of a job and the command that holds its result, at most: it waits for
 other callbacks and for the disk."""
 
@@ -211,6 +211,7 @@ class _Jobs:
             self._by[job.object, job.kind].append(job)
         for each in self._by.values():
             each.sort(key=lambda job: job.at)
+        self._used: set[TimedJob] = set()
 
     def in_bulk(self, command: LoggedCommand) -> bool:
         """Whether a bulk action gave the command."""
@@ -222,7 +223,9 @@ class _Jobs:
         if kind is None:
             return command.at
         for job in reversed(self._by[command.object, kind]):
-            if job.at <= command.at and abs(command.at - job.end) <= _SAME_MOMENT:
+            fits = job.at <= command.at and abs(command.at - job.end) <= _SAME_MOMENT
+            if fits and job not in self._used:
+                self._used.add(job)
                 return job.at
         return command.at - (command.seconds if kind == "predict" else 0.0)
 

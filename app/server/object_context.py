@@ -44,7 +44,7 @@ class ObjectContext(Observable):
         self.live: LiveSession = services.hub.session(record.id)
         self.asset: OpenedAsset | None = None
         self.lane: Lane = services.workers.lanes.first
-        self.jobs = RunningJobs(f"object {record.id}", self.changed, self._record_job)
+        self.jobs = RunningJobs(f"object {record.id}", self.changed, self.record_job)
         self._lock = threading.RLock()
         self._stored: tuple[str, npt.NDArray[np.integer]] | None = None
 
@@ -120,8 +120,9 @@ class ObjectContext(Observable):
             stored = self._stored = record.labels, self.services.store.get_array(record.labels)
         return max(int(stored[1][element]), BASE)
 
-    def _record_job(self, kind: str, at: float, seconds: float) -> None:
-        if kind in job_log.KINDS:
+    def record_job(self, kind: str, at: float, seconds: float) -> None:
+        """Keep how long a job took that began at ``at`` (seconds since 1970), where it counts."""
+        if kind in job_log.KINDS and seconds >= job_log.LEAST:
             job = job_log.TimedJob(self.record.id, kind, at, seconds)
             job_log.record_job(self.services.workspace, job)
 

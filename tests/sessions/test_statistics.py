@@ -139,6 +139,16 @@ def test_a_pause_begins_just_beyond_the_limit(script: Script) -> None:
     assert figures_of(acts_of(script.log())).active == pytest.approx(PAUSE)
 
 
+def test_a_slow_pick_begins_with_its_own_click_alone(script: Script) -> None:
+    script.job(0, 0, "open", 1)
+    script.job(2, 0, "pick", 6)
+    script.click(8, 0)
+    script.click(9, 0, 2)
+    first, second = acts_of(script.log())
+    assert (first.active, first.waiting) == pytest.approx((2.0, 1.0)), "asked for at 2 s"
+    assert (second.active, second.waiting) == pytest.approx((7.0, 6.5)), "the answer came at 8 s"
+
+
 def test_reopened_objects_are_not_accepted(script: Script, cabinet: KinematicTree) -> None:
     morning(script, cabinet)
     script.at(230, 0, cmd.Reopen(), "ben")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from model.geometry.picking import Camera
 from model.geometry.strokes import Stroke
 from model.segmentation.prompts import Click
 from sessions.document import Document
+from sessions.job_log import PICK
 
 Point = tuple[float, float, float]
 Selected = Callable[[str, int], None]
@@ -69,6 +71,8 @@ class PointerQueries:
 
     def _answer(self, job: Job[Any], then: Callable[[Any], None]) -> None:
         """Give a job's result to ``then``: now, or as an action of its own once it is there."""
+        obj, begun = self._tab.selection.need_object(), time.time()
+        job.add_done_callback(lambda _: obj.record_job(PICK, begun, time.time() - begun))
         try:
             found = job.result(PATIENCE)
         except TimeoutError:

@@ -1,0 +1,59 @@
+"""The time of people as the log tells it, against what a script measured for its own acts."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from sessions.command_log import read_work
+from sessions.statistics import acts_of, figures_of
+from tests.browser.browsing import Tab, wait_until
+
+pytestmark = pytest.mark.browser
+THINKING = 2.0
+"""Seconds before each act: short enough for a test, long enough for two in a hundred."""
+
+
+def test_the_log_agrees_with_the_scripts_own_clock(start: Any, open_tab: Any, cabinet: Any) -> None:
+    path, points = cabinet
+    server = start(path)
+    tab: Tab = open_tab(server)
+    moments: list[float] = []
+
+    def act(what: Any) -> None:
+        time.sleep(THINKING)
+        moments.append(time.time())
+        what()
+
+    act(lambda: tab.prompt(points["door"]))
+    tab.key("2")
+    wait_until(lambda: tab.selection.part == 2, "key 2 chooses part 2")
+    act(lambda: tab.prompt(points["drawer"]))
+    act(lambda: tab.prompt(points["base"], ("Shift",)))
+    act(lambda: tab.key("Control+z"))
+    tab.settled()
+    tab.drawn()
+    asked = time.time() + THINKING
+    act(lambda: tab.key("p"))
+    wait_until(lambda: tab.document.tree is not None, "a kinematic tree")
+    waited = time.time() - asked
+    wait_until(lambda: tab.selection.step == "Joints", "the joints are shown")
+    tab.drawn()
+    tab.app.motion.stop()
+    act(lambda: tab.key("f"))
+    wait_until(lambda: tab.document.edited_joints, "a joint is flipped")
+
+    log = read_work(Path(server.config.workspace), server.config.database)
+    acts = acts_of(log)
+    first = next(i for i, a in enumerate(acts) if a.kind == "add_click")
+    found = figures_of(a for a in acts[first + 1 :])
+    assert found.active == pytest.approx(moments[-1] - moments[0], rel=0.02)
+    everything = figures_of(acts)
+    assert (everything.clicks, everything.corrections) == (3, 2), "the undo and the flipped joint"
+    assert acts[first].active > THINKING, "the time since the object was opened"
+    prediction = next(a for a in acts if a.kind == "record_prediction")
+    joints = next(a for a in acts if a.step == "Joints" and a.at > prediction.at)
+    assert joints.waiting == pytest.approx(waited, abs=0.5)
