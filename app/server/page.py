@@ -8,13 +8,17 @@ from importlib.resources import files
 
 from websockets.http11 import Response
 
-_SCRIPTS = ("upload.js", "focus.js", "panels.js", "markup.js", "queue.js", "pointer.js", "light.js")
+_SCRIPTS = (
+    "upload.js", "focus.js", "panels.js", "markup.js", "queue.js", "view.js", "pointer.js",
+    "light.js",
+)  # fmt: skip
+_STYLES = ("style.css", "controls.css")
 
 
 def _script(max_upload_bytes: int) -> str:
     scripts = files("app.server") / "scripts"
     texts = [(scripts / name).read_text() for name in _SCRIPTS]
-    style = f"<style>\n{(scripts / 'style.css').read_text()}</style>\n"
+    style = "".join(f"<style>\n{(scripts / name).read_text()}</style>\n" for name in _STYLES)
     whole = style + "\n".join(f"<script>\n{text}</script>" for text in texts)
     return whole.replace("__LIMIT__", json.dumps(max_upload_bytes))
 

@@ -14,6 +14,7 @@ from app.viewer.input.decision_guard import DecisionGuard
 from app.viewer.input.keys import KeySheet, add_keys
 from app.viewer.input.pointing import PointerActions, Pointing
 from app.viewer.input.queries import Point, PointerQueries
+from app.viewer.input.views import Views
 from app.viewer.navigation import Memory, Navigation
 from app.viewer.panels.exporting import Exporting
 from app.viewer.panels.history import History
@@ -55,6 +56,7 @@ class ClientApp:
         light: of the picture.
         theme: light or dark, as the browser has it.
         rail: the icons beside the picture.
+        views: from where one looks, and at which parts.
         commands: what keys and buttons ask for.
     """
 
@@ -77,12 +79,16 @@ class ClientApp:
         self._presses = Presses(tab)
         self._bar = StepBar(tab, self._presses, app_state.bulk, self.commands.cancel)
         self._exporting = Exporting(tab, app_state.bulk, app_state.workspace)
+        rejecting = self.commands.rejecting
+        self.views = Views(
+            tab, self.picture, self._presses, self.commands.number, lambda: rejecting.asking
+        )
         self._tour = Tour(tab, self._presses, self.motion, self._remember)
         self.rail = ToolRail(tab, self._presses, self.pointing, self._rail_actions())
         self._build()
         steps = (self.prepare, self.annotate, self.joints, self.review)
         self.commands.connect(steps, self.scene)
-        view = (self.pointing, self.motion, self.picture, self._sheet, self.rail)
+        view = (self.pointing, self.motion, self.picture, self._sheet, self.rail, self.views)
         add_keys(tab, bindings(tab, self.commands, steps, self.scene, view), self.guard.decide)
         self.pointing.listen(self._pointer_actions())
         self._unqueue = app_state.queue.subscribe(tab.invalidate)
@@ -129,6 +135,7 @@ class ClientApp:
             reset_pose=self.motion.reset,
             show_keys=self._sheet.toggle,
             tour=self._tour.begin,
+            isolate=self.views.isolate,
         )
 
     def _build_object(self) -> None:

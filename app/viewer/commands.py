@@ -8,6 +8,7 @@ from typing import Any, Final
 from app.server.tool_tasks import NEXT_MASK
 from app.viewer.input.keys import Binding, KeySheet
 from app.viewer.input.pointing import Pointing
+from app.viewer.input.views import VIEWS, Views
 from app.viewer.navigation import Navigation
 from app.viewer.panels.predict_buttons import predict
 from app.viewer.panels.quick_names import SHOWN
@@ -23,6 +24,7 @@ from app.viewer.steps.scene import SceneStep
 from app.viewer.tab import STEPS, Tab
 from app.viewer.words import common
 from app.viewer.words import keys as words
+from app.viewer.words import view as view_words
 from app.viewer.words.annotate import TOOL_ROWS
 from sessions import commands as cmd
 from sessions.review import RejectReason
@@ -214,12 +216,12 @@ def bindings(
     commands: Commands,
     steps: tuple[PrepareStep, AnnotateStep, JointsStep, ReviewStep],
     scene: SceneStep | None,
-    view: tuple[Pointing, Motion, ObjectPicture, KeySheet, ToolRail],
+    view: tuple[Pointing, Motion, ObjectPicture, KeySheet, ToolRail, Views],
 ) -> Iterator[Binding]:
     """The commands of the palette (Ctrl+K) with their keys, in the palette's order."""
     prepare, annotate, joints, _ = steps
     by_step = commands.by_step
-    pointing, motion, picture, sheet, tools = view
+    pointing, motion, picture, sheet, tools, views = view
     for part in range(10):
         yield Binding(words.select_part(part), str(part), _with(commands.number, part))
     yield Binding(words.UNDO, "Z", commands.undo, "cmd/ctrl")
@@ -249,6 +251,12 @@ def bindings(
                 yield Binding(words.tool(label), key, use)
     yield Binding(words.CUT, "K", pointing.next_cut)
     yield Binding(words.PREVIEW, "V", tools.toggle_preview)
+    yield Binding(view_words.MEASURE, "M", _with(pointing.arm, "measure"), "shift")
+    # Their keys are handled in the page: a number pad's digits are not those of the parts.
+    yield Binding(view_words.ISOLATE, None, views.isolate)
+    for name in VIEWS:
+        yield Binding(view_words.VIEW_NAMES[name], None, _with(views.look, name))
+    yield Binding(view_words.FLAT_OR_NOT, None, views.toggle_flat)
     yield Binding(words.EXCLUDE_ROOM, None, annotate.source.leave_out)
     yield Binding(words.EXTRACT, None, annotate.source.cut_out)
     yield Binding(words.TITLE, None, sheet.toggle)

@@ -11,7 +11,7 @@ from typing import Any, Literal, Protocol
 
 import viser
 
-from app.server.display_names import display_text
+from app.server.display_names import display_text, moved_part
 from app.server.open_object import OpenObject
 from app.server.pointer_messages import set_page_state
 from app.viewer.notes import Notes
@@ -112,6 +112,17 @@ class Selection:
         """Choose the joint that the editor shows."""
         self.child = child
         self._changed()
+
+    @property
+    def worked_on(self) -> int:
+        """The selected part; in the steps after annotating that of the selected joint."""
+        joint = None if self.step == "Annotate" else self.joint
+        if joint is not None:
+            tree = self.need_object().document.tree
+            assert tree is not None
+            digits = moved_part(tree, joint.child).removeprefix("link_")
+            return int(digits) if digits.isdigit() else self.part
+        return self.part
 
     @property
     def joint(self) -> Joint | None:

@@ -19,6 +19,7 @@ from app.server.pointer_messages import (
 )
 from app.server.tool_tasks import ToolRequest
 from app.viewer.input.hover import Hover
+from app.viewer.input.measuring import Measuring
 from app.viewer.input.queries import Point, PointerQueries
 from app.viewer.input.tools import Tools
 from app.viewer.picture.motion import Motion
@@ -33,7 +34,7 @@ from model.geometry.strokes import Stroke
 from model.segmentation.prompts import Click
 from sessions import commands as cmd
 
-Armed = Literal["", "cut", "rectangle", "merge", "floor", "edge", "length"]
+Armed = Literal["", "cut", "rectangle", "merge", "measure", "floor", "edge", "length"]
 Tool = Literal["click", "lasso", "brush"]
 _CUTS = {"cut": words.CUT, "rectangle": words.CUT_RECTANGLE}
 _PLACES: Final = {"floor": 3, "edge": 2, "length": 2}
@@ -86,7 +87,8 @@ class Pointing:
 
     Attributes:
         armed: "cut" waits for places along a cut, "rectangle" for two corners, "merge" for a part,
-            "floor", "edge" and "length" for places of those; "" for nothing.
+            "measure" for the ends of a distance, "floor", "edge" and "length" for places of those;
+            "" for nothing.
         tool: what a drag draws.
         hover: the preview of a click.
         tools: that change the selected part.
@@ -101,6 +103,7 @@ class Pointing:
         self.tool: Tool = "click"
         self.hover = Hover(tab, picture, queries, self._clicking)
         self.tools = Tools(tab, self.hover.forget)
+        self._measuring = Measuring(tab, picture)
         self._places: list[tuple[Point, int]] = []
         self._shifted = False
         self._frame: dict[str, Point] | None = None
@@ -155,6 +158,7 @@ class Pointing:
             same: it is the same one with other faces; a tool stays armed.
         """
         self._places, self._frame, self._shifted = [], None, False
+        self._measuring.clear()
         if not same:
             self.armed = ""
         self.hover.forget()
@@ -169,7 +173,8 @@ class Pointing:
         """Send the page's script the tool and the hint below the picture."""
         selection = self._selection
         drawing = selection.step in AT_REST and selection.object is not None
-        hint = self._hint() if drawing else ""
+        measuring = self.armed == "measure" and selection.object is not None
+        hint = self._hint() if drawing or measuring else ""
         state = {
             "tool": self.tool,
             "drawing": drawing,
@@ -184,6 +189,8 @@ class Pointing:
             set_page_state(self._tab.client, **news)
 
     def _hint(self) -> str:
+        if self.armed == "measure":
+            return self._measuring.hint
         if self._selection.step == "Prepare":
             return prepare_words.HINTS.get(self.armed) or prepare_words.HINT_STROKES.get(
                 self.tool, ""
@@ -223,11 +230,12 @@ class Pointing:
     def arm(self, what: Armed) -> None:
         """Let the next clicks be places of a cut, or a part to merge."""
         step: Step = "Prepare" if what in _PLACES else "Annotate"
-        if self._selection.step != step:
+        if what != "measure" and self._selection.step != step:
             self._selection.set_step(step)
         self.armed = "" if what == self.armed else what
         self.tool, self._places, self._shifted = "click", [], False
         self._show_places()
+        self._measuring.clear()
         self.hover.forget()
         self._tab.invalidate()
 
@@ -243,6 +251,7 @@ class Pointing:
         if self.armed or self.tool != "click":
             self.armed, self.tool, self._places, self._shifted = "", "click", [], False
             self._show_places()
+            self._measuring.clear()
             self._tab.invalidate()
 
     def _tool_key(self, tool: str) -> None:
@@ -278,6 +287,10 @@ class Pointing:
             return
         obj = selection.need_object()
         if obj.asset is None:
+            return
+        if self.armed == "measure":
+            if not self._measuring.click(origin, direction):
+                self._tab.say(words.NOTHING_THERE)
             return
         if selection.step not in AT_REST and any(self._motion.q.values()):
             # What the workers pick from is at rest, which what is seen isn't.

@@ -82,11 +82,7 @@ class PartList:
     def toggle_hidden(self) -> None:
         """Hide the selected part (its joint's part in the other steps), or show it again."""
         selection = self._tab.selection
-        part = selection.part
-        if selection.step != "Annotate" and selection.child is not None:
-            digits = selection.child.removeprefix("link_")
-            part = int(digits) if digits.isdigit() else part
-        selection.hidden = selection.hidden ^ {part}
+        selection.hidden = selection.hidden ^ {selection.worked_on}
         self._pointing.hover.forget()
         self._tab.invalidate()
 

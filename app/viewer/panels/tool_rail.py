@@ -14,7 +14,7 @@ from app.viewer.input.pointing import Pointing
 from app.viewer.panels.markup import Place, Presses, button, icon
 from app.viewer.tab import AT_REST, Tab
 from app.viewer.words import annotate as words
-from app.viewer.words import common
+from app.viewer.words import common, view
 from app.viewer.words.tour import TOUR, TOUR_TIP
 
 _TOOLS = {label: tool for row in words.TOOL_ROWS for tool, label in row.items()}
@@ -46,6 +46,7 @@ class RailActions:
     reset_pose: Callable[[], None]
     show_keys: Callable[[], None]
     tour: Callable[[], None]
+    isolate: Callable[[], None]
 
 
 class ToolRail:
@@ -68,6 +69,8 @@ class ToolRail:
             common.RESET_POSE: actions.reset_pose,
             common.KEYS_BUTTON: actions.show_keys,
             TOUR: actions.tour,
+            view.MEASURE: lambda: pointing.arm("measure"),
+            view.ISOLATE: actions.isolate,
             words.PREVIEW: self.toggle_preview,
             words.TOUCH: self._toggle_touch,
         }
@@ -128,6 +131,13 @@ class ToolRail:
             groups.append([
                 _view(words.PREVIEW, viser.Icon.EYE, words.PREVIEW_HINT, on),
                 _view(words.TOUCH, viser.Icon.HAND_FINGER, words.TOUCH_HINT, self.touch),
+            ])  # fmt: skip
+        if step != "Prepare":
+            alone = bool(self._tab.selection.hidden)
+            measuring = self._pointing.armed == "measure"
+            groups.append([
+                _view(view.MEASURE, viser.Icon.RULER_2, view.MEASURE_TIP, measuring),
+                _view(view.ISOLATE, viser.Icon.FOCUS_2, view.ISOLATE_TIP, alone),
             ])  # fmt: skip
         groups.append([
             _view(common.KEYS_BUTTON, viser.Icon.KEYBOARD),

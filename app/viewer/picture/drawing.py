@@ -116,11 +116,12 @@ class ObjectDrawing:
     def _axis_marks(self, obj: OpenObject, doc: Document) -> list[AxisMark]:
         assert doc.tree is not None and obj.asset is not None
         payloads, marks = obj.part_payloads(), []
+        hidden = {f"link_{part}" for part in self._tab.selection.hidden}
         for joint in doc.tree.joints:
-            if not joint.moves:
-                continue
             chosen = joint.child == self._tab.selection.child
             moved = moved_part(doc.tree, joint.child)
+            if not joint.moves or (moved in hidden and not chosen):
+                continue
             length = axis_length(payloads, moved, joint.axis, obj.asset.diagonal)
             part = moved.removeprefix("link_")
             color = palette.part_color(int(part)) if part.isdigit() else palette.GHOST

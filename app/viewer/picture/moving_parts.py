@@ -91,6 +91,18 @@ class MovingParts:
                 return payload.points if payload.vertices is None else payload.vertices
         return None
 
+    def posed(
+        self, hidden: frozenset[int]
+    ) -> list[tuple[npt.NDArray[np.floating], npt.NDArray[Any] | None]]:
+        """(V, 3) vertices or points of the parts where they are now, and (F, 3) faces or None."""
+        out = []
+        for payload in self._payloads or ():
+            shape = payload.points if payload.vertices is None else payload.vertices
+            if shape is not None and payload.part not in hidden:
+                pose = self._poses.get(f"link_{payload.part}", np.eye(4))
+                out.append((shape @ pose[:3, :3].T + pose[:3, 3], payload.faces))
+        return out
+
     def pick(
         self, origin: npt.ArrayLike, direction: npt.ArrayLike, hidden: frozenset[int]
     ) -> int | None:

@@ -208,6 +208,13 @@ class ObjectPicture:
                 self.overlay.set_visible(not moving)
             self.parts.set_visible(moving, hidden)
 
+    def posed_parts(
+        self, hidden: frozenset[int]
+    ) -> list[tuple[npt.NDArray[np.floating], npt.NDArray[Any] | None]] | None:
+        """(V, 3) vertices or points of each part where it is drawn now, and (F, 3) faces or None;
+        None where the object is drawn as a whole."""
+        return self.parts.posed(hidden) if self._moving else None
+
     # --- prompts
 
     def show_prompts(self, clicks: Sequence[tuple[int, Click]], visible: bool) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from app.viewer.picture import palette
 _TOWARD_CAMERA = 0.006
 _DOT = 0.0032
 _MARK = 0.006
+_LINE_PIXELS = 3.0
 
 
 class Overlays:
@@ -27,6 +29,7 @@ class Overlays:
         self._diagonal = diagonal
         self._dots: dict[str, Any] = {}
         self._places: list[Any] = []
+        self._measure: list[Any] = []
 
     def show_hover(
         self,
@@ -82,6 +85,40 @@ class Overlays:
             )
             for k, place in enumerate(places)
         ]
+
+    def show_measure(self, places: Sequence[npt.NDArray[np.float64]], text: str) -> None:
+        """Mark one or two points, (3,) each, and the line between them with ``text``."""
+        if self._diagonal is None:
+            return
+        for handle in self._measure:
+            handle.remove()
+        scene = self._client.scene
+        self._measure = [
+            scene.add_icosphere(
+                f"/measure/{k}",
+                radius=_MARK * self._diagonal,
+                color=palette.SELECTED,
+                subdivisions=2,
+                position=place,
+                cast_shadow=False,
+                receive_shadow=False,
+            )
+            for k, place in enumerate(places)
+        ]
+        if len(places) == 2:
+            ends = np.stack(places).astype(np.float32)
+            self._measure += [
+                scene.add_line_segments(
+                    "/measure/line",
+                    ends[None],
+                    palette.SELECTED,
+                    thickness=_LINE_PIXELS,
+                    thickness_units="screen",
+                ),
+                scene.add_label(
+                    "/measure/label", text, position=ends.mean(axis=0), anchor="bottom-center"
+                ),
+            ]
 
 
 def _light(color: palette.Rgb) -> palette.Rgb:

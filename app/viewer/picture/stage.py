@@ -11,11 +11,17 @@ import viser
 from model.geometry.crop import ROOM_METRES
 
 FIELD_OF_VIEW = 0.7
+FLAT_VIEW = 0.05
+"""Radians: the field of view, from so much farther away, that hardly has perspective; viser's page
+has no orthographic camera."""
 SCENE_ROOT = "/world"
 """Node above all that belongs to a scene around the object."""
 _LIGHT = (222.0, 228.0, 236.0), (243.0, 244.0, 246.0)
 _DARK = (58.0, 64.0, 72.0), (36.0, 39.0, 44.0)
 """RGB of the backdrop at its top and its bottom."""
+_FLAT_NEAR = 0.01, 0.5
+"""Of the distance, and metres at most: from far away depths stay exact, and viser's backdrop, which
+is one metre away, is not cut off."""
 LIGHT_ROOT = "/light"
 """Node above the lights that the user chose."""
 
@@ -56,7 +62,8 @@ def view_direction(front: npt.ArrayLike, aside: float = 0.5, above: float = 0.45
 def fitting_distance(camera: viser.CameraHandle, size: float) -> float:
     """Metres from which a ball of that diameter fills the picture."""
     aspect = max(min(camera.aspect or 1.5, 2.5), 0.4)
-    half = min(FIELD_OF_VIEW / 2, np.arctan(np.tan(FIELD_OF_VIEW / 2) * aspect))
+    lens = _lens(camera)
+    half = min(lens / 2, np.arctan(np.tan(lens / 2) * aspect))
     return float(0.5 * size / np.sin(half))
 
 
@@ -72,10 +79,36 @@ def aim(
     """Put the camera somewhere, upright; its clipping planes, in metres, go with the distance."""
     camera = client.camera
     distance = float(np.linalg.norm(position - look_at))
+    lens = _lens(camera)
+    near = 1e-3 * distance
+    if lens == FLAT_VIEW:
+        near = min(_FLAT_NEAR[0] * distance, _FLAT_NEAR[1])
     with client.atomic():
-        camera.fov = FIELD_OF_VIEW
+        camera.fov = lens
         camera.up_direction = up
         camera.position = position
         camera.look_at = look_at  # after the position, which carries the old one along
-        camera.near = max(distance * 1e-3, least_near)
+        camera.near = max(near, least_near)
         camera.far = max(distance * 100, least_far)
+
+
+def _lens(camera: viser.CameraHandle) -> float:
+    """The field of view that is used now, radians."""
+    return FLAT_VIEW if camera.fov <= FLAT_VIEW * 1.01 else FIELD_OF_VIEW
+
+
+def toggle_flat(client: viser.ClientHandle) -> bool:
+    """Change between perspective and a picture hardly with any; what is looked at stays as large.
+
+    Returns:
+        Whether it is flat now.
+    """
+    camera = client.camera
+    before = _lens(camera)
+    now = FIELD_OF_VIEW if before == FLAT_VIEW else FLAT_VIEW
+    look_at, away = np.asarray(camera.look_at), np.asarray(camera.position - camera.look_at)
+    farther = float(np.tan(before / 2) / np.tan(now / 2))
+    camera.fov = now
+    up = tuple(float(v) for v in camera.up_direction)
+    aim(client, look_at + farther * away, look_at, least_near=1e-4, up=up)  # type: ignore[arg-type]
+    return now == FLAT_VIEW
