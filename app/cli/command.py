@@ -24,10 +24,12 @@ class Command:
     Attributes:
         log_level: least severe message that is shown.
         subcommands: name → command, where the command only groups others.
+        default_subcommand: the one of them that is meant where none is named, or "".
     """
 
     log_level: ClassVar[int] = logging.ERROR
     subcommands: ClassVar[dict[str, type[Command]]] = {}
+    default_subcommand: ClassVar[str] = ""
 
     def run(self) -> int:
         """Carry the command out and return the exit code. Heavy modules are imported here."""

@@ -57,7 +57,7 @@ def parse(arguments: Sequence[str]) -> tuple[Command, bool]:
     Raises:
         SystemExit: after --help, --version or a mistake.
     """
-    values = make_parser().parse_args(_joined_signs(arguments))
+    values = make_parser().parse_args(_with_subcommand(_joined_signs(arguments)))
     return from_namespace(values.command, values), values.debug
 
 
@@ -68,6 +68,17 @@ def make_parser() -> argparse.ArgumentParser:
     parser.add_argument("--debug", action="store_true", help="show tracebacks and debug messages")
     add_commands(parser, COMMANDS, title="commands", metavar="COMMAND")
     return parser
+
+
+def _with_subcommand(words: list[str]) -> list[str]:
+    """``release WORKSPACE`` as ``release create WORKSPACE``; help is that of all subcommands."""
+    at = next((i for i, word in enumerate(words) if not word.startswith("-")), len(words))
+    command = COMMANDS.get(words[at]) if at < len(words) else None
+    if command is None or not command.default_subcommand or len(words) == at + 1:
+        return words
+    if words[at + 1] in (*command.subcommands, "-h", "--help"):
+        return words
+    return [*words[: at + 1], command.default_subcommand, *words[at + 1 :]]
 
 
 def _joined_signs(words: Sequence[str]) -> list[str]:

@@ -8,10 +8,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Literal
+from typing import ClassVar, Literal
 
-from app.cli.command import Command, argument, option
-from app.cli.options import json_flag, positive_number
+from app.cli.command import Command, argument, option, repeated, required
+from app.cli.options import json_flag, positive_count, positive_number
 from model.core.registry import at_place
 
 
@@ -45,3 +45,76 @@ class StatsCommand(Command):
     def run(self) -> int:
         """Print the figures."""
         return at_place("app.cli.stats:stats")(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReleaseCreateCommand(Command):
+    """Freeze the accepted assets of a workspace as a numbered data set."""
+
+    workspace: Path = argument("folder of sessions and accepted assets", "WORKSPACE")
+    name: str = required("name of the data set", "NAME")
+    version: str | None = option(
+        "its version, such as 1.0 (default: the number after the last one)", "VERSION"
+    )
+    form: Literal["folder", "webdataset", "huggingface"] = option(
+        "plain folder, tar shards for WebDataset, or the layout of Hugging Face's hub",
+        default="folder",
+    )
+    out: Path | None = option("folder of the releases (default: releases in the workspace)", "DIR")
+    license: str = option(
+        "licence of the assets, such as CC-BY-4.0 (default: that of the last SimReady package)",
+        "NAME", "",
+    )  # fmt: skip
+    author: str = option(
+        "author or organisation (default: that of the last SimReady package)", "NAME", ""
+    )
+    category: tuple[str, ...] = repeated("release objects of this category only", "NAME")
+    shard_mb: int = option("with webdataset: largest shard", "MB", 500, parse=positive_count)
+    database: str | None = option(
+        "URL of a SQLite or PostgreSQL database (default: one in the workspace)", "URL"
+    )
+    json: bool = json_flag()
+
+    def run(self) -> int:
+        """Write the release and print what is in it."""
+        return at_place("app.cli.release:create")(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReleaseDiffCommand(Command):
+    """List what changed between two releases."""
+
+    before: Path = argument("folder of a release", "A")
+    after: Path = argument("folder of another one", "B")
+    json: bool = json_flag()
+
+    def run(self) -> int:
+        """Print the assets that were added, removed or changed."""
+        return at_place("app.cli.release:diff")(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReleaseImportCommand(Command):
+    """Check somebody's release and add its objects to a workspace."""
+
+    release: Path = argument("folder of the release", "DIR")
+    into: Path = required("folder of sessions and accepted assets; made where needed", "WORKSPACE")
+    database: str | None = option(
+        "URL of a SQLite or PostgreSQL database (default: one in the workspace)", "URL"
+    )
+    json: bool = json_flag()
+
+    def run(self) -> int:
+        """Add the objects and list them."""
+        return at_place("app.cli.release:import_into")(self)
+
+
+class ReleaseCommand(Command):
+    """Freeze accepted assets as a data set; compare and import such sets."""
+
+    subcommands: ClassVar[dict[str, type[Command]]] = {
+        "create": ReleaseCreateCommand,
+        "diff": ReleaseDiffCommand,
+        "import": ReleaseImportCommand,
+    }
+    default_subcommand: ClassVar[str] = "create"

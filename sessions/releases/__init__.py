@@ -1,0 +1,1 @@
+"""Data sets for other people: frozen, numbered, checksummed sets of accepted assets."""
