@@ -5,16 +5,13 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
-import subprocess
-import sys
 from multiprocessing.connection import Connection
 from typing import Any
 
-from app.server.ending import signals_blocked
 from app.server.job import Job, JobFailed
 from app.server.worker import pack, send, unpack
+from app.server.worker_template import Process, WorkerTemplate, start_python
 from model.core.errors import ArtiworldError
-from model.core.threads import with_threads
 
 
 class Child:
@@ -24,30 +21,33 @@ class Child:
         name: name of its worker.
         threads: numeric threads in it.
         setup: its first call.
+        template: what it is forked from; None starts an interpreter.
 
     Attributes:
         ready: whether that call has returned.
         cancelled: numbers of the jobs that it was asked to stop.
     """
 
-    def __init__(self, name: str, threads: int, setup: tuple[Any, ...]) -> None:
+    def __init__(
+        self,
+        name: str,
+        threads: int,
+        setup: tuple[Any, ...],
+        template: WorkerTemplate | None = None,
+    ) -> None:
         self.ready = False
         self.cancelled: set[int] = set()
         self.connection: Connection
         self.connection, theirs = multiprocessing.Pipe(duplex=True)
         descriptor = theirs.fileno()
-        paths = [os.path.abspath(p) for p in sys.path]
-        code = (
-            f"import sys; sys.path[:] = {paths!r}; from app.server.worker import main; "
-            f"main({descriptor}, {os.getpid()}, {name!r})"
-        )
-        with signals_blocked():
-            self.process = subprocess.Popen(
-                [sys.executable, "-P", "-c", code],
-                pass_fds=[descriptor],
-                stdin=subprocess.DEVNULL,
-                env=with_threads(os.environ, threads),
+        self.process: Process
+        if template is not None:
+            self.process = template.fork(name, descriptor)
+        else:
+            code = (
+                f"from app.server.worker import main; main({descriptor}, {os.getpid()}, {name!r})"
             )
+            self.process = start_python(code, descriptor, threads)
         theirs.close()
         send(self.connection, "setup", 0, pack(setup))
 

@@ -13,7 +13,6 @@ import itertools
 import logging
 import math
 import multiprocessing
-import os
 import threading
 import time
 from collections.abc import Callable, Hashable
@@ -23,6 +22,8 @@ from typing import Any, TypeVar
 from app.server.child_process import Child, death, error_of, finish
 from app.server.job import Job, JobFailed, OutOfTimeError, WorkerDied
 from app.server.worker import pack, receive, send, unpack
+from app.server.worker_template import WorkerTemplate
+from model.core.threads import own_threads
 
 T = TypeVar("T")
 
@@ -49,6 +50,8 @@ class WorkerProcess:
         arguments: of ``initializer``.
         threads: numeric threads in the child (OMP, BLAS); all processors but one by default.
         lazy: whether the child starts with the first job only.
+        template: what the child is forked from, with its numeric threads; None starts an
+            interpreter.
     """
 
     def __init__(
@@ -59,11 +62,13 @@ class WorkerProcess:
         arguments: tuple[Any, ...] = (),
         threads: int | None = None,
         lazy: bool = False,
+        template: WorkerTemplate | None = None,
     ) -> None:
         self.name = name
         self._lazy = lazy
         self._setup = (initializer or _nothing, arguments, {})
-        self._threads = threads or max(1, (os.cpu_count() or 2) - 1)
+        self._threads = threads or own_threads()
+        self._template = template
         self._numbers = itertools.count(1)
         self._lock = threading.Lock()
         self._queue: list[tuple[int, int, Job[Any]]] = []
@@ -209,7 +214,7 @@ class WorkerProcess:
         self._shut_down()
 
     def _start(self) -> Child:
-        return Child(self.name, self._threads, self._setup)
+        return Child(self.name, self._threads, self._setup, self._template)
 
     def _patience(self) -> float | None:
         active = self._active

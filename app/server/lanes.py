@@ -11,6 +11,7 @@ from typing import Protocol
 from weakref import WeakKeyDictionary
 
 from app.server.jobs import WorkerProcess
+from app.server.worker_template import WorkerTemplate
 from model.core.memory import limit_memory, machine_memory
 
 MEMORY = 0.75
@@ -65,11 +66,15 @@ class Lanes:
     the machine's memory goes. So one annotator has one lane, with what it remembers of the objects
     before. Heavy objects have lanes of their own, to which the system prefers all others.
 
+    Args:
+        template: what the processes are forked from; None starts interpreters.
+
     Attributes:
         first: the lane that is always there.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, template: WorkerTemplate | None = None) -> None:
+        self._template = template
         self._lock = threading.Lock()
         self._most = {False: max(1, int(MEMORY * machine_memory() / LANE_BYTES)), True: HEAVY_LANES}
         self._lanes: dict[bool, list[Lane]] = {False: [], True: []}  # used last is last
@@ -93,6 +98,7 @@ class Lanes:
                 initializer=in_background if heavy else None,
                 arguments=(HEAVY,) if heavy else (),
                 lazy=heavy or bool(lanes),
+                template=self._template,
             )
             for work in ("geometry", "segmentation")
         ))  # fmt: skip

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from app.server.jobs import WorkerProcess
 from app.server.lanes import READING, Lanes, in_background
+from app.server.worker_template import WorkerTemplate
+from model.core.threads import own_threads
 
 READ_SECONDS = 600.0
 """Longest reading of a file; scans of 50 million points take one minute."""
@@ -19,6 +21,7 @@ class Workers:
     """The worker processes.
 
     Attributes:
+        template: all are forked from it, where the system can; else None.
         readers: read files, scenes and crops, which may take long or end them, so nobody's clicks
             wait for them.
         lanes: answer clicks on open objects.
@@ -30,14 +33,17 @@ class Workers:
     """
 
     def __init__(self) -> None:
+        self.template = WorkerTemplate(own_threads()) if WorkerTemplate.possible() else None
         self.readers = tuple(
-            WorkerProcess(name, initializer=in_background, arguments=(READING,))
+            WorkerProcess(
+                name, initializer=in_background, arguments=(READING,), template=self.template
+            )
             for name in ("reading", "reading 2")
         )
-        self.lanes = Lanes()
+        self.lanes = Lanes(self.template)
         self.geometry, self.segmentation = self.lanes.first.geometry, self.lanes.first.segmentation
-        self.prediction = WorkerProcess("prediction")
-        self.saving = WorkerProcess("saving")
+        self.prediction = WorkerProcess("prediction", template=self.template)
+        self.saving = WorkerProcess("saving", template=self.template)
         self.closing = False
 
     @property
@@ -53,3 +59,5 @@ class Workers:
             worker.begin_to_close()
         for worker in workers:
             worker.close()
+        if self.template is not None:
+            self.template.close()

@@ -17,6 +17,11 @@ BY_DEFAULT = "ARTIWORLD_THREADS_BY_DEFAULT"
 """Holds those of :data:`NAMES` that :func:`with_threads` set and not the person."""
 
 
+def own_threads() -> int:
+    """Numeric threads of a worker process: one processor is left to the server."""
+    return max(1, (os.cpu_count() or 2) - 1)
+
+
 def with_threads(environment: Mapping[str, str], threads: int) -> dict[str, str]:
     """The environment of a child process with so many threads; what is set in it stays."""
     ours = [name for name in NAMES if name not in environment]

@@ -34,6 +34,10 @@ def crash_on(word: str) -> str:
     return word
 
 
+def imported(module: str) -> bool:
+    return module in sys.modules
+
+
 def pid() -> int:
     return os.getpid()
 

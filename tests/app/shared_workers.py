@@ -11,6 +11,8 @@ from unittest import mock
 from app.server import lanes, workers
 from app.server.job import Job
 from app.server.jobs import WorkerProcess
+from app.server.worker_template import WorkerTemplate
+from model.core.threads import own_threads
 
 
 class SharedWorker:
@@ -66,16 +68,20 @@ class SharedWorker:
 def shared_workers() -> Iterator[None]:
     """Let all servers that start meanwhile share one worker process of each kind."""
     processes: dict[str, WorkerProcess] = {}
+    template = WorkerTemplate(own_threads()) if WorkerTemplate.possible() else None
 
     def worker(name: str, **settings: Any) -> SharedWorker:
         if name not in processes:
-            processes[name] = WorkerProcess(name, **settings)
+            processes[name] = WorkerProcess(name, **settings | {"template": template})
         return SharedWorker(processes[name])
 
     with (
         mock.patch.object(workers, "WorkerProcess", worker),
         mock.patch.object(lanes, "WorkerProcess", worker),
+        mock.patch.object(workers.WorkerTemplate, "possible", return_value=False),
     ):
         yield
     for process in processes.values():
         process.close()
+    if template is not None:
+        template.close()

@@ -15,6 +15,7 @@ import pytest
 
 from app.server.job import OutOfTimeError, WorkerDied
 from app.server.jobs import CANCEL_SECONDS, Job, JobFailed, WorkerProcess
+from app.server.worker_template import WorkerTemplate
 from model.core.errors import InputFileError, KinematicsError
 from model.core.progress import Cancelled
 from tests.app import job_functions as functions
@@ -23,11 +24,35 @@ from tests.builders import wait_until
 ROOT = Path(__file__).parents[2]
 
 
+@pytest.fixture(scope="module")
+def template():
+    """What the workers of a server are forked from, where the system can."""
+    template = WorkerTemplate(1) if WorkerTemplate.possible() else None
+    yield template
+    if template is not None:
+        template.close()
+
+
 @pytest.fixture
-def worker():
+def worker(template):
+    with WorkerProcess("test", template=template) as out:
+        out.submit(functions.pid).result(60)
+        yield out
+
+
+@pytest.fixture
+def interpreter():
+    """A worker with an interpreter of its own, as the backend's are."""
     with WorkerProcess("test") as out:
         out.submit(functions.pid).result(60)
         yield out
+
+
+needs_fork = pytest.mark.skipif(not WorkerTemplate.possible(), reason="it doesn't fork here")
+
+
+def parent_of(pid: int) -> int:
+    return int(Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[1])
 
 
 def alive(pid: int) -> bool:
@@ -42,6 +67,62 @@ def test_runs_elsewhere_and_returns_the_value(worker):
     job = worker.submit(functions.pid)
     assert job.result(60) == worker.pid != os.getpid()
     assert job.done and job.state == "done" and job.fraction == 1.0
+
+
+def test_an_interpreter_of_its_own_does_as_well(interpreter):
+    child = interpreter.submit(functions.pid).result(60)
+    assert child == interpreter.pid != os.getpid()
+    os.kill(child, signal.SIGKILL)
+    wait_until(lambda: interpreter.pid not in (None, child))
+    assert interpreter.submit(functions.echo, 5).result(60) == 5
+
+
+@needs_fork
+def test_forked_workers_are_processes_of_their_own(template):
+    """They share what the template imported, and one's end is not that of another."""
+    with (
+        WorkerProcess("one", template=template) as one,
+        WorkerProcess("two", template=template) as two,
+    ):
+        for worker in (one, two):
+            assert worker.submit(functions.imported, "trimesh").result(60)
+        assert [one.submit(functions.count_calls).result(60) for _ in range(2)] == [1, 2]
+        assert two.submit(functions.count_calls).result(60) == 1
+        kept, killed = two.pid, one.pid
+        os.kill(killed, signal.SIGKILL)
+        wait_until(lambda: one.pid not in (None, killed))
+        assert one.submit(functions.echo, 5).result(60) == 5
+        assert two.submit(functions.pid).result(60) == kept
+
+
+@needs_fork
+def test_a_killed_template_begins_anew():
+    """Its workers die with it and are forked from the next one; a click is repeated."""
+    template = WorkerTemplate(1)
+    with WorkerProcess("one", template=template) as one:
+        job = one.submit(functions.deaf, 1.5, repeated=True)
+        wait_until(lambda: job.state == "running")
+        worker = one.pid
+        os.kill(parent_of(worker), signal.SIGKILL)
+        job.result(60)
+        wait_until(lambda: not alive(worker))
+        assert one.submit(functions.echo, 5).result(60) == 5
+    template.close()
+
+
+@needs_fork
+def test_nothing_is_left_of_a_closed_template():
+    """Nor of workers that it hadn't forked yet."""
+    template = WorkerTemplate(1)
+    begun = [WorkerProcess("one", template=template) for _ in range(2)]
+    begun[0].submit(functions.pid).result(60)
+    late = WorkerProcess("late", template=template)
+    pids = [worker.pid for worker in begun]
+    origin = parent_of(pids[0])
+    for worker in (*begun, late):
+        worker.close()
+    template.close()
+    wait_until(lambda: not any(map(alive, [*filter(None, pids), origin])))
 
 
 def test_same_child_keeps_its_module_state(worker):

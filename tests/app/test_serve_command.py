@@ -30,6 +30,7 @@ from model.scenes.finders import LexiconFinder
 from model.scenes.registry import read_scene
 from sessions.store import Store
 from tests.app.run_cli import PROGRAM, artiworld, assert_users_mistake, box
+from tests.builders import wait_until
 
 
 def config_of(*words: str):
@@ -77,17 +78,18 @@ def get(port: int, path: str) -> tuple[int, dict[str, str], bytes]:
     return answer.status, dict(answer.getheaders()), body
 
 
-def children(pid: int) -> list[int]:
+def descendants(pid: int) -> list[int]:
     tasks = Path(f"/proc/{pid}/task").glob("*/children")
-    return [int(word) for task in tasks for word in task.read_text().split()]
+    own = [int(word) for task in tasks for word in task.read_text().split()]
+    return [*own, *(pid for child in own for pid in descendants(child))]
 
 
 def test_serve_answers_and_ends_at_ctrl_c_with_its_workers(scan, tmp_path):
     with serving(scan, "--workspace", tmp_path / "w", "--port", 0) as (process, port, _):
         assert get(port, "/healthz")[0] == 200
         assert b"<title>ArtiWorld</title>" in get(port, "/")[2]
-        workers = children(process.pid)
-        assert workers
+        wait_until(lambda: len(descendants(process.pid)) > 5, "the workers are there")
+        workers = descendants(process.pid)
         process.send_signal(signal.SIGINT)
         assert process.wait(20) == 0
     end = time.monotonic() + 5
