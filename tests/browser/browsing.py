@@ -17,6 +17,7 @@ CHROMIUM_FLAGS = (
     "--no-sandbox",
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
+    "--disable-gpu-compositing",  # the panels; drawing them through WebGL's emulation costs more
     "--disable-quic",
     "--disable-background-networking",
     "--disable-component-update",
