@@ -25,6 +25,7 @@ from dataclasses import dataclass, fields, replace
 from datetime import UTC, datetime
 from typing import Any, Final
 
+from sessions.accounts import PROGRAMS
 from sessions.command_log import LoggedCommand, WorkLog
 from sessions.job_log import AWAITED, BULK, PICK, SAVE, TimedJob
 
@@ -35,8 +36,7 @@ SOURCE, MASKS = "source file", "masks of another system"
 """Authors of the parts and joints that a file holds, and of parts from masks."""
 SEGMENTER = "segmenter"
 """Author of the segmenter's answers."""
-_SOFTWARE = frozenset({SOURCE, MASKS, SEGMENTER, "scene", "scripted annotator", ""})
-"""Authors that are no people; the last one but one is of ``bench segment``."""
+_SOFTWARE = PROGRAMS | {""}
 _RESULTS = frozenset({"record_segmentation", "saved", "placed"})
 _SAME_MOMENT = 2.0
 """Seconds between the end of a job and the command that holds its result, at most: it waits for
@@ -50,7 +50,8 @@ _STEP_OF: Final[Mapping[str, str]] = {
          "lock_joint"), "Joints",
     ),
     **dict.fromkeys(
-        ("set_completion", "accept", "reject", "reopen", "saved", "decide_objects"), "Review"
+        ("set_completion", "submit", "accept", "reject", "reopen", "saved", "decide_objects"),
+        "Review",
     ),
 }  # fmt: skip
 """Command → step; the others belong to Annotate, undo and redo to the step before them."""

@@ -35,7 +35,7 @@ from app.cli.research_commands import (
     GenerateCommand,
     TrainCommand,
 )
-from app.cli.team_commands import ReleaseCommand, StatsCommand
+from app.cli.team_commands import ReleaseCommand, RepeatCommand, StatsCommand
 from app.server.config import TOKEN_VARIABLE
 from app.server.ending import EndSignals
 from model.core.registry import at_place
@@ -421,6 +421,7 @@ COMMANDS: dict[str, type[Command]] = {
     "train": TrainCommand,
     "bench": BenchCommand,
     "stats": StatsCommand,
+    "repeat": RepeatCommand,
     "release": ReleaseCommand,
     "doctor": DoctorCommand,
 }

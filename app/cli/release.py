@@ -11,7 +11,9 @@ from app.cli.team_commands import ReleaseCreateCommand, ReleaseDiffCommand, Rele
 from model.core.errors import ConfigurationError
 from model.io.assets.reader import read_provenance
 from model.io.export.simready import remembered
-from sessions.command_log import check_workspace
+from sessions.agreements import pairs_of, summaries
+from sessions.command_log import check_workspace, open_database
+from sessions.quality import seconds_in
 from sessions.releases.comparing import changes
 from sessions.releases.contents import AcceptedAsset, Release, accepted_assets, check_name
 from sessions.releases.reading import import_release, read_release
@@ -28,19 +30,25 @@ def create(options: ReleaseCreateCommand) -> int:
     out = home / f"{name}-{version}"
     check_output(home)
     author, license = remembered(options.workspace)
-    release = Release(
-        name, version, options.form, options.license or license, options.author or author
-    )
+    database = open_database(options.workspace, options.database)
     store = Store(options.workspace, options.database)
     try:
         with printing.session(options.json) as show:
-            assets = _wanted(accepted_assets(store), options.category)
+            again = seconds_in(database)
+            pairs, _ = pairs_of(store, again, show.progress)
+            release = Release(
+                name, version, options.form, options.license or license,
+                options.author or author, summaries(pairs)["all"]["all"],
+            )  # fmt: skip
+            found = accepted_assets(store, {second.object for second in again})
+            assets = _wanted(found, options.category)
             release = write_release(
                 release, assets, out, shard_bytes=options.shard_mb * 1_000_000,
                 progress=show.progress,
             )  # fmt: skip
     finally:
         store.close()
+        database.close()
     show.result(release.to_json() | {"folder": str(out)}, lambda: _print_release(release, out))
     return 0
 

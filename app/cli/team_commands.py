@@ -6,12 +6,18 @@ Each ``run`` imports the module that does the work; nothing else here does.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import UTC, date, datetime
 from pathlib import Path
 from typing import ClassVar, Literal
 
-from app.cli.command import Command, argument, option, repeated, required
-from app.cli.options import json_flag, positive_count, positive_number
+from app.cli.command import Command, argument, flag, option, repeated, required
+from app.cli.options import (
+    count,
+    json_flag,
+    positive_count,
+    positive_number,
+    seed_option,
+)
 from model.core.registry import at_place
 
 
@@ -21,6 +27,21 @@ def moment(text: str) -> float:
     return (found if found.tzinfo else found.replace(tzinfo=UTC)).timestamp()
 
 
+def day(text: str) -> str:
+    """Read a day, ISO 8601."""
+    return date.fromisoformat(text).isoformat()
+
+
+def share(text: str) -> float:
+    """Read a share from 0 to 1."""
+    value = float(text)
+    if not 0 <= value <= 1:
+        raise ValueError
+    return value
+
+
+day.__name__ = "day (2026-01-31)"
+share.__name__ = "share from 0 to 1"
 moment.__name__ = "day (2026-01-31) or time (2026-01-31T12:00)"
 
 
@@ -37,6 +58,13 @@ class StatsCommand(Command):
         "price of an hour of active time, for the cost", "PRICE", parse=positive_number
     )
     csv: Path | None = option("write the rows into this file, too", "FILE")
+    quality: bool = flag("say instead how well second annotations agree with the first")
+    sample: int = option(
+        "list instead this many objects of each person's day, for a reviewer", "N", 0,
+        parse=count,
+    )  # fmt: skip
+    day: str | None = option("with --sample: the day (default: yesterday)", "DAY", parse=day)
+    seed: int = seed_option("of the choice of a sample")
     database: str | None = option(
         "URL of a SQLite or PostgreSQL database (default: one in the workspace)", "URL"
     )
@@ -44,7 +72,33 @@ class StatsCommand(Command):
 
     def run(self) -> int:
         """Print the figures."""
-        return at_place("app.cli.stats:stats")(self)
+        kind = "quality" if self.quality else "sample" if self.sample else "stats"
+        return at_place(f"app.cli.stats:{kind}")(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RepeatCommand(Command):
+    """Queue objects for a second annotation, unmarked, to measure quality."""
+
+    workspace: Path = argument("folder of sessions and accepted assets", "WORKSPACE")
+    double: float = option(
+        "share of all objects to annotate twice, 0..1", "SHARE", 0.0, parse=share
+    )
+    honeypots: int = option(
+        "number of accepted objects to annotate again, their asset being the ground truth",
+        "N",
+        0,
+        parse=count,
+    )
+    seed: int = seed_option("of the choice")
+    database: str | None = option(
+        "URL of a SQLite or PostgreSQL database (default: one in the workspace)", "URL"
+    )
+    json: bool = json_flag()
+
+    def run(self) -> int:
+        """Queue them and list which."""
+        return at_place("app.cli.stats:repeat")(self)
 
 
 @dataclass(frozen=True, kw_only=True)

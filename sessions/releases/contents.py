@@ -6,7 +6,7 @@ import hashlib
 import json
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Container, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path, PurePath
 from typing import Any, Final
@@ -109,15 +109,18 @@ def check_name(text: str, option: str) -> str:
     return text
 
 
-def accepted_assets(store: Store) -> list[AcceptedAsset]:
+def accepted_assets(store: Store, without: Container[int] = ()) -> list[AcceptedAsset]:
     """The saved assets of all objects that are accepted now, in the order of the queue.
+
+    Args:
+        without: ids of objects that are left out, such as second annotations of others.
 
     Raises:
         InputFileError: where the folder of one is gone.
     """
     found = []
     for record in store.objects():
-        if record.state != "accepted":
+        if record.state != "accepted" or record.id in without:
             continue
         saved = store.load(record.id).present.saved
         if saved is None or not (folder := Path(saved.folder)).is_dir():

@@ -1,0 +1,150 @@
+"""Second annotations of objects, unmarked in the queue, and a reviewer's daily sample.
+
+An object is annotated a second time as a second object of the workspace: the same file under
+another path, which looks like an upload. It shares neither clicks nor joints with the first. That
+it is one, and of what, stands only in the table ``meta``, which neither the screen nor the API
+reads. Where the first one's accepted asset is to be trusted as ground truth, the second is a
+honeypot, else a double annotation.
+
+All choices follow from a seed and the objects' ids, by SHA-256. What was queued before counts, so
+running again adds only what new objects ask for.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, Literal
+
+from sqlalchemy import insert, select
+
+from model.core.errors import StoreError
+from model.core.files import written_to
+from sessions.database import Database, meta
+from sessions.records import ObjectRecord
+from sessions.statistics import Act, day_of
+from sessions.store import Store
+
+Kind = Literal["double", "honeypot"]
+_KEY = "second "
+"""Stored key prefix, before the id of a second annotation."""
+UPLOADS: Final = "uploads"
+
+
+@dataclass(frozen=True)
+class Second:
+    """A second annotation.
+
+    Attributes:
+        object: id of its own object.
+        of: id of the first one.
+        kind: honeypot where the first is the ground truth.
+    """
+
+    object: int
+    of: int
+    kind: Kind
+
+
+def seconds_in(database: Database) -> list[Second]:
+    """All second annotations of a workspace, by id."""
+    wanted = select(meta).where(meta.c.key.startswith(_KEY, autoescape=True))
+    with database.reading() as connection:
+        rows = connection.execute(wanted).all()
+    found = [
+        Second(int(row.key.removeprefix(_KEY)), said["of"], said["kind"])
+        for row in rows
+        for said in (json.loads(row.value),)
+    ]
+    return sorted(found, key=lambda second: second.object)
+
+
+def choose(ids: Iterable[int], count: int, seed: str) -> list[int]:
+    """``count`` of the ids, evenly by chance, the same ones for the same seed; ascending."""
+    return sorted(sorted(ids, key=lambda i: _rank(seed, i))[: max(count, 0)])
+
+
+def _rank(seed: str, id: int) -> str:
+    return hashlib.sha256(f"{seed} {id}".encode()).hexdigest()
+
+
+def plant(
+    store: Store, database: Database, *, share: float = 0.0, honeypots: int = 0, seed: int = 0
+) -> list[Second]:
+    """Queue objects for a second annotation; returns those that are new.
+
+    Args:
+        share: of all objects that is to be annotated twice, 0..1.
+        honeypots: number of accepted objects whose asset is taken as the ground truth.
+        seed: of the choice.
+
+    Raises:
+        StoreError: where fewer objects are accepted than there are to be honeypots.
+        InputFileError: where the workspace can't be written.
+    """
+    planted = seconds_in(database)
+    copies = {s.object for s in planted}
+    records = {
+        r.id: r for r in store.objects() if r.id not in copies and _queued(store.workspace, r.path)
+    }
+    known = {s.of for s in planted}
+    accepted = [i for i, r in records.items() if r.state == "accepted"]
+    traps, doubles = (sum(s.kind == kind for s in planted) for kind in ("honeypot", "double"))
+    free = [i for i in accepted if i not in known]
+    if honeypots - traps > len(free):
+        raise StoreError(
+            f"{store.workspace}: {len(free)} objects are accepted and not annotated twice, too few "
+            f"for {honeypots - traps} honeypots; accept more, or ask for fewer"
+        )
+    new_traps = choose(free, honeypots - traps, f"honeypot {seed}")
+    free = [i for i in records if i not in known and i not in new_traps]
+    new_doubles = choose(free, round(share * len(records)) - doubles, f"double {seed}")
+    return [
+        *(_plant(store, database, records[i], "honeypot", seed) for i in new_traps),
+        *(_plant(store, database, records[i], "double", seed) for i in new_doubles),
+    ]
+
+
+def _plant(store: Store, database: Database, record: ObjectRecord, kind: Kind, seed: int) -> Second:
+    """Queue one object again. Its folder is linked, so that textures beside it are found."""
+    token = _rank(f"path {seed} {record.path}", record.id)[:16]
+    folder = store.workspace / UPLOADS / token
+    with written_to(folder, "check space and permissions"):
+        folder.parent.mkdir(exist_ok=True)
+        if not folder.is_symlink():
+            os.symlink(record.path.parent, folder, target_is_directory=True)
+    copy = store.open_object(folder / record.path.name, record.sha256, record.name)
+    second = Second(copy.id, record.id, kind)
+    value = json.dumps({"of": second.of, "kind": kind})
+    with database.writing() as connection:
+        connection.execute(insert(meta).values(key=f"{_KEY}{second.object}", value=value))
+    return second
+
+
+def daily_sample(
+    acts: Sequence[Act], day: str, count: int, seed: int = 0
+) -> dict[str, tuple[int, ...]]:
+    """Person → ids of ``count`` objects that they worked on that day, for a reviewer.
+
+    Args:
+        acts: of :func:`sessions.statistics.acts_of`.
+        day: ISO 8601, UTC.
+    """
+    worked: dict[str, set[int]] = {}
+    for act in acts:
+        if day_of(act.at) == day:
+            worked.setdefault(act.who, set()).add(act.object)
+    return {
+        who: tuple(choose(ids, count, f"sample {seed} {day} {who}"))
+        for who, ids in sorted(worked.items())
+    }
+
+
+def _queued(workspace: Path, path: Path) -> bool:
+    """Whether a file is there and not the working file of a scene."""
+    inside = path.parts[len(workspace.parts) :] if path.is_relative_to(workspace) else (UPLOADS,)
+    return inside[0] in (UPLOADS, "crops") and path.exists()
