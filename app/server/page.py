@@ -9,8 +9,8 @@ from importlib.resources import files
 from websockets.http11 import Response
 
 _SCRIPTS = (
-    "upload.js", "focus.js", "panels.js", "markup.js", "queue.js", "view.js", "pointer.js",
-    "light.js",
+    "upload.js", "focus.js", "panels.js", "markup.js", "queue.js", "view.js", "tree.js",
+    "pointer.js",     "light.js",
 )  # fmt: skip
 _STYLES = ("style.css", "controls.css")
 

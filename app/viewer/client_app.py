@@ -36,6 +36,7 @@ from app.viewer.steps.review import ReviewActions, ReviewStep
 from app.viewer.steps.scene import SceneHost, SceneStep
 from app.viewer.tab import AT_REST, STEPS, Panel, Step, Tab
 from sessions import commands as cmd
+from sessions.credentials import Person
 
 PANELS: tuple[tuple[Step, Callable[[Tab], Panel]], ...] = (("Review", History),)
 """Panels that need only the tab, below the other widgets of their step."""
@@ -60,9 +61,9 @@ class ClientApp:
         commands: what keys and buttons ask for.
     """
 
-    def __init__(self, client: viser.ClientHandle, app_state: AppState) -> None:
+    def __init__(self, client: viser.ClientHandle, app_state: AppState, person: Person) -> None:
         in_scene = app_state.scene is not None
-        self.tab = tab = Tab(client, app_state.config.user, in_scene=in_scene)
+        self.tab = tab = Tab(client, person.name, in_scene=in_scene, account=person.account)
         self._app_state = app_state
         self._prediction: tuple[int, Any] | None = None
         self.picture = ObjectPicture(client, in_scene=in_scene)
@@ -162,7 +163,12 @@ class ClientApp:
             )
         with self._folders["Joints"]:
             self.joints = JointsStep(
-                tab, self.motion, app_state.workers.prediction, app_state.queue.records
+                tab,
+                self.motion,
+                self.pointing,
+                self._presses,
+                app_state.workers.prediction,
+                app_state.queue.records,
             )
         with self._folders["Review"]:
             review = ReviewActions(
@@ -202,6 +208,7 @@ class ClientApp:
             withdraw=self.review.withdraw,
             click_scene=self._click_scene,
             places_chosen=self.prepare.places_chosen,
+            parent_chosen=self.joints.tree.hang,
         )
 
     def _show_session(self, session: int | None, review: bool) -> None:
@@ -234,7 +241,8 @@ class ClientApp:
         """Go back to where this browser was, else to the first object that is not done."""
         memory = Memory.load(self.tab)
         self.light.plain = memory.light == PLAIN
-        self.tab.user = memory.user or self.tab.user
+        if self.tab.account is None:  # else the browser has no say in who signs
+            self.tab.user = memory.user or self.tab.user
         self._tour.over = bool(memory.toured)
         if self.queue is not None:
             self.queue.user_name.show()

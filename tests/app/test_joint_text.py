@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +11,8 @@ import pytest
 
 from app.server.display_names import display_text, joint_title, moved_part, part_title
 from app.viewer.panels.joint_rows import joint_lines, least_confident
-from app.viewer.panels.joint_text import joint_note, range_text, tree_text
+from app.viewer.panels.joint_text import joint_note, range_text
+from app.viewer.panels.joint_tree import tree_html
 from model.core.articulated_object import ArticulatedObject, Part, Prediction
 from model.core.display_names import display_name
 from model.core.errors import KinematicsError
@@ -21,6 +23,16 @@ from model.validation.messages import interval
 from sessions.document import Document, PartInfo
 
 DOOR = Joint("j1", "revolute", "link_0", "link_1", (0, 0, 1), lower=0.0, upper=math.radians(94.538))
+
+
+def tree_rows(tree: KinematicTree, doc: Document) -> list[str]:
+    """Depth and text of each row."""
+    rows = re.findall(
+        r'--depth:(\d)".*?<b>(.*?)</b> <small>(.*?)</small>', tree_html(tree, doc, [], None)
+    )
+    return [f"{depth} {title} {said}".strip() for depth, title, said in rows]
+
+
 POINTS = PointCloud(np.zeros((1, 3), np.float32))
 TREE = KinematicTree(("link_0", "link_1"), (DOOR,))
 
@@ -47,8 +59,8 @@ def test_a_refusal_speaks_the_unit_that_is_shown() -> None:
 
 
 def test_an_edited_joint_is_called_so() -> None:
-    assert "confidence 22\u00a0%" in tree_text(TREE, document(), [])
-    said = tree_text(TREE, document(replace(DOOR, upper=1.0)), [])
+    assert "confidence 22\u00a0%" in tree_rows(TREE, document())[1]
+    said = tree_rows(TREE, document(replace(DOOR, upper=1.0)))[1]
     assert "confidence" not in said
     assert "edited" in said
     note = joint_note(replace(DOOR, upper=1.0), document(), [])
@@ -60,14 +72,14 @@ def test_odd_ranges_are_told() -> None:
     note = joint_note(far, document(far), [])
     assert "exceeds one turn" in note
     assert "outside the range" in note
-    assert "⚠ range" in tree_text(TREE.with_joint(far), document(far), [])
+    assert "⚠ range" in tree_rows(TREE.with_joint(far), document(far))[1]
     assert "⚠" not in joint_note(DOOR, document(), [])
 
 
 def test_the_root_is_the_base() -> None:
-    assert tree_text(TREE, document(), []).splitlines()[0] == "- **base**"
+    assert tree_rows(TREE, document())[0] == "0 base"
     read = replace(document(), parts=(PartInfo(0, "link_0"), PartInfo(1, "door")))
-    assert tree_text(TREE, read, []).splitlines()[0] == "- **base**"
+    assert tree_rows(TREE, read)[0] == "0 base"
 
 
 def test_a_part_is_called_the_same_everywhere() -> None:
@@ -103,11 +115,11 @@ def test_the_joints_of_one_part_are_told_apart() -> None:
     assert [part_title(doc, k) for k in tree.links] == ["base", first, "seat 1", "lever 2"]
     assert moved_part(tree, "helper_1") == "link_1"
     assert display_text(doc, "helper_1 is above link_1") == f"{first} is above seat 1"
-    said = tree_text(tree, doc, [])
-    assert "helper" not in said
-    assert said.splitlines()[1:3] == [
-        f"  - **{first}** prismatic 0 to 100 mm · confidence 71\u00a0%",
-        f"    - **{second}** continuous · confidence 71\u00a0%",
+    said = tree_rows(tree, doc)
+    assert not any("helper" in row for row in said)
+    assert said[1:3] == [
+        f"1 {first} prismatic 0 to 100 mm · confidence 71\u00a0%",
+        f"2 {second} continuous · confidence 71\u00a0%",
     ]
     cloud = tuple(Part(p.link, cloud=POINTS, name=p.name) for p in parts)
     obj = ArticulatedObject("chair", cloud, tree)

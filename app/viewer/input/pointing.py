@@ -27,6 +27,7 @@ from app.viewer.picture.object_picture import ObjectPicture
 from app.viewer.tab import AT_REST, Step, Tab
 from app.viewer.text import percent
 from app.viewer.words import annotate as words
+from app.viewer.words import joints as joint_words
 from app.viewer.words import prepare as prepare_words
 from app.viewer.words.common import NO_JOINTS
 from model.geometry.picking import Camera
@@ -34,9 +35,11 @@ from model.geometry.strokes import Stroke
 from model.segmentation.prompts import Click
 from sessions import commands as cmd
 
-Armed = Literal["", "cut", "rectangle", "merge", "measure", "floor", "edge", "length"]
+Armed = Literal["", "cut", "rectangle", "merge", "measure", "parent", "floor", "edge", "length"]
 Tool = Literal["click", "lasso", "brush"]
 _CUTS = {"cut": words.CUT, "rectangle": words.CUT_RECTANGLE}
+_EVERYWHERE: Final = ("measure", "parent")
+"""What may be asked for in steps in which parts move, too."""
 _PLACES: Final = {"floor": 3, "edge": 2, "length": 2}
 """What the prepare step asks for → its number of places."""
 _IN_VAIN = 2
@@ -70,6 +73,7 @@ class PointerActions:
         answer: gets the digit that was pressed together with Shift.
         dismiss: closes what Escape closes; whether anything was open.
         withdraw: takes back an acceptance that waits.
+        parent_chosen: gets the child link of a joint, and the link that is to carry it.
         places_chosen: gets what was asked for in the prepare step, and its places.
         click_scene: gets a ray's origin and direction while the whole scene is shown; else False.
     """
@@ -80,6 +84,7 @@ class PointerActions:
     withdraw: Callable[[], None]
     click_scene: Callable[[Point, Point], bool]
     places_chosen: Callable[[str, tuple[Point, ...]], None]
+    parent_chosen: Callable[[str, str], None]
 
 
 class Pointing:
@@ -87,8 +92,8 @@ class Pointing:
 
     Attributes:
         armed: "cut" waits for places along a cut, "rectangle" for two corners, "merge" for a part,
-            "measure" for the ends of a distance, "floor", "edge" and "length" for places of those;
-            "" for nothing.
+            "measure" for the ends of a distance, "parent" for the part that carries the selected
+            joint, "floor", "edge" and "length" for places of those; "" for nothing.
         tool: what a drag draws.
         hover: the preview of a click.
         tools: that change the selected part.
@@ -173,8 +178,8 @@ class Pointing:
         """Send the page's script the tool and the hint below the picture."""
         selection = self._selection
         drawing = selection.step in AT_REST and selection.object is not None
-        measuring = self.armed == "measure" and selection.object is not None
-        hint = self._hint() if drawing or measuring else ""
+        asking = self.armed in _EVERYWHERE and selection.object is not None
+        hint = self._hint() if drawing or asking else ""
         state = {
             "tool": self.tool,
             "drawing": drawing,
@@ -191,6 +196,8 @@ class Pointing:
     def _hint(self) -> str:
         if self.armed == "measure":
             return self._measuring.hint
+        if self.armed == "parent":
+            return joint_words.HINT_PARENT
         if self._selection.step == "Prepare":
             return prepare_words.HINTS.get(self.armed) or prepare_words.HINT_STROKES.get(
                 self.tool, ""
@@ -230,7 +237,7 @@ class Pointing:
     def arm(self, what: Armed) -> None:
         """Let the next clicks be places of a cut, or a part to merge."""
         step: Step = "Prepare" if what in _PLACES else "Annotate"
-        if what != "measure" and self._selection.step != step:
+        if what not in _EVERYWHERE and self._selection.step != step:
             self._selection.set_step(step)
         self.armed = "" if what == self.armed else what
         self.tool, self._places, self._shifted = "click", [], False
@@ -373,7 +380,11 @@ class Pointing:
     def _choose_joint_of(self, part: int | None) -> None:
         """Select the joint that moves a part."""
         tree = self._selection.need_object().document.tree
-        link = f"link_{part}"
+        link, child = f"link_{part}", self._selection.child
+        if self.armed == "parent" and part is not None and child is not None and self._actions:
+            self.disarm()
+            self._actions.parent_chosen(child, link)
+            return
         if tree is None or part is None:
             self._tab.say(words.NOTHING_THERE if part is None else NO_JOINTS)
         elif link not in tree.joint_of:

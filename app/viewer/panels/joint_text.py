@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import math
 
-from app.server.display_names import display_text, joint_title, moved_part, part_title
+from app.server.display_names import display_text, moved_part, part_title
 from app.server.validating import JointCollision
 from app.viewer.text import plain
 from app.viewer.words import joints as words
 from app.viewer.words.common import warning
-from model.core.display_names import BASE
 from model.core.joint import Joint, value_text
-from model.core.tree import KinematicTree
 from sessions.document import Document
 
 
@@ -60,28 +58,6 @@ def range_warnings(joint: Joint) -> list[str]:
     if joint.lower > 1e-6 or joint.upper < -1e-6:
         out.append(words.SCAN_OUTSIDE)
     return out
-
-
-def tree_text(tree: KinematicTree, doc: Document, checks: list[JointCollision]) -> str:
-    """The tree as a nested list."""
-    hits = {c.joint for c in checks}
-    depth = {tree.root: 0}
-    lines = []
-    for link in tree.order:
-        joint = tree.joint_of.get(link)
-        if joint is not None:
-            depth[link] = depth[joint.parent] + 1
-        title = plain(part_title(doc, link) if joint is None else joint_title(doc, link))
-        if joint is None:
-            line = f"**{title}**" + f" {BASE}" * (title != BASE)
-        else:
-            kind = f"{joint.type} {range_text(joint)}" if joint.limited else joint.type
-            line = words.tree_line(
-                title, kind, confidence_text(doc, link), link in doc.locked,
-                bool(range_warnings(joint)), joint.name in hits,
-            )  # fmt: skip
-        lines.append(f"{'  ' * depth[link]}- {line}")
-    return "\n".join(lines)
 
 
 def joint_note(joint: Joint, doc: Document, checks: list[JointCollision]) -> str:

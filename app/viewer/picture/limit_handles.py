@@ -37,7 +37,10 @@ class LimitHandles:
     Args:
         parent_pose: of a joint: (4, 4) posed_from_rest of its parent now.
         points: of a joint: (N, 3) of the part that it moves, at rest; None while it is unknown.
-        preview: shows the part with other limits at a value, before they are decided.
+        preview: shows the part with other limits at a value, before they are decided; None ends it.
+
+    Attributes:
+        gauge: what is drawn, or None.
     """
 
     def __init__(
@@ -45,13 +48,13 @@ class LimitHandles:
         tab: Tab,
         parent_pose: Callable[[Joint], Pose],
         points: Callable[[Joint], npt.NDArray[np.floating] | None],
-        preview: Callable[[Joint, float], None],
+        preview: Callable[[Joint | None, float], None],
     ) -> None:
         self._tab, self._parent_pose = tab, parent_pose
         self._points, self._preview = points, preview
         self._root: Any = None
         self._nodes: dict[str, Any] = {}
-        self._gauge: LimitGauge | None = None
+        self.gauge: LimitGauge | None = None
         self._key: Any = None
         self._grip: tuple[Side, Joint] | None = None
         self._drag: tuple[Side, Any] | None = None
@@ -59,7 +62,7 @@ class LimitHandles:
 
     def forget(self) -> None:
         """Note that the picture was cleared, and the handles with it."""
-        self._root, self._nodes, self._gauge = None, {}, None
+        self._root, self._nodes, self.gauge = None, {}, None
         self._key = self._grip = None
 
     def draw(self) -> None:
@@ -86,7 +89,7 @@ class LimitHandles:
 
     def _make(self, joint: Joint, points: npt.NDArray[np.floating], diagonal: float) -> None:
         scene = self._tab.client.scene
-        gauge = self._gauge = LimitGauge.of(joint, np.asarray(points, np.float64), diagonal)
+        gauge = self.gauge = LimitGauge.of(joint, np.asarray(points, np.float64), diagonal)
         low, high = joint.lower or 0.0, joint.upper or 0.0
         position, wxyz = _place_of(self._parent_pose(joint))
         self._root = scene.add_frame(_ROOT, show_axes=False, position=position, wxyz=wxyz)
@@ -136,7 +139,7 @@ class LimitHandles:
     def _follow(self) -> None:
         """Bring the limit to where the pointer is."""
         newest, self._drag = self._drag, None
-        joint, gauge = self._tab.selection.joint, self._gauge
+        joint, gauge = self._tab.selection.joint, self.gauge
         if newest is None or joint is None or gauge is None or not joint.limited:
             return
         side, event = newest
@@ -160,7 +163,7 @@ class LimitHandles:
 
     def _show(self, joint: Joint, side: Side) -> None:
         """Draw the gauge and the part as they would be."""
-        gauge = self._gauge
+        gauge = self.gauge
         assert gauge is not None and joint.lower is not None and joint.upper is not None
         q = joint.lower if side == "lower" else joint.upper
         with self._tab.client.atomic():
@@ -177,9 +180,12 @@ class LimitHandles:
             return
         (_, changed), joint = self._grip, self._tab.selection.joint
         self._grip = self._key = None  # drawn again, also where this is refused
-        if joint is not None and joint.child == changed.child and joint != changed:
-            self._tab.do(cmd.SetJoint(changed))
-        self._tab.invalidate()
+        try:
+            if joint is not None and joint.child == changed.child and joint != changed:
+                self._tab.do(cmd.SetJoint(changed))
+        finally:
+            self._preview(None, 0.0)
+            self._tab.invalidate()
 
     def place(self, poses: Mapping[str, Pose]) -> None:
         """Move the handles with the joint's parent."""

@@ -16,6 +16,7 @@ from app.viewer.tab import AT_REST, Step, Tab
 from app.viewer.words import common as words
 from app.viewer.words.joints import SELECT_JOINT
 from model.core.joint import Joint
+from model.core.tree import KinematicTree
 from model.validation.report import Finding
 
 
@@ -34,6 +35,7 @@ class Motion:
         self.handles = AxisHandles(tab, self._parent_pose, self.stop)
         self.limits = LimitHandles(tab, self._parent_pose, self._points_of, self._try)
         self._moment: dict[str, float] | None = None
+        self._tried: Joint | None = None
         self._animation = Animation(self._animate)
         self._listeners: list[Callable[[Mapping[str, float]], None]] = []
         tab.selection.on_open(self._begin)
@@ -67,6 +69,7 @@ class Motion:
         """Note that the picture was cleared, and handles and marks with it."""
         self.handles.forget()
         self.limits.forget()
+        self._tried = None
         self._moment = None
 
     def set_q(self, name: str, value: float) -> None:
@@ -101,8 +104,7 @@ class Motion:
 
     def pose(self) -> None:
         """Draw the links where ``q`` has them."""
-        obj = self._tab.selection.object
-        tree = None if obj is None else obj.document.tree
+        tree = self._tree
         if tree is None:
             return
         names = tree.by_name
@@ -119,26 +121,27 @@ class Motion:
             self.handles.place(poses)
             self.limits.place(poses)
 
-    def _try(self, joint: Joint, value: float) -> None:
-        """Show a joint with other limits at a value, before they are decided."""
+    def _try(self, joint: Joint | None, value: float = 0.0) -> None:
+        """Show a joint with other limits at a value, before they are decided; None ends that."""
         self.stop()
-        obj = self._tab.selection.object
+        self._tried = joint
+        if joint is not None:
+            self.q = {**self.q, joint.name: value}
+            self.pose()
+        self._moved()
+
+    @property
+    def _tree(self) -> KinematicTree | None:
+        """The joints of the open object, with the limits that are tried."""
+        obj, tried = self._tab.selection.object, self._tried
         tree = None if obj is None else obj.document.tree
-        if tree is None or joint.name not in tree.by_name:
-            return
-        changed = tree.with_joint(joint)
-        names = changed.by_name
-        q = {k: v for k, v in self.q.items() if k in names} | {joint.name: value}
-        self.q = q
-        poses = changed.pose(q)
-        with self._tab.client.atomic():
-            self._picture.parts.pose(poses)
-            self._picture.marks.pose(poses)
+        if tree is None or tried is None or tried.name not in tree.by_name:
+            return tree
+        return tree.with_joint(tried)
 
     def _points_of(self, joint: Joint) -> npt.NDArray[np.floating] | None:
         """(N, 3) of the part that a joint moves, at rest; None until the parts are drawn."""
-        obj = self._tab.selection.object
-        tree = None if obj is None else obj.document.tree
+        tree = self._tree
         if tree is None or joint.child not in tree.joint_of:
             return None
         part = moved_part(tree, joint.child).removeprefix("link_")
@@ -179,8 +182,7 @@ class Motion:
 
     def _parent_pose(self, joint: Joint) -> npt.NDArray[np.float64]:
         """(4, 4) posed_from_rest of a joint's parent, as it is now."""
-        obj = self._tab.selection.object
-        tree = None if obj is None else obj.document.tree
+        tree = self._tree
         if tree is None or joint.parent not in tree.links:
             return np.eye(4)
         names = tree.by_name

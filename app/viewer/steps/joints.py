@@ -9,9 +9,12 @@ from typing import Any
 from app.server.display_names import joint_title, moved_part, part_title
 from app.server.jobs import WorkerProcess
 from app.server.open_object import OpenObject
+from app.viewer.input.pointing import Pointing
 from app.viewer.panels.category_guess import CategoryGuess
 from app.viewer.panels.joint_editor import JointEditor
-from app.viewer.panels.joint_text import shown, tree_text
+from app.viewer.panels.joint_text import shown
+from app.viewer.panels.joint_tree import JointTree
+from app.viewer.panels.markup import Presses
 from app.viewer.panels.predict_buttons import PredictButtons, predict
 from app.viewer.panels.quick_names import QuickNames
 from app.viewer.panels.widgets import put
@@ -32,6 +35,7 @@ class JointsStep:
     """The second step: how the parts move.
 
     Attributes:
+        tree: of all joints.
         editor: of the selected joint.
     """
 
@@ -39,6 +43,8 @@ class JointsStep:
         self,
         tab: Tab,
         motion: Motion,
+        pointing: Pointing,
+        presses: Presses,
         worker: WorkerProcess,
         records: Callable[[], Sequence[ObjectRecord]],
     ) -> None:
@@ -48,7 +54,7 @@ class JointsStep:
             worker: snaps joints to the geometry.
             records: the queue.
         """
-        self._tab, self._motion = tab, motion
+        self._tab, self._motion, self._pointing = tab, motion, pointing
         self._drawn: Any = None
         self._sliders: dict[str, Any] = {}
         self._motion_key: Any = None
@@ -57,7 +63,9 @@ class JointsStep:
         gui = tab.client.gui
         self._empty = gui.add_markdown("")
         self._predict = PredictButtons(tab)
-        self._tree = gui.add_markdown("")
+        self.tree = JointTree(
+            tab, presses, lambda: pointing.armed == "parent", lambda: pointing.arm("parent")
+        )
         self._what = gui.add_markdown("")
         self._quick = QuickNames(tab, self._named)
         self._name = gui.add_dropdown(words.PART_NAME, (NONE, *PART_NAMES), initial_value=NONE)
@@ -115,13 +123,14 @@ class JointsStep:
             self._motion.handles.on,
             doc.category,
             doc.review.state,
+            self._pointing.armed,
         )
         if now == self._drawn:
             return
         self._drawn = now
         self._choose(doc, wanted)  # first: what is asked is about the joint that is shown
-        for widget in (self._tree, self._folder):
-            put(widget, "visible", tree is not None)
+        self.tree.draw(doc, obj.checks)
+        put(self._folder, "visible", tree is not None)
         put(self._empty, "visible", tree is None)
         self._draw_names(doc, wanted)
         self._predict.show(wanted)
@@ -130,7 +139,6 @@ class JointsStep:
             self._draw_motion(None, doc)
             self._draw_pose(None)
             return
-        put(self._tree, "content", tree_text(tree, doc, obj.checks))
         self._draw_motion(tree, doc)
         self._draw_pose(selection.joint)
         self.editor.draw(obj, tree)

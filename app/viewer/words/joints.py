@@ -32,6 +32,8 @@ FOLLOWS_HINT: Final = "As gears do: this joint moves with another one"
 RATIO: Final = "Ratio"
 RATIO_HINT: Final = "Radians or metres for each radian or metre of the other joint"
 PARENT: Final = "Parent"
+SET_PARENT: Final = "Set parent"
+HINT_PARENT: Final = "Click the part that carries it, in the tree or the picture. Esc ends"
 AXIS: Final = "Axis"
 SET_AXIS: Final = "Set axis"
 SET_AXIS_ACTIONS: Final = ("X", "Y", "Z", "Flip (F)")
@@ -120,14 +122,12 @@ def confidence(share: float) -> str:
 span = Message("{lower} to {upper}")
 
 
-def tree_line(
-    title: str, kind: str, confidence: str, locked: bool, odd_range: bool, collides: bool
-) -> str:
+def tree_line(kind: str, confidence: str, locked: bool, odd_range: bool, collides: bool) -> str:
     """A joint of the tree; ``kind`` holds type and range, ``confidence`` may say "edited"."""
     sure = f"confidence {confidence}" if confidence.endswith("%") else confidence
     marks = (locked, "locked"), (odd_range, "⚠ range"), (collides, "⚠ collision")
     words = [kind, sure, *(word for marked, word in marks if marked)]
-    return f"**{title}** " + " · ".join(w for w in words if w)
+    return " · ".join(w for w in words if w)
 
 
 def edited(file: bool, note: str) -> str:
@@ -144,5 +144,6 @@ def collision(other: str, at: str, millimetres: float) -> str:
     )
 
 
+carries = Message("{part} can't hang on {other}: it carries that part, or is it")
 no_limits = Message("a {kind} joint has no limits: choose another type first")
 gone = Message("{title} no longer exists: select again")
