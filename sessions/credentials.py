@@ -61,12 +61,10 @@ class Person:
 
     @property
     def role(self) -> Role:
-        """The highest role that the scopes allow."""
-        highest: Role = "annotator"
-        for role in ROLES:
-            if SCOPES_OF[role] <= self.scopes:
-                highest = role
-        return highest
+        """The role that the scopes allow at most."""
+        if "manage" in self.scopes:
+            return "manager"
+        return "reviewer" if "review" in self.scopes else "annotator"
 
 
 class Credentials:

@@ -177,7 +177,8 @@ class Document:
         locked: child links whose joints are locked.
         review: the state of review.
         saved: the folder that the asset was written to last, or None.
-        annotator: the last person who edited the parts; a rejected object goes back there.
+        annotator: the last person who edited the parts or submitted the object; where it is
+            rejected, it goes back there.
         edits: number of steps, without undone ones.
         joint_edits: number of them that edited the tree since the last prediction.
         label: description of the last step.

@@ -237,7 +237,7 @@ def _reviewed(
     return replace(
         after,
         review=review,
-        annotator=context.who if action == "annotate" else before.annotator,
+        annotator=context.who if action in ("annotate", "submit") else before.annotator,
         edits=before.edits + 1,
         joint_edits=joint_edits,
         label=describe(command),

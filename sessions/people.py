@@ -6,14 +6,14 @@ from typing import Any
 
 from sqlalchemy import Connection, select
 
-from model.core.errors import CommandError
 from sessions.account_tables import accounts
 from sessions.accounts import PROGRAMS, Account, Accounts, in_use, name_key
 from sessions.audit import AuditLog
 from sessions.commands import Command, Placed, RecordSegmentation, Saved
 from sessions.credentials import Credentials
 from sessions.database import Database
-from sessions.review import ROLES, Role
+from sessions.review import ROLES, NotPermittedError, Role
+from sessions.webhooks import Webhooks, enqueue
 from sessions.work import Work, check_owner, renew_lease
 
 JOB_RESULTS = (RecordSegmentation, Saved, Placed)
@@ -28,6 +28,7 @@ class People:
         credentials: browser sessions and tokens.
         work: assignments, leases and presence.
         audit: what happened to accounts.
+        webhooks: addresses that hear of decisions.
     """
 
     def __init__(self, database: Database) -> None:
@@ -36,6 +37,7 @@ class People:
         self.credentials = Credentials(database)
         self.work = Work(database)
         self.audit = AuditLog(database)
+        self.webhooks = Webhooks(database)
 
     def role_for(
         self, object_id: int, command: Command, who: str, most: Role | None = None
@@ -48,8 +50,8 @@ class People:
             most: no higher role is returned, where it is given.
 
         Raises:
-            CommandError: where people have to log in and ``who`` has no active account, or where
-                the object is another person's.
+            NotPermittedError: where people have to log in and ``who`` has no active account, or
+                where the object is another person's.
         """
         with self._database.reading() as connection:
             if not in_use(connection):
@@ -65,7 +67,8 @@ class People:
         return role
 
     def decided(self, connection: Connection, line: dict[str, Any]) -> None:
-        """Renew the author's lease, in the transaction that stores the command ``line``."""
+        """Renew the author's lease and tell webhooks, in the transaction of the command."""
+        enqueue(connection, line)
         if line["who"] in PROGRAMS:
             return
         mine = select(accounts.c.id).where(accounts.c.key == name_key(line["who"]))
@@ -77,5 +80,5 @@ class People:
 def _active(connection: Connection, who: str) -> Account:
     row = connection.execute(select(accounts).where(accounts.c.key == name_key(who))).one_or_none()
     if row is None or row.status != "active":
-        raise CommandError(f"{who} has no active account here; log in with one")
+        raise NotPermittedError(f"{who} has no active account here; log in with one")
     return Account(row.id, row.name, row.role, row.status)

@@ -12,6 +12,11 @@ RejectReason = Literal["range", "axis", "type", "parts", "not_articulated", "oth
 Role = Literal["annotator", "reviewer", "manager"]
 Action = Literal["annotate", "adjust", "predict", "submit", "accept", "reject", "reopen"]
 
+
+class NotPermittedError(CommandError):
+    """The person may not do this, whatever the state."""
+
+
 REVIEW_STATES: tuple[ReviewState, ...] = get_args(ReviewState)
 REJECT_REASONS: tuple[RejectReason, ...] = get_args(RejectReason)
 ACTIONS: tuple[Action, ...] = get_args(Action)
@@ -80,7 +85,7 @@ def transition(state: ReviewState, action: Action, role: Role = "reviewer") -> R
         CommandError: where the role may not do it, or the state doesn't allow it.
     """
     if action not in PERMITTED[role]:
-        raise CommandError(f"only a reviewer may {action} an object; your role is {role}")
+        raise NotPermittedError(f"only a reviewer may {action} an object; your role is {role}")
     after = TRANSITIONS[action].get(state)
     if after is not None:
         return after

@@ -14,13 +14,13 @@ from typing import Any
 
 from sqlalchemy import Connection, delete, func, insert, select, update
 
-from model.core.errors import CommandError, ConfigurationError
+from model.core.errors import ConfigurationError
 from sessions.account_tables import accounts, assignments, presence
-from sessions.accounts import Account
+from sessions.accounts import PROGRAMS, Account
 from sessions.audit import record
 from sessions.database import Database, objects
 from sessions.records import ObjectRecord, now
-from sessions.review import ReviewState
+from sessions.review import NotPermittedError, ReviewState
 
 LEASE_SECONDS = 15 * 60.0
 """After the last decision: long enough to look something up, and short of a lunch."""
@@ -136,7 +136,8 @@ def queue_for(
     ranked: list[tuple[tuple[int, int], int]] = []
     for place, one in enumerate(records):
         # A returned object waits for its annotator, unless it was given to somebody else.
-        owner = assigned.get(one.id, one.assigned_to if one.state == "rejected" else None)
+        waits_for = one.assigned_to if one.state == "rejected" else None
+        owner = assigned.get(one.id, None if waits_for in PROGRAMS else waits_for)
         to_review = account.role != "annotator" and one.state in _TO_REVIEW
         if one.state not in states or not (to_review or owner in (None, account.name)):
             continue
@@ -168,11 +169,11 @@ def check_owner(connection: Connection, object_id: int, account: Account) -> Non
     """Refuse to let a person annotate what is another's.
 
     Raises:
-        CommandError: naming whose it is.
+        NotPermittedError: naming whose it is.
     """
     holder = lease_holder(connection, object_id, account.id)
     if holder is not None:
-        raise CommandError(f"{holder} works on this object now; take another one, or wait")
+        raise NotPermittedError(f"{holder} works on this object now; take another one, or wait")
     wanted = (
         select(accounts.c.name, accounts.c.id)
         .join(assignments, assignments.c.account_id == accounts.c.id)
@@ -180,7 +181,7 @@ def check_owner(connection: Connection, object_id: int, account: Account) -> Non
     )
     owner = connection.execute(wanted).one_or_none()
     if owner is not None and owner.id != account.id:
-        raise CommandError(f"this object is assigned to {owner.name}")
+        raise NotPermittedError(f"this object is assigned to {owner.name}")
 
 
 def _put(connection: Connection, object_id: int, account_id: int, **values: Any) -> None:

@@ -21,6 +21,7 @@ from model.io.assets.asset_folder import publish
 from model.validation.report import ValidationReport
 from sessions import commands as cmd
 from sessions.document import Document
+from sessions.review import Role, transition
 from sessions.state import Context, apply, review_problems
 from sessions.store import PendingAcceptance
 
@@ -52,6 +53,8 @@ def accept(
         return
     state = obj.state
     doc = state.present
+    # First: an annotator must neither write an asset nor leave a pending acceptance.
+    transition(doc.review.state, "accept", _role(obj, cmd.Accept(comment), who))
     problems = review_problems(doc)
     if problems:
         raise CommandError("; ".join(problems))
@@ -103,6 +106,10 @@ def accept(
 
     obj.start("save", job, keep)
     obj.changed()
+
+
+def _role(obj: OpenObject, command: cmd.Accept, who: str) -> Role:
+    return obj.services.store.people.role_for(obj.record.id, command, who)
 
 
 def withdraw(obj: OpenObject) -> bool:

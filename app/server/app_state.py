@@ -127,6 +127,11 @@ class AppState:
         opened = self._open.get(object_id)
         return opened is not None and opened.validation.acceptance_waits
 
+    def is_predicting(self, object_id: int) -> bool:
+        """Whether the joints of an object are being predicted here."""
+        opened = self._open.get(object_id)
+        return opened is not None and opened.predicting
+
     def is_accepting(self, object_id: int) -> bool:
         """Whether an acceptance of an object is under way here."""
         return self.is_validating(object_id) or self.is_saving(object_id)

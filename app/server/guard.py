@@ -14,6 +14,7 @@ import io
 import json
 import logging
 from collections.abc import Callable, Iterator, Mapping
+from contextvars import ContextVar
 from dataclasses import dataclass, field
 from email.utils import formatdate
 from http import HTTPStatus
@@ -27,13 +28,18 @@ from websockets.asyncio.server import ServerConnection
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
+from app.server.account_page import account_page
 from app.server.camera_guard import attach_camera_guard
+from app.server.entrance import Entrance
 from app.server.login import Login, login_page
-from app.server.network import MAX_SOCKETS, OncePerMinute, check_address, is_loopback
+from app.server.network import OncePerMinute, check_address, is_loopback
+from app.server.origins import Origins, is_plain_netloc
 from app.server.page import Page
+from app.server.shared_port import ApiConnections, SharedConnection
 from app.server.upload_guard import UploadGuard
-from model.core.errors import ConfigurationError
+from model.core.errors import ConfigurationError, StoreError
 from model.core.installing import install_command
+from sessions.credentials import Person
 
 VISER_VERSION = "1.1.1"
 MAX_MESSAGE_BYTES = 16 * 2**20
@@ -55,7 +61,12 @@ _HEADERS = {
     "Cross-Origin-Opener-Policy": "same-origin",
 }
 
+SESSION_CHECK_SECONDS = 2.0
+"""Period of asking whether the browser session of a connection was revoked."""
+
 _log = logging.getLogger("artiworld.http")
+_PERSON: ContextVar[Person | None] = ContextVar("person", default=None)
+"""Whose connection a task serves."""
 
 
 @dataclass(frozen=True)
@@ -99,6 +110,8 @@ def guarded_server(
     *,
     label: str | None = None,
     allowed_origins: tuple[str, ...] = (),
+    entrance: Entrance | None = None,
+    api: Callable[[Origins], Any] | None = None,
 ) -> viser.ViserServer:
     """Start a viser server behind the guard.
 
@@ -111,6 +124,8 @@ def guarded_server(
         label: title of the panel and of the browser's tab.
         allowed_origins: other addresses of this server behind a proxy, such as
             ``https://scans.example.org``.
+        entrance: knows the visitors, by account where there are accounts; None: by the token.
+        api: makes the ASGI application below :data:`~app.server.shared_port.API`; None: none.
 
     Raises:
         ConfigurationError: where the address can't be used, or is public without a token.
@@ -120,20 +135,23 @@ def guarded_server(
             f"viser {viser.__version__} is installed, but the web server's guard needs "
             f"{VISER_VERSION}; run: {install_command(f'viser=={VISER_VERSION}')}"
         )
-    if token is None and not is_loopback(host):
+    entrance = entrance or Entrance(None, Login(token))
+    if not entrance.needed and not is_loopback(host):
         raise ConfigurationError(
             f"--host {host} is open to other machines; give a --token, or use --host 127.0.0.1"
         )
     check_address(host, port)
     page = Page(label or "ArtiWorld", max_upload_bytes)
-    guard = _Guard(Login(token), host, page, dict(routes or {}), allowed_origins)
+    origins = Origins(host, allowed_origins)
+    connections = None if api is None else ApiConnections(api(origins))
+    guard = _Guard(Login(token), entrance, origins, page, dict(routes or {}), connections)
     with _wrapped_serve(guard), contextlib.redirect_stdout(io.StringIO()):
         server = viser.ViserServer(host=host, port=port, label=label, verbose=False)
     endpoint = server._websock_server
     if not guard.wrapped or (port and server.get_port() != port):
         server.stop()
         raise ConfigurationError(f"port {port} was taken just now; choose another with --port")
-    guard.port = server.get_port()
+    origins.port = server.get_port()
     for kind in (_messages.ShareUrlRequest, _messages.ShareUrlDisconnect):
         endpoint.unregister_handler(kind)
     server.request_share_url = _no_tunnel
@@ -141,18 +159,11 @@ def guarded_server(
     uploads.attach(endpoint)
     endpoint.on_client_connect(uploads.attach_client)
     endpoint.on_client_connect(attach_camera_guard)
+    endpoint.on_client_connect(guard.attach_person)
     endpoint.on_client_disconnect(uploads.forget)
+    endpoint.on_client_disconnect(entrance.forget_tab)
     guard.ready = True
     return server
-
-
-class _LimitedConnection(ServerConnection):
-    """Drops a connection beyond the limit; those without a complete request count, too."""
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        super().connection_made(transport)
-        if len(self.server.handlers) > MAX_SOCKETS:
-            self.transport.abort()
 
 
 def _no_tunnel(*_: object, **__: object) -> None:
@@ -167,7 +178,9 @@ def _wrapped_serve(guard: _Guard) -> Iterator[None]:
     def serve(handler: Any, host: str, port: int, *, process_request: Any, **settings: Any) -> Any:
         guard.wrapped = True
         settings["max_size"] = MAX_MESSAGE_BYTES
-        settings["create_connection"] = _LimitedConnection
+        settings["create_connection"] = type(
+            "Connection", (SharedConnection,), {"api": guard.api, "open": set()}
+        )
         return real(
             guard.limited(handler),
             host,
@@ -191,33 +204,66 @@ class _Guard:
     """Decides about every HTTP request and websocket, on the server's event loop."""
 
     login: Login
-    host: str
+    entrance: Entrance
+    origins: Origins
     page: Page
     routes: Mapping[str, Route]
-    allowed_origins: tuple[str, ...]
-    port: int = 0
+    api: ApiConnections | None
     ready: bool = False
     wrapped: bool = False
-    _open: int = field(default=0, init=False)
+    _open: dict[ServerConnection, Person] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         _log.addFilter(_is_worth_logging)
         for log in (_log, logging.getLogger("asyncio")):
             log.addFilter(OncePerMinute())
-        self._trusted = {_netloc(urlsplit(origin).netloc) for origin in self.allowed_origins}
 
     def limited(self, handler: Callable[[ServerConnection], Any]) -> Callable[..., Any]:
         async def limited_handler(connection: ServerConnection) -> None:
-            if self._open >= MAX_CONNECTIONS:
+            if len(self._open) >= MAX_CONNECTIONS:
                 await connection.close(1013, "too many connections")
                 return
-            self._open += 1
+            person = await self._person(connection.request)
+            if person is None:  # it ended since the handshake began
+                await connection.close(1008, "log in again")
+                return
+            self._open[connection] = person
+            _PERSON.set(person)
+            check = asyncio.create_task(self._end_with_session(connection, person))
             try:
                 await handler(connection)
             finally:
-                self._open -= 1
+                check.cancel()
+                del self._open[connection]
 
         return limited_handler
+
+    async def attach_person(self, connection: Any) -> None:
+        """Note whose browser it is, in the task that serves the connection."""
+        person = _PERSON.get()
+        if person is not None:
+            self.entrance.tabs[connection.client_id] = person
+
+    async def _person(self, request: Request | None) -> Person | None:
+        cookies = [] if request is None else request.headers.get_all("Cookie")
+        return await asyncio.to_thread(self.entrance.visitor, cookies, self.origins.port)
+
+    async def _end_with_session(self, connection: ServerConnection, person: Person) -> None:
+        """Close a connection soon after its browser session was revoked."""
+        while True:
+            await asyncio.sleep(SESSION_CHECK_SECONDS)
+            try:
+                ended = await asyncio.to_thread(self._has_ended, person)
+            except StoreError:  # the database is away: nobody can decide anything, either
+                continue
+            if ended:
+                await connection.close(1008, "logged out")
+                return
+
+    def _has_ended(self, person: Person) -> bool:
+        if person.session is None:  # it began before there were accounts
+            return self.entrance.with_accounts
+        return not self.entrance.living([person.session])
 
     def process(self, viser_page: Callable[..., Any]) -> Callable[..., Any]:
         async def process_request(
@@ -232,12 +278,16 @@ class _Guard:
                 answer = _text(HTTPStatus.SERVICE_UNAVAILABLE, "starting")
                 answer.headers["Refresh"] = "1"  # the browser asks again after a second
                 return answer
-            problem = self._foreign(request)
+            person = await self._person(request)
+            login = self.entrance.needed
+            problem = self.origins.problem(request.headers.get_all, login=login)
             if problem:
                 return _text(HTTPStatus.FORBIDDEN, problem)
             if path == "/login":
+                if self.entrance.with_accounts:
+                    return _page(accounts=True, person=person)
                 return self._answer_login(connection, request)
-            if not self.login.knows(request.headers.get_all("Cookie"), self.port):
+            if person is None:
                 return self._not_logged_in(request, path)
             route = self._route(path)
             if route is not None:
@@ -255,38 +305,11 @@ class _Guard:
             response.headers[name] = value
         if "Content-Security-Policy" not in response.headers:
             host = next(iter(request.headers.get_all("Host")), "")
-            websocket = f"ws://{host} wss://{host}" if _is_plain_netloc(host) else ""
+            websocket = f"ws://{host} wss://{host}" if is_plain_netloc(host) else ""
             policy = APP_POLICY.format(websocket=websocket)
             response.headers["Content-Security-Policy"] = policy
         if "Cache-Control" not in response.headers and response.status_code != 101:
             response.headers["Cache-Control"] = "no-store"
-
-    def _foreign(self, request: Request) -> str | None:
-        """Return why the request is from another site's page, or None.
-
-        Browsers send these headers truthfully. ``Host`` reveals DNS rebinding: another name that
-        points at this machine. With a token the cookie does that, as it belongs to one name.
-        """
-        headers = request.headers
-        hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
-        if len(hosts) != 1 or len(origins) > 1 or not _is_plain_netloc(hosts[0]):
-            return "bad Host or Origin header"
-        host = _netloc(hosts[0])
-        if not self.login.needed and not self._is_own_name(host):
-            return f"this server isn't called {hosts[0]}; open it as http://127.0.0.1:{self.port}"
-        if origins:
-            scheme, _, origin = origins[0].partition("://")
-            if scheme not in ("http", "https") or _netloc(origin) not in {host, *self._trusted}:
-                return f"pages of {origins[0]} may not use this server"
-        sites, modes = headers.get_all("Sec-Fetch-Site"), headers.get_all("Sec-Fetch-Mode")
-        elsewhere = bool({"cross-site", "same-site"} & set(sites)) and not origins
-        if elsewhere and modes != ["navigate"]:
-            return "another site's page may not use this server"
-        return None
-
-    def _is_own_name(self, netloc: str) -> bool:
-        name = netloc.rpartition(":")[0] if netloc.rpartition(":")[2].isdigit() else netloc
-        return is_loopback(name) or name == self.host.lower() or netloc in self._trusted
 
     def _answer_login(self, connection: ServerConnection, request: Request) -> Response:
         if not self.login.needed:
@@ -301,7 +324,7 @@ class _Guard:
         if right:
             response = _text(HTTPStatus.OK, "welcome") if by_header else _redirect("/")
             secure = request.headers.get_all("X-Forwarded-Proto") == ["https"]
-            response.headers["Set-Cookie"] = self.login.cookie(self.port, secure=secure)
+            response.headers["Set-Cookie"] = self.login.cookie(self.origins.port, secure=secure)
             return response
         _log.warning("login refused to %s", address)
         if right is None:
@@ -335,21 +358,18 @@ def _call_route(route: Route, request: RouteRequest) -> RouteAnswer:
         return RouteAnswer(b"this went wrong; see the server's log", "text/plain", 500)
 
 
-def _netloc(text: str) -> str:
-    """Return host and port in lower case, without a default port."""
-    return text.lower().removesuffix(":80").removesuffix(":443")
-
-
-def _is_plain_netloc(text: str) -> bool:
-    return bool(text) and all(c.isalnum() or c in "-._:[]" for c in text) and text.isascii()
-
-
 def _text(status: HTTPStatus, text: str, kind: str = "text/plain; charset=utf-8") -> Response:
     return _response(RouteAnswer(text.encode(), kind, status))
 
 
-def _page(status: HTTPStatus = HTTPStatus.OK, problem: str = "") -> Response:
-    body, policy = login_page(problem)
+def _page(
+    status: HTTPStatus = HTTPStatus.OK, problem: str = "", *, accounts: bool = False,
+    person: Person | None = None,
+) -> Response:  # fmt: skip
+    if accounts:
+        body, policy = account_page("" if person is None else person.name)
+    else:
+        body, policy = login_page(problem)
     response = _response(RouteAnswer(body, "text/html; charset=utf-8", status))
     response.headers["Content-Security-Policy"] = policy
     return response

@@ -20,20 +20,22 @@ ATTEMPT_SECONDS = 60.0
 """Time after which a wrong token no longer counts."""
 _ADDRESSES_KEPT = 10_000
 
+_STYLE = """
+body { font: 16px/1.5 system-ui, sans-serif; background: #f4f5f7; color: #1c2430; margin: 0;
+  display: grid; place-items: center; min-height: 100vh; }
+form { background: #fff; padding: 2rem; border-radius: 10px; width: 20rem;
+  box-shadow: 0 2px 12px #0002; }
+h1 { font-size: 1.3rem; margin: 0 0 1rem; }
+input, button { font: inherit; width: 100%; box-sizing: border-box; padding: .5rem .7rem;
+  border-radius: 6px; border: 1px solid #b9c0cb; margin-top: .4rem; }
+button { background: #2b59c3; color: #fff; border: 0; margin-top: 1rem; cursor: pointer; }
+p { color: #b3261e; min-height: 1.5em; margin: .5rem 0 0; }
+"""
+
 _PAGE = """<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><title>ArtiWorld: log in</title>
 <meta name="viewport" content="width=device-width, initial-scale=1">
-<style nonce="{nonce}">
-body {{ font: 16px/1.5 system-ui, sans-serif; background: #f4f5f7; color: #1c2430; margin: 0;
-  display: grid; place-items: center; min-height: 100vh; }}
-form {{ background: #fff; padding: 2rem; border-radius: 10px; width: 20rem;
-  box-shadow: 0 2px 12px #0002; }}
-h1 {{ font-size: 1.3rem; margin: 0 0 1rem; }}
-input, button {{ font: inherit; width: 100%; box-sizing: border-box; padding: .5rem .7rem;
-  border-radius: 6px; border: 1px solid #b9c0cb; margin-top: .4rem; }}
-button {{ background: #2b59c3; color: #fff; border: 0; margin-top: 1rem; cursor: pointer; }}
-#problem {{ color: #b3261e; min-height: 1.5em; margin: .5rem 0 0; }}
-</style></head><body>
+<style nonce="{nonce}">{style}</style></head><body>
 <form action="/login" method="get" autocomplete="off"><h1>ArtiWorld</h1>
 <label>Token<input type="password" name="token" required autofocus></label>
 <button>Log in</button><p id="problem" role="alert">{problem}</p></form>
@@ -49,6 +51,31 @@ form.addEventListener("submit", async (event) => {{
 }});
 </script></body></html>
 """
+
+
+class Attempts:
+    """Wrong tokens and passwords of the last minute by address or name. Not thread-safe."""
+
+    def __init__(self) -> None:
+        self._failures: OrderedDict[str, list[float]] = OrderedDict()
+
+    def recent(self, key: str) -> int:
+        """Return how many there were."""
+        now = time.monotonic()
+        return sum(now - t < ATTEMPT_SECONDS for t in self._failures.get(key, []))
+
+    def guessing(self, key: str) -> bool:
+        """Whether there were so many that even the right one is refused."""
+        return self.recent(key) >= GUESSES
+
+    def failed(self, key: str) -> None:
+        """Note a wrong one."""
+        now = time.monotonic()
+        recent = [t for t in self._failures.get(key, []) if now - t < ATTEMPT_SECONDS]
+        self._failures[key] = [*recent, now]
+        self._failures.move_to_end(key)
+        while len(self._failures) > _ADDRESSES_KEPT:
+            self._failures.popitem(last=False)
 
 
 class Login:
@@ -74,7 +101,7 @@ class Login:
             if token is None
             else hmac.new(token.encode(), b"artiworld session", hashlib.sha256).hexdigest()
         )
-        self._failures: OrderedDict[str, list[float]] = OrderedDict()
+        self._attempts = Attempts()
 
     @property
     def needed(self) -> bool:
@@ -102,17 +129,13 @@ class Login:
         """
         if self._token is None:
             return True
-        now = time.monotonic()
-        recent = [t for t in self._failures.get(address, []) if now - t < ATTEMPT_SECONDS]
-        if len(recent) >= GUESSES:
+        recent = self._attempts.recent(address)
+        if recent >= GUESSES:
             return None
         if hmac.compare_digest(token.encode("utf-8", "replace"), self._token.encode()):
             return True  # the wrong ones still count: another visitor may be guessing
-        self._failures[address] = [*recent, now]
-        self._failures.move_to_end(address)
-        while len(self._failures) > _ADDRESSES_KEPT:
-            self._failures.popitem(last=False)
-        return False if len(recent) < ATTEMPTS else None
+        self._attempts.failed(address)
+        return False if recent < ATTEMPTS else None
 
     def cookie(self, port: int, *, secure: bool) -> str:
         """Return the ``Set-Cookie`` header of a visitor who knew the token."""
@@ -133,9 +156,18 @@ def new_token() -> str:
 def login_page(problem: str = "") -> tuple[bytes, str]:
     """Return the page, and the content security policy that allows its script only."""
     nonce = secrets.token_urlsafe(16)
-    page = _PAGE.format(nonce=nonce, problem=html.escape(problem))
-    policy = (
+    page = _PAGE.format(nonce=nonce, style=_STYLE, problem=html.escape(problem))
+    return page.encode(), page_policy(nonce)
+
+
+def page_style() -> str:
+    """Return the look of the pages for people who aren't in yet."""
+    return _STYLE
+
+
+def page_policy(nonce: str) -> str:
+    """Return the content security policy that allows the script of ``nonce`` only."""
+    return (
         f"default-src 'none'; style-src 'nonce-{nonce}'; script-src 'nonce-{nonce}'; "
         "connect-src 'self'; form-action 'self'; base-uri 'none'; frame-ancestors 'none'"
     )
-    return page.encode(), policy

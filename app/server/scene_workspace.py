@@ -123,7 +123,9 @@ class SceneWorkspace(SceneState):
         if work is None:
             return "static"
         state = work.document.review.state
-        return "todo" if state in ("todo", "in_progress") else state
+        if state in ("todo", "in_progress"):
+            return "todo"
+        return "predicted" if state == "submitted" else state
 
     def row(self, item: SceneItem) -> Row:
         """Return one object as lists show it."""

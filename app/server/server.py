@@ -15,15 +15,20 @@ from urllib.parse import quote
 
 import viser
 
+from app.server.api.application import make_application
 from app.server.app_state import AppState
 from app.server.config import ServeConfig
 from app.server.ending import EndSignals
+from app.server.entrance import Entrance
 from app.server.gallery import Gallery, whole_number
 from app.server.guard import Route, RouteAnswer, RouteRequest, guarded_server
+from app.server.login import Login
 from app.server.network import url
+from app.server.webhook_sender import WebhookSender
 from model.core.errors import InputFileError
 from model.core.resources import static_assets
 from model.io.find_assets import find_assets, refusal
+from sessions.credentials import Person
 from sessions.store import Store
 
 log = logging.getLogger(__name__)
@@ -54,11 +59,11 @@ class Server:
     """A running ArtiWorld server; ``close()`` ends it.
 
     Args:
-        open_tab: makes the user interface of a browser that connects.
+        open_tab: makes the user interface of a browser that connects, for whom it belongs to.
     """
 
     def __init__(
-        self, config: ServeConfig, open_tab: Callable[[viser.ClientHandle, AppState], Tab]
+        self, config: ServeConfig, open_tab: Callable[[viser.ClientHandle, AppState, Person], Tab]
     ) -> None:
         self.config = config
         self._open_tab = open_tab
@@ -66,6 +71,9 @@ class Server:
         self.app_state = AppState(config, Store(Path(config.workspace), config.database), paths)
         if config.scene is not None:
             self.app_state.open_scene(config.scene, config.assets)
+        people = self.app_state.store.people
+        self.entrance = Entrance(people, Login(config.token), config.user)
+        self._webhooks = WebhookSender(people.webhooks)
         self.viser: viser.ViserServer = guarded_server(
             config.host,
             config.port,
@@ -74,13 +82,17 @@ class Server:
             queue_routes(self.app_state.gallery),
             label="ArtiWorld",
             allowed_origins=config.allowed_origins,
+            entrance=self.entrance,
+            api=lambda origins: make_application(self.app_state, self.entrance, origins),
         )
         self.apps: dict[int, Tab] = {}
         self.viser.on_client_connect(self._connected)
         self.viser.on_client_disconnect(self._disconnected)
 
     def _connected(self, client: viser.ClientHandle) -> None:
-        self.apps[client.client_id] = self._open_tab(client, self.app_state)
+        person = self.entrance.tabs.get(client.client_id)
+        if person is not None:  # else the browser is gone already
+            self.apps[client.client_id] = self._open_tab(client, self.app_state, person)
 
     def _disconnected(self, client: viser.ClientHandle) -> None:
         app = self.apps.pop(client.client_id, None)
@@ -95,7 +107,7 @@ class Server:
     @property
     def login_url(self) -> str:
         """The URL that logs a browser in."""
-        token = self.config.token
+        token = None if self.entrance.with_accounts else self.config.token
         return self.url if token is None else f"{self.url}/login?token={quote(token)}"
 
     def close(self) -> None:
@@ -104,6 +116,7 @@ class Server:
             app.close()
         with contextlib.redirect_stdout(io.StringIO()):  # it says so, where --json writes, too
             self.viser.stop()
+        self._webhooks.close()
         self.app_state.close()
 
 
@@ -133,7 +146,7 @@ def paths_to_open(config: ServeConfig) -> list[Path]:
 
 def run_until_interrupted(server: Server, end: EndSignals, *, open_browser: bool = False) -> None:
     """Print the addresses and serve until a signal ends it."""
-    if server.config.token is not None:
+    if server.login_url != server.url:
         print(f"Log in at {server.login_url}", flush=True)
     print(f"ArtiWorld is ready: {server.url}", flush=True)
     if open_browser:

@@ -21,6 +21,7 @@ from model.core.errors import ArtiworldError
 from model.core.joint import Joint
 from model.segmentation.prompts import MAX_PARTS
 from sessions import commands as cmd
+from sessions.accounts import Account
 
 Step = Literal["Prepare", "Annotate", "Joints", "Review"]
 STEPS: tuple[Step, ...] = ("Prepare", "Annotate", "Joints", "Review")
@@ -135,13 +136,22 @@ class Tab:
     """The browser, the user and the selection of one tab.
 
     Args:
-        user: the name that signs decisions until the browser gives another one.
+        user: the name that signs decisions; without an account the browser may give another one.
+        account: who is logged in; None where nobody has to log in.
         in_scene: whether the objects belong to a scene, else to the queue.
     """
 
-    def __init__(self, client: viser.ClientHandle, user: str, *, in_scene: bool = False) -> None:
+    def __init__(
+        self,
+        client: viser.ClientHandle,
+        user: str,
+        *,
+        in_scene: bool = False,
+        account: Account | None = None,
+    ) -> None:
         self.client = client
         self.user = user
+        self.account = account
         self.in_scene = in_scene
         self.selection = Selection(self.invalidate, words.need_object(in_scene))
         self._threads = TabThreads(f"tab-{client.client_id}", self.notify)

@@ -12,7 +12,7 @@ from contextlib import ExitStack
 
 import pytest
 
-from app.server import guard
+from app.server import guard, shared_port
 from app.server.network import OncePerMinute, free_port
 from tests.builders import wait_until
 
@@ -77,7 +77,7 @@ def test_half_headers_do_not_silence_a_backend(
 
 
 def test_half_headers_do_not_silence_a_server(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(guard, "MAX_SOCKETS", 30)
+    monkeypatch.setattr(shared_port, "MAX_SOCKETS", 30)
     port = free_port("127.0.0.1")
     server = guard.guarded_server("127.0.0.1", port)
     try:

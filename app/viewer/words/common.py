@@ -25,6 +25,8 @@ SEARCH: Final = "Search"
 USER_NAME: Final = "Your name"
 USER_NAME_HINT: Final = "Recorded with your decisions"
 
+account = Message("{name} · {role} · [account](/login)")
+
 STATES: Final[dict[str, str]] = {
     "todo": "to do",
     "in_progress": "in progress",

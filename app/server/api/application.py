@@ -1,0 +1,108 @@
+"""The application: routes, errors, and the page that documents them."""
+
+from __future__ import annotations
+
+import secrets
+from importlib.metadata import version
+from importlib.resources import files
+
+from fastapi import FastAPI, HTTPException, Request
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import HTMLResponse, JSONResponse, Response
+from starlette.types import ASGIApp
+
+from app.server.api import assets, entry, objects, people, reviews, sessions, webhooks, work
+from app.server.api.guard import ApiGuard, Reader
+from app.server.app_state import AppState
+from app.server.entrance import Entrance, TooManyAttempts
+from app.server.origins import Origins
+from app.server.shared_port import API
+from model.core.errors import ArtiworldError, CommandError, StoreError
+from sessions.review import NotPermittedError
+
+_STATUS: tuple[tuple[type[ArtiworldError], int], ...] = (
+    (TooManyAttempts, 429),
+    (NotPermittedError, 403),
+    (CommandError, 409),
+    (StoreError, 503),
+    (ArtiworldError, 400),
+)
+"""Error → status of the answer; the first that fits counts."""
+_DOCUMENTS = {
+    "swagger-ui-bundle.js": "text/javascript",
+    "swagger-ui.css": "text/css",
+    "favicon.png": "image/png",
+}
+_PAGE = """<!doctype html>
+<html lang="en"><head><meta charset="utf-8"><title>ArtiWorld: REST API</title>
+<link rel="stylesheet" href="{api}/docs/swagger-ui.css"></head><body><div id="ui"></div>
+<script src="{api}/docs/swagger-ui-bundle.js"></script>
+<script nonce="{nonce}">
+SwaggerUIBundle({{ url: "{api}/openapi.json", dom_id: "#ui", deepLinking: true,
+  requestInterceptor: (request) => {{ request.headers["X-ArtiWorld"] = "1"; return request; }} }});
+</script></body></html>
+"""
+
+
+def make_application(app_state: AppState, entrance: Entrance, origins: Origins) -> ASGIApp:
+    """Return the ASGI application of the API."""
+    app = FastAPI(
+        title="ArtiWorld",
+        version=version("artiworld"),
+        description="Everything that the screens decide, for scripts. See docs/teams.md.",
+        docs_url=None,
+        redoc_url=None,
+        openapi_url=None,
+    )
+    app.state.app_state, app.state.entrance, app.state.origins = app_state, entrance, origins
+    for part in (entry, objects, sessions, reviews, work, assets, people, webhooks):
+        app.include_router(part.router, prefix=API)
+    app.add_api_route(f"{API}/openapi.json", _description, include_in_schema=False)
+    app.add_api_route(f"{API}/docs", _page, include_in_schema=False)
+    app.add_api_route(f"{API}/docs/{{name}}", _document, include_in_schema=False)
+    app.add_exception_handler(ArtiworldError, _refused)
+    app.add_exception_handler(HTTPException, _http_error)
+    app.add_exception_handler(404, _http_error)
+    app.add_exception_handler(405, _http_error)
+    app.add_exception_handler(RequestValidationError, _invalid)
+    limit = app_state.config.max_upload_mb * 1_000_000
+    return ApiGuard(app, origins, entrance, f"{API}/objects", limit)
+
+
+def _description(request: Request, person: Reader) -> Response:
+    return JSONResponse(request.app.openapi())
+
+
+def _page(person: Reader) -> Response:
+    nonce = secrets.token_urlsafe(16)
+    policy = (
+        f"default-src 'none'; script-src 'self' 'nonce-{nonce}'; style-src 'self' 'unsafe-inline'; "
+        "img-src 'self' data:; connect-src 'self'; base-uri 'none'; frame-ancestors 'none'"
+    )
+    page = _PAGE.format(api=API, nonce=nonce)
+    return HTMLResponse(page, headers={"Content-Security-Policy": policy})
+
+
+def _document(name: str, person: Reader) -> Response:
+    if name not in _DOCUMENTS:
+        raise HTTPException(404, "not found")
+    content = (files("fastapi_offline") / "static" / name).read_bytes()
+    return Response(content, media_type=_DOCUMENTS[name])
+
+
+def _refused(request: Request, error: Exception) -> Response:
+    status = next(status for kind, status in _STATUS if isinstance(error, kind))
+    return JSONResponse({"error": str(error)}, status)
+
+
+def _http_error(request: Request, error: Exception) -> Response:
+    assert isinstance(error, HTTPException) or hasattr(error, "status_code")
+    status, detail = error.status_code, error.detail  # type: ignore[attr-defined]
+    return JSONResponse({"error": str(detail).lower() if status in (404, 405) else detail}, status)
+
+
+def _invalid(request: Request, error: Exception) -> Response:
+    assert isinstance(error, RequestValidationError)
+    first = error.errors()[0]
+    where = ".".join(str(part) for part in first["loc"])
+    return JSONResponse({"error": f"{where}: {first['msg']}"}, 422)

@@ -1,0 +1,114 @@
+"""People: accounts, tokens, and the record of what happened to them."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import Annotated, Any
+
+from fastapi import APIRouter, HTTPException, Query, Request
+from pydantic import BaseModel, Field
+
+from app.server.api.guard import Manager, State, Visitor
+from sessions.audit import MOST_EVENTS
+from sessions.credentials import TOKEN_DAYS
+from sessions.review import Role
+
+router = APIRouter(tags=["people"])
+
+
+class InviteBody(BaseModel):
+    """Who is invited, and for what."""
+
+    name: str = Field(max_length=200)
+    role: Role = "annotator"
+
+
+class RoleBody(BaseModel):
+    """What an account may do from now on."""
+
+    role: Role
+
+
+class TokenBody(BaseModel):
+    """What a new token is for, what it allows, and how long."""
+
+    label: str = Field(max_length=200)
+    scopes: list[str] = Field(min_length=1, max_length=10)
+    days: int = TOKEN_DAYS
+
+
+@router.get("/users")
+def users(person: Manager, state: State) -> list[dict[str, Any]]:
+    """All accounts."""
+    return [asdict(account) for account in state.store.people.accounts.all()]
+
+
+@router.post("/users", status_code=201)
+def invite(body: InviteBody, person: Manager, request: Request, state: State) -> dict[str, Any]:
+    """Invite a person; the code is shown once, and goes behind /login#invitation=."""
+    code = state.store.people.accounts.invite(body.name, body.role, person.name)
+    return {"code": code, "path": f"/login#invitation={code}"}
+
+
+@router.put("/users/{name}/role")
+def set_role(name: str, body: RoleBody, person: Manager, state: State) -> dict[str, Any]:
+    """Change what a person may do, from the next command on."""
+    return asdict(state.store.people.accounts.set_role(name, body.role, person.name))
+
+
+@router.post("/users/{name}/disable")
+def disable(name: str, person: Manager, state: State) -> dict[str, Any]:
+    """Keep a person out; decisions stay."""
+    state.store.people.accounts.disable(name, person.name)
+    return {"disabled": name}
+
+
+@router.post("/users/{name}/revoke")
+def revoke(name: str, person: Manager, state: State) -> dict[str, Any]:
+    """End all browser sessions and tokens of a person, who may log in again."""
+    people = state.store.people
+    people.credentials.revoke(people.accounts.find(name), person.name)
+    return {"revoked": name}
+
+
+@router.get("/tokens")
+def tokens(person: Visitor, state: State) -> list[dict[str, Any]]:
+    """One's own tokens, without their secrets."""
+    return [asdict(t) for t in state.store.people.credentials.tokens(person.account)]
+
+
+@router.post("/tokens", status_code=201)
+def make_token(body: TokenBody, person: Visitor, state: State) -> dict[str, Any]:
+    """Make a token in a logged-in browser; its secret is shown once."""
+    if person.account is None or person.session is None:
+        raise HTTPException(403, "make tokens in a browser in which you are logged in")
+    credentials = state.store.people.credentials
+    secret = credentials.make_token(person.account, body.label, body.scopes, body.days, person.name)
+    return {"token": secret}
+
+
+@router.delete("/tokens/{token_id}")
+def revoke_token(token_id: int, person: Visitor, state: State) -> dict[str, Any]:
+    """Revoke one of one's own tokens; a manager may revoke any."""
+    credentials = state.store.people.credentials
+    own = None if "manage" in person.scopes else person.account
+    if all(t.id != token_id for t in credentials.tokens(own)):
+        raise HTTPException(404, f"there is no token {token_id}")
+    credentials.revoke_token(token_id, person.name)
+    return {"revoked": token_id}
+
+
+@router.get("/audit")
+def audit(
+    person: Manager,
+    state: State,
+    name: str | None = None,
+    kind: str | None = None,
+    since: str | None = None,
+    before: int | None = None,
+    count: Annotated[int, Query(ge=1, le=MOST_EVENTS)] = 200,
+) -> list[dict[str, Any]]:
+    """What happened to accounts, the newest first; ``before`` an id gives the next page."""
+    log = state.store.people.audit
+    events = log.events(name=name, kind=kind, since=since, before=before, count=count)
+    return [asdict(event) for event in events]

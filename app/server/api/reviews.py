@@ -1,0 +1,112 @@
+"""Reviews: submit, accept, send back, reopen."""
+
+from __future__ import annotations
+
+import datetime
+from typing import Any
+
+from fastapi import APIRouter, HTTPException
+from pydantic import BaseModel
+
+from app.server.accepting import accept, withdraw
+from app.server.api.guard import Annotator, Reader, Reviewer, State
+from app.server.api.objects import document_json, opened, record_of, wait
+from model.core.errors import CommandError
+from sessions.commands import Reject, Reopen, Submit
+from sessions.review import RejectReason
+
+router = APIRouter(tags=["reviews"])
+
+
+class CommentBody(BaseModel):
+    """A comment for people."""
+
+    comment: str = ""
+
+
+class AcceptBody(CommentBody):
+    """How to accept.
+
+    Attributes:
+        override: reason for accepting despite errors.
+        warnings_seen: whether somebody looked at the warnings of the checks.
+    """
+
+    override: str = ""
+    warnings_seen: bool = False
+
+
+class RejectBody(CommentBody):
+    """Why an object goes back.
+
+    Attributes:
+        joint: child link of the joint that the comment is about.
+        place: the place that it is about, metres, object frame.
+    """
+
+    reason: RejectReason
+    joint: str = ""
+    place: tuple[float, float, float] | None = None
+
+
+@router.get("/objects/{object_id}/checks")
+def checks(object_id: int, person: Reader, state: State) -> dict[str, Any]:
+    """What the checks say of the joints, once they are done."""
+    obj = opened(state, object_id)
+    wait(lambda: obj.validation.report is not None or bool(obj.validation.problem)
+         or obj.document.tree is None)  # fmt: skip
+    report = obj.validation.report
+    found = None if report is None else report.to_json()
+    return {"report": found, "problem": obj.validation.problem}
+
+
+@router.post("/objects/{object_id}/submit")
+def submit(object_id: int, body: CommentBody, person: Annotator, state: State) -> dict[str, Any]:
+    """Hand an object in for review."""
+    obj = opened(state, object_id)
+    after = obj.live.do(Submit(body.comment), person.name, role=person.role)
+    if person.account is not None:
+        state.store.people.work.leave(object_id, person.account)
+    return document_json(after)
+
+
+@router.post("/objects/{object_id}/accept")
+def accept_object(
+    object_id: int, body: AcceptBody, person: Reviewer, state: State
+) -> dict[str, Any]:
+    """Accept an object; its asset is written and read back first."""
+    obj = opened(state, object_id)
+    wait(lambda: obj.validation.report is not None or bool(obj.validation.problem))
+    seen = obj.validation.report if body.warnings_seen else None
+    refused: list[CommandError] = []
+    at = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+    accept(
+        obj, body.comment, person.name, at, body.override, seen=seen, refused=refused.append
+    )  # fmt: skip
+    try:
+        wait(lambda: bool(refused) or not obj.being_accepted)
+    except HTTPException:
+        withdraw(obj)
+        raise
+    if refused:
+        raise refused[0]
+    if obj.document.review.state != "accepted":
+        raise CommandError("it wasn't accepted: its asset couldn't be written")
+    return document_json(obj.state)
+
+
+@router.post("/objects/{object_id}/reject")
+def reject(object_id: int, body: RejectBody, person: Reviewer, state: State) -> dict[str, Any]:
+    """Send an object back to its annotator."""
+    record_of(state, object_id)
+    command = Reject(body.reason, body.comment, "", body.joint, body.place)
+    live = state.hub.session(object_id)
+    return document_json(live.do(command, person.name, role=person.role))
+
+
+@router.post("/objects/{object_id}/reopen")
+def reopen(object_id: int, body: CommentBody, person: Reviewer, state: State) -> dict[str, Any]:
+    """Reopen an accepted or rejected object."""
+    record_of(state, object_id)
+    live = state.hub.session(object_id)
+    return document_json(live.do(Reopen(body.comment), person.name, role=person.role))

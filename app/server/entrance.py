@@ -1,0 +1,138 @@
+"""Who comes in: by an account, by the server's token, or everybody of this machine.
+
+Accounts take over from the token as soon as there is one, also while the server runs.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Sequence
+from typing import Any
+
+from app.server.login import Attempts, Login, cookie_name
+from model.core.errors import ConfigurationError
+from sessions.accounts import Account
+from sessions.credentials import SCOPES, SESSION_SECONDS, Person
+from sessions.people import People
+
+CHECK_SECONDS = 1.0
+"""Period of asking whether accounts were made meanwhile, as on the command line."""
+
+
+class TooManyAttempts(ConfigurationError):
+    """An address or a name had too many wrong passwords lately."""
+
+
+class Entrance:
+    """Finds out who a visitor is. Methods may be called from any thread.
+
+    Args:
+        people: accounts of the workspace; None: there are none.
+        login: the token, which counts while there are no accounts.
+        user: name of everybody then.
+
+    Attributes:
+        tabs: id of a connected browser tab → whose it is.
+    """
+
+    def __init__(self, people: People | None, login: Login, user: str = "") -> None:
+        self._people, self._login, self._user = people, login, user
+        self.tabs: dict[int, Person] = {}
+        self._attempts = Attempts()
+        self._lock = threading.Lock()
+        self._with_accounts, self._checked = False, -CHECK_SECONDS
+
+    @property
+    def with_accounts(self) -> bool:
+        """Whether people log in by name; never off again, as accounts are never removed."""
+        if self._people is not None and not self._with_accounts:
+            now = time.monotonic()
+            if now - self._checked >= CHECK_SECONDS:
+                self._with_accounts, self._checked = self._people.accounts.in_use(), now
+        return self._with_accounts
+
+    @property
+    def needed(self) -> bool:
+        """Whether a visitor has to prove anything."""
+        return self.with_accounts or self._login.needed
+
+    def visitor(self, cookies: list[str], port: int) -> Person | None:
+        """Return whom the ``Cookie`` headers prove; None: nobody."""
+        if not self.with_accounts or self._people is None:
+            return self._everybody() if self._login.knows(cookies, port) else None
+        for secret in self.sessions(cookies, port):
+            person = self._people.credentials.session(secret)
+            if person is not None:
+                return person
+        return None
+
+    def bearer(self, secret: str, address: str) -> Person | None:
+        """Return whose token ``secret`` is; None: nobody's."""
+        if self.with_accounts and self._people is not None:
+            return self._people.credentials.token(secret)
+        if not self._login.needed:
+            return None
+        with self._lock:  # Login isn't thread-safe
+            return self._everybody() if self._login.try_token(secret, address) else None
+
+    def log_in(self, name: str, password: str, address: str) -> str:
+        """Check name and password; returns the secret of a new browser session.
+
+        Unknown names, disabled accounts and wrong passwords take the same work and get the same
+        answer.
+
+        Raises:
+            ConfigurationError: where they don't belong to an account.
+            TooManyAttempts: after many wrong ones for the address or for the name.
+        """
+        people = self._need_people()
+        keys = (f"address {address}", f"name {name.casefold()[:80]}")
+        with self._lock:
+            if any(self._attempts.guessing(key) for key in keys):
+                raise TooManyAttempts("Too many wrong passwords; wait a minute.")
+        account = people.accounts.check(name, password)
+        if account is not None:
+            return people.credentials.begin_session(account, address)
+        with self._lock:
+            for key in keys:
+                self._attempts.failed(key)
+        # A password is typed into the wrong box now and then, so unknown names aren't kept.
+        known = any(a.name.casefold() == name.casefold() for a in people.accounts.all())
+        people.audit.add("login_failed", "", name if known else "unknown name", address=address)
+        raise ConfigurationError("Name or password is wrong.")
+
+    def begin(self, account: Account, address: str) -> str:
+        """Return the secret of a browser session of an account that was just claimed."""
+        return self._need_people().credentials.begin_session(account, address)
+
+    def _need_people(self) -> People:
+        if self._people is None or not self.with_accounts:
+            raise ConfigurationError("there are no accounts here; see artiworld user add")
+        return self._people
+
+    def forget_tab(self, left: Any) -> None:
+        """Drop whose browser tab it was; viser gives the connection that ended."""
+        self.tabs.pop(left.client_id, None)
+
+    def living(self, secrets: Sequence[str]) -> set[str]:
+        """Return those of the browser sessions that haven't ended."""
+        if self._people is None:
+            return set(secrets)
+        return self._people.credentials.living(secrets)
+
+    @staticmethod
+    def sessions(cookies: list[str], port: int) -> list[str]:
+        """Return the secrets in the cookies of this server."""
+        pairs = [pair.strip().partition("=") for pair in ";".join(cookies).split(";")]
+        return [value for name, _, value in pairs if name == cookie_name(port) and value][:4]
+
+    def _everybody(self) -> Person:
+        return Person(None, self._user, frozenset(SCOPES))
+
+
+def session_cookie(secret: str, port: int, *, secure: bool) -> str:
+    """Return the ``Set-Cookie`` header of a browser session; "" as secret ends it."""
+    seconds = int(SESSION_SECONDS) if secret else 0
+    flags = f"; Path=/; HttpOnly; SameSite=Strict; Max-Age={seconds}"
+    return f"{cookie_name(port)}={secret}{flags}" + ("; Secure" if secure else "")
