@@ -65,13 +65,17 @@ class Gallery:
         count = min(max(whole_number(query.get("count"), 60), 1), MOST_ROWS)
         current = whole_number(query.get("current"), -1)
         names, today = self.names(), datetime.now(UTC).date().isoformat()
+        assigned = self._services.store.people.work.assigned()
         return {
             "total": len(chosen),
             "all": len(records),
             "states": Counter(r.state for r in records),
             "today": sum(r.state == "accepted" and r.updated[:10] == today for r in records),
             "at": next((i for i, r in enumerate(chosen) if r.id == current), -1),
-            "rows": [self._row(r, names[r.id]) for r in chosen[first : first + count]],
+            "rows": [
+                self._row(r, names[r.id]) | {"assigned": assigned.get(r.id) or r.assigned_to or ""}
+                for r in chosen[first : first + count]
+            ],
         }
 
     def names(self) -> dict[int, str]:

@@ -12,7 +12,7 @@ _SCRIPTS = (
     "upload.js", "focus.js", "panels.js", "markup.js", "queue.js", "view.js", "tree.js",
     "pointer.js",     "light.js",
 )  # fmt: skip
-_STYLES = ("style.css", "controls.css")
+_STYLES = ("style.css", "controls.css", "project.css")
 
 
 def _script(max_upload_bytes: int) -> str:

@@ -93,6 +93,7 @@ class ClientApp:
         add_keys(tab, bindings(tab, self.commands, steps, self.scene, view), self.guard.decide)
         self.pointing.listen(self._pointer_actions())
         self._unqueue = app_state.queue.subscribe(tab.invalidate)
+        client.camera.on_update(lambda _: self.picture.refit())
         tab.start(self._draw)
         tab.act(self._start)
 
@@ -224,7 +225,8 @@ class ClientApp:
         """Close the sheet of keys and the question for a reason; whether one was open."""
         asking = self.commands.rejecting.asking
         self.commands.rejecting.cancel()
-        return self._exporting.close() or self._sheet.close() or asking
+        page = self.queue is not None and self.queue.project.close()
+        return self._exporting.close() or self._sheet.close() or page or asking
 
     def _click_scene(self, origin: Point, direction: Point) -> bool:
         if self.scene is None or not self.scene.in_front:

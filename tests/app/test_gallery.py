@@ -79,3 +79,13 @@ def test_what_can_not_be_done_is_counted_with_its_reason(app_state: AppState) ->
     assert said == [("Export", "0 of 2 done. 2: not accepted: it has no asset yet", "orange")]
     with pytest.raises(cmd.CommandError, match="no objects"):
         app_state.bulk.predict([], "ann", lambda *n: None)
+
+
+def test_a_row_says_whom_the_object_is_assigned_to(app_state: AppState, rows: Route) -> None:
+    people = app_state.store.people
+    account = people.accounts.add("mona", "manager", "three horses eat 42 apples")
+    id = asked(rows, search="oven")["rows"][0]["id"]
+    people.work.assign([id], [account], "mona")
+    (oven,) = asked(rows, search="oven")["rows"]
+    assert (oven["assigned"], oven["who"]) == ("mona", "")
+    assert {r["assigned"] for r in asked(rows, search="chair")["rows"]} == {""}

@@ -80,6 +80,7 @@
     known.append(...words.categories.map((c) => option([c, c])));
     parts.above = make("input", "aw-input aw-number", { type: "number", min: 0, max: 100, value: 90,
       "aria-label": words.above });
+    parts.people = make("select", "aw-input aw-people", { "aria-label": words.assignTo });
     parts.bulk = make("div", "aw-bulk", {}, parts.said,
       press(words.pickAll, words.pickAll, "aw-small", pickAll, "pickAll"),
       press(words.clear, words.clear, "aw-small", () => { picked.clear(); draw(); }),
@@ -88,12 +89,19 @@
       press(words.predict, words.predict, "aw-small", () => bulk("predict")),
       press(words.accept, words.accept, "aw-small", () => bulk("accept", parts.above.value)),
       parts.above, make("span", "", {}, "%"),
-      press(words.exportThem, words.exportThem, "aw-small", () => bulk("export")));
+      press(words.exportThem, words.exportThem, "aw-small", () => bulk("export")),
+      press(words.assign, words.assignHint, "aw-small aw-people", () => bulk("assign", parts.people.value)),
+      parts.people);
     root = make("section", "aw-queue", { "aria-label": words.title },
       make("div", "aw-tools", {}, search, filter, sort,
+        press("", words.project, "aw-icon", () => {
+          if (view.wide) widen(false);  // viser's dialog would lie below
+          send("project", "");
+        }, "project"),
         press("", words.gallery, "aw-icon aw-wide", () => widen(!view.wide), "widen")),
       parts.bulk, parts.scroll);
     parts.widen.innerHTML = words.icon;
+    parts.project.innerHTML = words.projectIcon;
   };
   const pickAll = async () => {
     for (const id of (await (await fetch(url({ ids: 1 }))).json()).ids) picked.add(id);
@@ -105,7 +113,10 @@
     root.classList.toggle("wide", wide);
     settle();
     draw();
-    if (wide) parts.search.focus();
+    if (wide) {
+      send("people", "");
+      parts.search.focus();
+    }
   };
   // viser makes its panel anew when it is folded; the list goes where its place is.
   const settle = () => {
@@ -147,7 +158,8 @@
   const fill = (card, row) => {
     const src = `/thumbnail?id=${row.id}&v=${row.state}`;
     if (card.src !== src) { card.src = src; card.tries = 0; card.image.src = src; }
-    const state = words.shown[row.shown], about = [state, row.category, row.who];
+    const state = words.shown[row.shown], person = row.assigned ? `→ ${row.assigned}` : row.who;
+    const about = [state, row.category, person];
     card.name.textContent = row.name;
     card.about.textContent = about.filter(Boolean).join(" · ");
     card.sure.textContent = row.confidence === null ? "" : `${Math.round(100 * row.confidence)} %`;
@@ -199,5 +211,9 @@
     start(texts) { words = texts; settle(); },
     changed(object) { current = object; soon(again); },
     widen: () => root && widen(!view.wide),
+    people(names) {
+      root.classList.toggle("assigning", names.length > 0);
+      parts.people.replaceChildren(...names.map(option));
+    },
   };
 })();

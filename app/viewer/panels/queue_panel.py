@@ -14,6 +14,7 @@ from app.server.app_state import AppState
 from app.server.pointer_messages import call_page
 from app.server.queue_names import clipped
 from app.viewer.panels.markup import Presses, icon
+from app.viewer.panels.project_page import ProjectPage
 from app.viewer.panels.user_name import UserName
 from app.viewer.panels.widgets import put
 from app.viewer.picture import palette
@@ -22,8 +23,11 @@ from app.viewer.words import common
 from app.viewer.words import queue as words
 from model.core.errors import CommandError
 from model.validation.report import Severity
+from sessions.accounts import Account
 
 NAME_LENGTH = 22
+_IN_TURN = "*"
+"""Value of the list of people for all of them; no account has that name."""
 
 
 class QueuePanel:
@@ -33,6 +37,7 @@ class QueuePanel:
         on_hold: the button that opens the first object on hold.
         user_name: the box for the user's name.
         open: opens the object of an id.
+        project: the page about all objects.
     """
 
     def __init__(
@@ -85,6 +90,8 @@ class QueuePanel:
         upload.on_upload(lambda e: self._uploaded(e.target.value))
         presses.on("open", lambda id: open_object(int(id)))
         presses.on("bulk", self._bulk)
+        presses.on("people", lambda _: call_page(tab.client, "Queue.people", self._people()))
+        self.project = ProjectPage(tab, app_state, presses, open_object)
         call_page(tab.client, "Queue.start", _page_words())
 
     def _uploaded(self, file: Any) -> None:
@@ -110,15 +117,44 @@ class QueuePanel:
             bulk.accept(ids, self._tab.user, self._notify)
         elif action == "export":
             self._export(ids)
+        elif action == "assign":
+            self._assign(ids, value)
+
+    def _people(self) -> list[tuple[str, str]]:
+        """Values and names of whom objects may be assigned to; empty for who may not do so."""
+        account = self._tab.account
+        if account is None or account.role != "manager":
+            return []
+        names = [a.name for a in self._active_accounts()]
+        return [(n, n) for n in names] + [(_IN_TURN, words.IN_TURN), ("", words.NOBODY)]
+
+    def _active_accounts(self) -> list[Account]:
+        return [a for a in self._app_state.store.people.accounts.all() if a.status == "active"]
+
+    def _assign(self, ids: list[int], to: str) -> None:
+        """Assign objects to a person, to all in turn, or to nobody."""
+        if to not in dict(self._people()):
+            raise CommandError(words.ONLY_MANAGERS)
+        chosen = [a for a in self._active_accounts() if to in (_IN_TURN, a.name)]
+        self._app_state.store.people.work.assign(ids, chosen, self._tab.user)
+        whom = {_IN_TURN: words.IN_TURN, "": words.NOBODY}.get(to, to)
+        self._notify(words.TITLE, words.assigned(len(ids), whom), "green")
+        self._app_state.queue.changed()
+        call_page(self._tab.client, "Queue.changed", self._current)
 
     def _notify(self, title: str, text: str, color: str) -> None:
         self._tab.notify(title, text, color, elsewhere=True)
 
+    @property
+    def _current(self) -> int | None:
+        """Id of the open object."""
+        obj = self._tab.selection.object
+        return None if obj is None else obj.record.id
+
     def draw(self) -> None:
         """Bring the panel up to date; nothing is sent where nothing changed."""
-        app_state, obj = self._app_state, self._tab.selection.object
+        app_state, current = self._app_state, self._current
         records = app_state.queue.records()
-        current = None if obj is None else obj.record.id
         shown = tuple((r.id, r.state, r.category) for r in records)
         exceptions = app_state.exceptions()
         now = shown, exceptions, current, app_state.queue.removed, app_state.bulk.progress
@@ -158,6 +194,7 @@ def _page_words() -> dict[str, Any]:
         "shown": words.SHOWN,
         "categories": list(palette.CATEGORIES),
         "icon": icon(viser.Icon.LAYOUT_GRID),
+        "projectIcon": icon(viser.Icon.CHART_BAR),
     }
 
 

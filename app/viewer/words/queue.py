@@ -59,6 +59,10 @@ PAGE_WORDS: Final[dict[str, str]] = {
     "predict": "Predict",
     "accept": "Accept from",
     "exportThem": "Export…",
+    "assign": "Assign to",
+    "assignHint": "Assign the selected objects",
+    "assignTo": "Person",
+    "project": "Project",
 }
 """What the page's own script shows of the queue, by the names that it has for it."""
 found = Message("{count} objects · {today} accepted today")
@@ -79,5 +83,9 @@ SHOWN: Final[dict[str, str]] = {
     "on_hold": HELD,
     "interrupted": INTERRUPTED,
 }
+IN_TURN: Final = "everybody in turn"
+NOBODY: Final = "nobody"
+ONLY_MANAGERS: Final = "only a manager may assign objects"
+assigned = Message("{count} objects to {whom}")
 NOT_A_SHARE: Final = "the confidence must be between 0 and 100 percent"
 NO_CATEGORY: Final = "choose a category first"

@@ -1,0 +1,208 @@
+"""The project page: progress, today's figures, a plot of two weeks, and the latest objects."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from html import escape
+from typing import Any
+
+import numpy as np
+import viser
+import viser.uplot
+
+from app.server.app_state import AppState
+from app.server.job import Job
+from app.server.project_tasks import project_overview
+from app.viewer.panels.markup import Presses, button
+from app.viewer.tab import Tab
+from app.viewer.words import common
+from app.viewer.words import project as words
+from app.viewer.words.queue import STATE_ORDER
+from sessions.project import Overview
+from sessions.review import ROLES
+from sessions.statistics import csv_text
+
+_SECONDS = 60.0
+"""Longest reading of the log."""
+_COLORS = ("#2f9e44", "#5b8def")
+"""Of the plot's two lines; seen on light and dark ground alike."""
+
+
+class ProjectPage:
+    """Shows the page over the picture.
+
+    Args:
+        open_object: gets the id of an object that was chosen.
+    """
+
+    def __init__(
+        self, tab: Tab, app_state: AppState, presses: Presses, open_object: Callable[[int], None]
+    ) -> None:
+        self._tab, self._app_state, self._open = tab, app_state, open_object
+        self._modal: Any = None
+        self._found: Overview | None = None
+        presses.on("project", lambda _: self.show())
+        presses.on("project_object", self._chosen)
+        presses.on("project_close", lambda _: self._close_clicked(), at_once=True)
+        presses.on("project_csv", lambda _: self._send())
+
+    def show(self) -> None:
+        """Show the page; a worker adds up the figures, as the log may be long."""
+        self.close()
+        gui, config = self._tab.client.gui, self._app_state.config
+        self._modal = modal = gui.add_modal(words.TITLE)
+        with modal:
+            said = gui.add_html(f'<p class="aw-project">{words.READING}</p>')
+        job = self._app_state.workers.readers[-1].submit(
+            project_overview, self._app_state.workspace, config.database, time.time(),
+            self._only(), most_seconds=_SECONDS,
+        )  # fmt: skip
+        job.add_done_callback(lambda job: self._tab.act(lambda: self._read(job, modal, said)))
+
+    def _only(self) -> str | None:
+        """Whose figures are shown: who annotates sees nobody else's."""
+        account = self._tab.account
+        return account.name if account is not None and account.role == ROLES[0] else None
+
+    def _read(self, job: Job[Overview], modal: Any, said: Any) -> None:
+        if self._modal is not modal:
+            return  # closed meanwhile
+        try:
+            found = job.result(0)
+        except BaseException:
+            self.close()
+            raise
+        said.remove()
+        self._found = found
+        with modal:
+            self._fill(found)
+
+    def _fill(self, found: Overview) -> None:
+        gui, now = self._tab.client.gui, time.time()
+        gui.add_html(
+            f'<div class="aw-project">{progress_html(found)}'
+            f'<h3 title="{escape(words.ACTIVE_HINT)}">{words.TODAY}</h3>{today_html(found)}'
+            f"<h3>{words.LAST_DAYS}</h3></div>"
+        )
+        _add_plot(gui, found, now)
+        gui.add_html(
+            f'<div class="aw-project"><h3>{words.RECENT}</h3>{recent_html(found, now)}</div>'
+        )
+
+    def _send(self) -> None:
+        if self._found is not None:
+            rows = csv_text(self._found.rows)
+            send = self._tab.client.send_file_download
+            send(words.FILE, rows.encode(), save_immediately=True)
+
+    def _chosen(self, id: str) -> None:
+        self.close()
+        self._open(int(id))
+
+    def _close_clicked(self) -> None:
+        self.close()
+
+    def close(self) -> bool:
+        """Close the page; whether it was there."""
+        modal, self._modal = self._modal, None
+        if modal is not None:
+            modal.close()
+        return modal is not None
+
+
+def _add_plot(gui: Any, found: Overview, now: float) -> None:
+    """Accepted objects and active time of each day, with an axis for each."""
+    ends = np.arange(len(found.days), dtype=np.float64) - len(found.days) + 1
+    accepted = np.array([d.accepted for d in found.days], np.float64)
+    active = np.array([d.active for d in found.days], np.float64)
+    short = active.max() < 3600
+    name, unit = (words.MINUTES, 60.0) if short else (words.HOURS, 3600.0)
+    series = (
+        viser.uplot.Series(label=words.DAY, value="{YYYY}-{MM}-{DD}"),
+        viser.uplot.Series(
+            label=words.ACCEPTED, stroke=_COLORS[0], fill=f"{_COLORS[0]}30", width=2, scale="y"
+        ),
+        viser.uplot.Series(label=name, stroke=_COLORS[1], width=2, scale="time"),
+    )
+    scales = {
+        "x": viser.uplot.Scale(time=True),
+        "y": viser.uplot.Scale(range=_range(accepted.max())),
+        "time": viser.uplot.Scale(range=_range(active.max() / unit)),
+    }
+    axes = (
+        viser.uplot.Axis(),
+        viser.uplot.Axis(label=words.ACCEPTED, scale="y", labelSize=18, size=42),
+        viser.uplot.Axis(
+            label=name, scale="time", side=1, labelSize=18, size=46, grid={"show": False}
+        ),
+    )
+    gui.add_uplot(
+        ((math.floor(now / 86400) + ends) * 86400, accepted, active / unit),
+        series, scales=scales, axes=axes, height=170, padding=(8, 0, 0, 0),
+    )  # fmt: skip
+
+
+def _range(most: float) -> tuple[float, float]:
+    """From 0 to a bit above the largest value; a scale of nothing has some height, too."""
+    return 0.0, 1.15 * float(most) if most else 1.0
+
+
+def progress_html(found: Overview) -> str:
+    """A bar with a stretch for each state, and the numbers below it."""
+    total = sum(found.states.values())
+    accepted = found.states.get("accepted", 0)
+    shown = [s for s in STATE_ORDER if found.states.get(s)]
+    bar = "".join(
+        f'<i data-state="{s}" style="flex-grow:{found.states[s]}" '
+        f'title="{found.states[s]} {escape(common.STATES[s])}"></i>'
+        for s in shown
+    )
+    numbers = "".join(
+        f'<span data-state="{s}"><i></i>{found.states[s]} {escape(common.STATES[s])}</span>'
+        for s in shown
+    )
+    share = round(100 * accepted / total) if total else 0
+    head = f"<b>{words.accepted_of(accepted, total, share)}</b>"
+    csv = button("project_csv", "", words.DOWNLOAD, tip=words.DOWNLOAD_HINT, style="aw-small")
+    close = button("project_close", "", words.CLOSE, style="aw-small")
+    return (
+        f'<header>{head}{csv}{close}</header><div class="aw-states">{bar}</div>'
+        f'<p class="aw-legend">{numbers}</p>'
+    )
+
+
+def today_html(found: Overview) -> str:
+    """A row for each person who did something today."""
+    if not found.people:
+        return f"<p>{words.NOBODY}</p>"
+    rows = [
+        (
+            who, f.objects, f.accepted,
+            "–" if math.isnan(f.per_hour) or not f.accepted else f"{f.per_hour:.1f}",
+            words.duration(f.active), words.duration(f.waiting), f.clicks, f.corrections,
+        )
+        for who, f in found.people.items()
+    ]  # fmt: skip
+    head = "".join(f"<th>{escape(c)}</th>" for c in words.COLUMNS)
+    body = "".join(
+        "<tr>" + "".join(f"<td>{escape(str(cell))}</td>" for cell in row) + "</tr>" for row in rows
+    )
+    return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+
+
+def recent_html(found: Overview, now: float) -> str:
+    """Buttons that open the objects that were worked on last."""
+    if not found.recent:
+        return f"<p>{words.NOTHING}</p>"
+    rows = []
+    for each in found.recent:
+        about = " · ".join((common.STATES[each.state], each.who, words.ago(now - each.at)))  # type: ignore[index]
+        content = f"<b>{escape(each.name)}</b><small>{escape(about)}</small>"
+        rows.append(
+            f'<li data-state="{each.state}">'
+            + button("project_object", str(each.id), f"{each.name}: {about}", content=content)
+            + "</li>"
+        )
+    return f"<ul>{''.join(rows)}</ul>"
