@@ -14,10 +14,13 @@ from sessions.credentials import Credentials
 from sessions.database import Database
 from sessions.review import ROLES, NotPermittedError, Role
 from sessions.webhooks import Webhooks, enqueue
-from sessions.work import Work, check_owner, renew_lease
+from sessions.work import Work, check_owner, end_lease, renew_lease
 
 JOB_RESULTS = (RecordSegmentation, Saved, Placed)
 """Commands that only a job gives; the server lets nobody send them."""
+
+HANDING_OVER = ("submit", "accept", "reject")
+"""Stored names of the commands after which it is somebody else's turn."""
 
 
 class People:
@@ -67,13 +70,17 @@ class People:
         return role
 
     def decided(self, connection: Connection, line: dict[str, Any]) -> None:
-        """Renew the author's lease and tell webhooks, in the transaction of the command."""
+        """Renew or end the author's lease and tell webhooks, in the command's transaction."""
         enqueue(connection, line)
         if line["who"] in PROGRAMS:
             return
         mine = select(accounts.c.id).where(accounts.c.key == name_key(line["who"]))
         account_id = connection.execute(mine.where(accounts.c.status == "active")).scalar()
-        if account_id is not None:
+        if account_id is None:
+            return
+        if line["kind"] in HANDING_OVER:
+            end_lease(connection, line["object_id"], account_id)
+        else:
             renew_lease(connection, line["object_id"], account_id)
 
 

@@ -165,6 +165,12 @@ def renew_lease(connection: Connection, object_id: int, account_id: int) -> None
         _put(connection, object_id, account_id, until=until, lease=now(LEASE_SECONDS))
 
 
+def end_lease(connection: Connection, object_id: int, account_id: int) -> None:
+    """Let others take an object that a person may still have open."""
+    mine = (presence.c.object_id == object_id) & (presence.c.account_id == account_id)
+    connection.execute(update(presence).where(mine).values(lease=""))
+
+
 def check_owner(connection: Connection, object_id: int, account: Account) -> None:
     """Refuse to let a person annotate what is another's.
 

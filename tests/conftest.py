@@ -36,6 +36,8 @@ SLOW = (
     "tests/model/validation/",
     "tests/app/test_opened_urdf.py",
     "tests/legacy/",
+    "tests/app/test_api.py",
+    "tests/app/test_attacks.py",
     "tests/app/test_backend.py",
     "tests/app/test_backend_away.py",
     "tests/app/test_bench_faults.py",

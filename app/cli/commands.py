@@ -36,6 +36,7 @@ from app.cli.research_commands import (
     TrainCommand,
 )
 from app.cli.team_commands import ReleaseCommand, RepeatCommand, StatsCommand
+from app.cli.user_commands import AuditCommand, UserCommand
 from app.server.config import TOKEN_VARIABLE
 from app.server.ending import EndSignals
 from model.core.registry import at_place
@@ -423,6 +424,8 @@ COMMANDS: dict[str, type[Command]] = {
     "stats": StatsCommand,
     "repeat": RepeatCommand,
     "release": ReleaseCommand,
+    "user": UserCommand,
+    "audit": AuditCommand,
     "doctor": DoctorCommand,
 }
 """Name → subcommand, in the order of the help page."""

@@ -15,6 +15,7 @@ from app.server.leftovers import WorkspaceLease
 from app.server.object_queue import ObjectQueue
 from app.server.open_object import OpenObject
 from app.server.pending_acceptances import PendingAcceptances
+from app.server.presence import PresenceBoard
 from app.server.review_order import ReviewOrder
 from app.server.scene_member import SceneMember
 from app.server.scene_workspace import SceneWorkspace
@@ -37,6 +38,7 @@ class AppState:
         scene: the open scene; None where single objects are open.
         gallery: what the page shows of the queue.
         bulk: work on many objects.
+        presence: who has which object open.
     """
 
     def __init__(self, config: ServeConfig, store: Store, paths: list[Path]) -> None:
@@ -64,6 +66,7 @@ class AppState:
         self._closed = threading.Event()
         self.gallery = Gallery(self._services, self.review_order.confidence, self.shown_state)
         self.bulk = BulkWork(self._services, self.object)
+        self.presence = PresenceBoard(store.people.work)
         threading.Thread(target=self._sync_loop, name="sync", daemon=True).start()
 
     @property
@@ -172,6 +175,7 @@ class AppState:
         self.hub.sync(last)
         self.acceptances.sync()
         self.queue.sync(last)
+        self.presence.sync([obj for obj in list(self._open.values()) if obj.is_shown])
 
     def _sync_loop(self) -> None:
         while not self._closed.wait(SYNC_SECONDS):

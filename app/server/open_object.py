@@ -34,6 +34,7 @@ from sessions.review import transition
 from sessions.state import SessionState
 from sessions.statistics import SOURCE
 from sessions.store import ObjectRecord, PendingAcceptance
+from sessions.work import Presence
 
 INTERRUPTED = "Its server ended, or another one still works on it. Press Y to accept it"
 
@@ -43,6 +44,9 @@ class OpenObject(ObjectContext):
 
     Args:
         in_scene: the object's place in the open scene, if it has one.
+
+    Attributes:
+        present: the people with accounts who have it open, in any server.
     """
 
     def __init__(
@@ -53,6 +57,7 @@ class OpenObject(ObjectContext):
     ) -> None:
         super().__init__(record, services)
         self._in_scene = in_scene
+        self.present: tuple[Presence, ...] = ()
         self.problem: str | None = None
         self._worker_died = self._reading_stopped = self._warm = False
         self.backend_away = False

@@ -45,8 +45,8 @@ class ReviewOrder:
     ) -> int | None:
         """Return the id of the next object, or None where all others are decided.
 
-        First those on hold, then the least confident predicted one, then the next unfinished one
-        after ``current``.
+        First those on hold, then the least confident one that was submitted, then the least
+        confident predicted one, then the next unfinished one after ``current``.
 
         Args:
             records: the queue.
@@ -64,9 +64,10 @@ class ReviewOrder:
             for record in some:
                 if record.id in again:
                     return record.id
-            predicted = [r for r in some if r.state == "predicted"]
-            if predicted:
-                return min(predicted, key=self.confidence).id
+            for state in ("submitted", "predicted"):
+                waiting = [r for r in some if r.state == state]
+                if waiting:
+                    return min(waiting, key=self.confidence).id
             for record in some:
                 if record.state in ("todo", "in_progress"):
                     return record.id

@@ -85,6 +85,7 @@ class Navigation:
     def close(self) -> None:
         """End what belongs to the tab."""
         self._unwatch()
+        self._app_state.presence.leave(self._tab)
 
     def start(self, wanted: str) -> None:
         """Open the object of that id, else the first one that isn't done."""
@@ -106,6 +107,7 @@ class Navigation:
         obj = self._app_state.object(object_id)
         tab.selection.open(obj)
         self._unwatch = obj.watch(tab.invalidate, tab.notify)
+        self._app_state.presence.enter(tab, object_id, tab.account)
         tab.selection.set_step("Joints" if obj.document.tree is not None else "Annotate")
         self._opened(obj)
         self._remember()
@@ -115,6 +117,7 @@ class Navigation:
     def close_object(self) -> None:
         """Show no object."""
         self._leave(self._tab.selection.object)
+        self._app_state.presence.leave(self._tab)
         self._tab.selection.open(None)
 
     def _leave(self, obj: OpenObject | None) -> None:
@@ -195,6 +198,13 @@ class Navigation:
             for r in app_state.queue.records()
             if r.id == current.id or not app_state.is_accepting(r.id)
         ]
+        account = self._tab.account
+        if account is not None and account.role == "annotator":
+            others = [r for r in waiting if r.id != current.id]
+            given = app_state.store.people.work.next(account, others)
+            if given is not None:
+                self.open(given)
+            return
         again = {r.id for r in waiting if app_state.on_hold(r) or app_state.was_interrupted(r)}
         following = app_state.review_order.next(waiting, current.id, self._skipped, again)
         if following is None:

@@ -157,6 +157,11 @@ class Tab:
         self._threads = TabThreads(f"tab-{client.client_id}", self.notify)
         self._notes = Notes(client)
 
+    @property
+    def submits(self) -> bool:
+        """Whether the user hands objects in, and others decide about them."""
+        return self.account is not None and self.account.role == "annotator"
+
     def start(self, draw: Callable[[], None]) -> None:
         """Begin to carry out actions and to draw."""
         self._threads.start(draw)

@@ -4,16 +4,24 @@ from __future__ import annotations
 
 import http.client
 import json
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+
+import msgspec
+import viser
+import zstandard
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect
 
 from app.cli.serve import start_server
 from app.client import Client
 from app.server.config import ServeConfig
 from app.server.server import Server
 from sessions.store import Store
+from tests.builders import wait_until
 from tests.sessions.people import PASSWORD, add_people
 
 
@@ -76,3 +84,81 @@ def token_client(server: Server, name: str, *scopes: str) -> Client:
     people = server.app_state.store.people
     secret = people.credentials.make_token(people.accounts.find(name), "test", scopes)
     return Client(f"http://127.0.0.1:{server.viser.get_port()}", secret)
+
+
+class WebTab:
+    """The messages of a browser tab without a browser.
+
+    Args:
+        memory: what the browser claims to remember of the tab, its user's name first.
+    """
+
+    def __init__(self, browser: Browser, memory: str = "") -> None:
+        self.memory, self.closed = memory, threading.Event()
+        self.widgets: dict[str, tuple[str, Any]] = {}
+        self._socket = connect(
+            f"ws://127.0.0.1:{browser.port}/",
+            additional_headers={"Cookie": browser.cookie} if browser.cookie else {},
+            subprotocols=[f"viser-v{viser.__version__}"],  # type: ignore[list-item]
+            max_size=None,
+            proxy=None,
+        )
+        threading.Thread(target=self._read, daemon=True).start()
+        # viser knows a client from its first camera message on.
+        self.send(
+            "ViewerCameraMessage", wxyz=(1.0, 0.0, 0.0, 0.0), position=(0.0, 0.0, 1.0), fov=1.0,
+            near=0.1, far=10.0, image_height=10, image_width=10, look_at=(0.0, 0.0, 0.0),
+            up_direction=(0.0, 0.0, 1.0),
+        )  # fmt: skip
+
+    def send(self, kind: str, **fields: Any) -> None:
+        """Send one message."""
+        self._socket.send(msgspec.msgpack.encode({"type": kind, **fields}))
+
+    def press(self, label: str, value: Any = True) -> None:
+        """Send what a browser sends at a click, shown or not."""
+        uuid = wait_until(lambda: self._find(label), f"a widget {label}", 60)
+        self.send("GuiUpdateMessage", uuid=uuid, updates={"value": value})
+
+    def texts(self) -> list[str]:
+        """Return the present labels and contents of all widgets."""
+        return [text for text, _ in list(self.widgets.values())]
+
+    def close(self) -> None:
+        """Close the tab."""
+        self._socket.close()
+
+    def _find(self, label: str) -> str | None:
+        return next((u for u, (text, _) in list(self.widgets.items()) if text == label), None)
+
+    def _read(self) -> None:
+        try:
+            for data in self._socket:
+                assert isinstance(data, bytes)
+                packed = int.from_bytes(data[8:16], "little")
+                inner = zstandard.ZstdDecompressor().decompress(data[16 : 16 + packed])
+                for message in msgspec.msgpack.decode(inner)["messages"]:
+                    self._heard(message)
+        except ConnectionClosed:
+            pass
+        finally:
+            self.closed.set()
+
+    def _heard(self, message: dict[str, Any]) -> None:
+        if message["type"] == "LocalStorageGetItemRequestMessage":
+            self.send(
+                "LocalStorageGetItemResponseMessage", value=self.memory, error=None,
+                request_uuid=message["request_uuid"],
+            )  # fmt: skip
+        elif "props" in message and "uuid" in message:
+            props = message["props"]
+            note = f"{props['title']}: {props['body']}" if "title" in props else ""
+            text = (
+                note or props.get("label") or props.get("_markdown") or props.get("content") or ""
+            )
+            self.widgets[message["uuid"]] = (text, props)
+        elif message["type"] == "GuiUpdateMessage" and message["uuid"] in self.widgets:
+            text, props = self.widgets[message["uuid"]]
+            new = message["updates"]
+            text = new.get("label") or new.get("_markdown") or new.get("content") or text
+            self.widgets[message["uuid"]] = (text, props | new)

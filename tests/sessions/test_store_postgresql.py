@@ -16,7 +16,9 @@ import pytest
 from model.core.errors import CommandError, StoreError
 from model.segmentation.prompts import Click
 from sessions.commands import AddClick, SetCategory, Undo
+from sessions.live import LiveSession
 from sessions.store import ConflictError, Store
+from tests.sessions.people import add_people
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -141,3 +143,31 @@ def test_a_server_that_is_not_there_is_named_without_its_password(tmp_path):
     with pytest.raises(StoreError, match=r"127\.0\.0\.1") as error:
         Store(tmp_path, url)
     assert "secret" not in str(error.value)
+
+
+def test_accounts_work_and_audit(url, tmp_path):
+    from sqlalchemy import create_engine, exc, text
+
+    store = Store(tmp_path, url)
+    add_people(store)
+    people = store.people
+    ann, bob = people.accounts.find("ann"), people.accounts.find("bob")
+    paths = [Path(f"/scans/{name}.ply") for name in ("oven", "safe")]
+    first, second = [r.id for r in store.open_objects((p, None, p.stem) for p in paths)]
+    assert people.work.next(ann, store.objects()) == first
+    assert people.work.next(bob, store.objects()) == second
+    with pytest.raises(CommandError, match="ann works"):
+        LiveSession(store, first).do(click(1), "bob")
+    assert LiveSession(store, first).do(click(1), "ann").seq == 1
+    secret = people.credentials.begin_session(ann)
+    assert people.credentials.session(secret) is not None
+    people.accounts.disable("ann", "mia")
+    assert people.credentials.session(secret) is None
+    assert people.audit.events(count=1)[0].kind == "disabled"
+    store.close()
+    engine = create_engine(url)
+    for statement in ("UPDATE audit SET who='eve'", "DELETE FROM audit", "TRUNCATE audit",
+                      "DELETE FROM commands"):  # fmt: skip
+        with pytest.raises(exc.DBAPIError, match="append"), engine.begin() as connection:
+            connection.execute(text(statement))
+    engine.dispose()

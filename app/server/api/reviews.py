@@ -64,10 +64,7 @@ def checks(object_id: int, person: Reader, state: State) -> dict[str, Any]:
 def submit(object_id: int, body: CommentBody, person: Annotator, state: State) -> dict[str, Any]:
     """Hand an object in for review."""
     obj = opened(state, object_id)
-    after = obj.live.do(Submit(body.comment), person.name, role=person.role)
-    if person.account is not None:
-        state.store.people.work.leave(object_id, person.account)
-    return document_json(after)
+    return document_json(obj.live.do(Submit(body.comment), person.name, role=person.role))
 
 
 @router.post("/objects/{object_id}/accept")

@@ -68,6 +68,12 @@ class ObjectHeader:
             reason = plain((review.reason or "").replace("_", " "))
             comment = plain(review.comment, 300)
             lines.append(words.rejected_by(plain(review.by), reason, comment))
+        others = [p for p in obj.present if p.name != self._tab.user]
+        if others:
+            names = [
+                words.works_on_it(plain(p.name)) if p.leased else plain(p.name) for p in others
+            ]
+            lines.append(words.also_here(", ".join(names)))
         if obj.problem:
             lines.append(words.warning(plain(obj.problem, 400)))
         if doc.prediction_stale:

@@ -24,12 +24,12 @@ from app.viewer.picture.motion import Motion
 from app.viewer.tab import Tab
 from app.viewer.text import plain
 from app.viewer.words import review as words
-from app.viewer.words.common import EDITED, STATES
+from app.viewer.words.common import EDITED, NONE, STATES
 from app.viewer.words.export import EXPORT, EXPORT_HINT
 from model.core.errors import CommandError
 from model.validation.report import Severity, ValidationReport
 from sessions import commands as cmd
-from sessions.document import Document
+from sessions.document import Document, review_problems
 from sessions.review import RejectReason
 from sessions.store import ObjectRecord
 
@@ -83,6 +83,8 @@ class ReviewStep:
         self.validation_list.build_list()
         self._summary = gui.add_markdown("")
         self._comment = gui.add_text(words.COMMENT, "", multiline=True)
+        self._about = gui.add_dropdown(words.ABOUT, (NONE,), visible=not tab.submits)
+        self._about_joints: dict[str, str] = {}
         self._auto_advance = gui.add_checkbox(
             words.AUTO_ADVANCE, True, hint=words.AUTO_ADVANCE_HINT
         )
@@ -117,6 +119,9 @@ class ReviewStep:
         selection.set_step("Review")  # where a reason is asked for, and the next object follows
         now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
         obj = selection.need_object()
+        if tab.submits:
+            self._submit(obj)
+            return
         if obj.document.review.state == "accepted":
             tab.notify(*words.ALREADY_ACCEPTED, "gray")
             return
@@ -132,6 +137,18 @@ class ReviewStep:
                 )  # fmt: skip
         except UnseenWarningsError as error:
             self._refused(obj, error)
+
+    def _submit(self, obj: OpenObject) -> None:
+        """Hand the object in for review."""
+        tab = self._tab
+        problems = review_problems(obj.document)
+        if problems:
+            raise CommandError("; ".join(problems))
+        with self._deciding():
+            tab.do(cmd.Submit(self.comment_text))
+        self._clear()
+        name = self._actions.name_of(obj.record)
+        tab.notify(words.SUBMITTED, words.to_reviewer(name), "green", elsewhere=True)
 
     def _refused(self, obj: OpenObject, error: CommandError) -> None:
         """Say why an acceptance was refused, and show the worst finding."""
@@ -159,7 +176,8 @@ class ReviewStep:
         tab = self._tab
         name = self._actions.name_of(tab.selection.need_object().record)
         with self._deciding():
-            tab.do(cmd.Reject(reason, self.comment_text))
+            joint = self._about_joints.get(self._about.value, "")
+            tab.do(cmd.Reject(reason, self.comment_text, joint=joint))
         self._clear()
         # The next object is shown by now.
         tab.notify(words.REJECTED, words.sent_back(name), "orange")
@@ -206,7 +224,7 @@ class ReviewStep:
         """Bring the panel up to date."""
         doc = obj.document
         self.validation_list.draw(obj, doc)
-        self._reject.draw(True)
+        self._reject.draw(not self._tab.submits)
         report = obj.validation.report
         now = (
             obj.record.id,
@@ -237,7 +255,15 @@ class ReviewStep:
         )
         put(self._summary, "content", (f"{pending}\n\n" if pending else "") + summary(doc))
         self._draw_buttons(obj, doc, report)
-        self._advance(obj, decided=doc.review.state in DECIDED, saving=saving)
+        self._draw_about(doc)
+        decided = ("submitted",) if self._tab.submits else DECIDED
+        self._advance(obj, decided=doc.review.state in decided, saving=saving)
+
+    def _draw_about(self, doc: Document) -> None:
+        """Offer the joints that a comment can be about."""
+        joints = () if doc.tree is None else doc.tree.joints
+        self._about_joints = {joint_title(doc, j.child): j.child for j in joints}
+        put(self._about, "options", (NONE, *self._about_joints))
 
     def _draw_buttons(
         self, obj: OpenObject, doc: Document, report: ValidationReport | None
@@ -252,7 +278,8 @@ class ReviewStep:
         warned = (
             report is not None and self.validation_list.looked_at(obj) is report and not decided
         )
-        put(self._accept, "label", words.accept(bool(doc.edited_joints), warned, broken))
+        label = words.accept(bool(doc.edited_joints), warned, broken)
+        put(self._accept, "label", words.SUBMIT if self._tab.submits else label)
         put(self._accept, "color", "yellow" if broken else "green")
         put(self._accept, "disabled", doc.tree is None or "save" in obj.busy)
         put(self._accept, "visible", doc.review.state != "accepted")
@@ -284,6 +311,11 @@ def summary(doc: Document) -> str:
         lines.append(words.reason(plain(review.reason.replace("_", " "))))
     if review.comment:
         lines.append(words.comment(plain(review.comment, 500)))
+    if review.joint:
+        lines.append(words.about_joint(plain(joint_title(doc, review.joint))))
+    if review.place is not None:
+        place = ", ".join(f"{value:.3f}" for value in review.place)
+        lines.append(words.about_place(f"({place})"))
     if review.override:
         lines.append(words.override(plain(review.override, 500)))
     if doc.tree is None:

@@ -26,6 +26,8 @@ USER_NAME: Final = "Your name"
 USER_NAME_HINT: Final = "Recorded with your decisions"
 
 account = Message("{name} · {role} · [account](/login)")
+also_here = Message("Also here: {names}")
+works_on_it = Message("{name} (works on it)")
 
 STATES: Final[dict[str, str]] = {
     "todo": "to do",

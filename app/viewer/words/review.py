@@ -36,6 +36,14 @@ REJECTED: Final = "Rejected"
 ASSET_MISSING: Final = "the asset isn't on this server's disk: accept again"
 
 
+SUBMIT: Final = "Submit (Y)"
+SUBMITTED: Final = "Submitted"
+ABOUT: Final = "The comment is about"
+to_reviewer = Message("{name}: waits for a reviewer")
+about_joint = Message("About the joint of {part}")
+about_place = Message("About the place {place} m")
+
+
 def accept(edited: bool, warned: bool, errors: bool) -> str:
     """The button that accepts.
 
