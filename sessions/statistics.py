@@ -186,13 +186,20 @@ def _step(kind: str, before: str) -> str:
 
 
 def _timed(acts: Iterable[Act], answers: Sequence[tuple[float, int]], jobs: _Jobs) -> Iterable[Act]:
-    """The acts of one person with their times."""
+    """The acts of one person with their times.
+
+    Args:
+        answers: (moment, object) of answers that came later than they were asked for.
+    """
+    answers = sorted(answers)
     before, object = -math.inf, -1
     for act in sorted(acts, key=lambda a: (a.at, a.object)):
         if act.bulk:
             yield act
             continue
-        between = [at for at, of in answers if before < at < act.at and of == object]
+        first = bisect.bisect_right(answers, (before, math.inf))
+        last = bisect.bisect_left(answers, (act.at, -math.inf))
+        between = [at for at, of in answers[first:last] if of == object]
         if act.object != object:
             between += jobs.opened(act.object, before, act.at)
         moments = [before, *sorted(between), act.at]
@@ -306,6 +313,14 @@ def _key(log: WorkLog, by: str) -> Callable[[Act], str]:
     if by == "category":
         return lambda act: (log.objects[act.object].category or "none").lower()
     return lambda act: f"{log.objects[act.object].name} ({act.object})"
+
+
+def duration(seconds: float) -> str:
+    """A time for people: hours and minutes, minutes and seconds, or seconds."""
+    whole = round(seconds)
+    if whole >= 3600:
+        return f"{whole // 3600} h {whole % 3600 // 60:02} min"
+    return f"{whole // 60}:{whole % 60:02} min" if whole >= 60 else f"{seconds:.3g} s"
 
 
 def rows_of(

@@ -15,7 +15,7 @@ from model.evaluation.agreement import FIGURES
 from sessions.agreements import Pair, Waiting, pairs_of, summaries
 from sessions.command_log import open_database, read_work
 from sessions.quality import daily_sample, plant, seconds_in
-from sessions.statistics import acts_of, csv_text, day_of, grouped, rows_of
+from sessions.statistics import acts_of, csv_text, day_of, duration, grouped, rows_of
 from sessions.store import Store
 
 _COLUMNS = {
@@ -147,7 +147,6 @@ def _print(rows: list[dict[str, Any]], by: str) -> None:
 def _text(name: str, value: Any) -> str:
     if value is None:
         return "–"
-    if name not in _TIMES:
-        return f"{value:.2f}" if isinstance(value, float) else str(value)
-    minutes, seconds = divmod(round(value), 60)
-    return f"{minutes}:{seconds:02} min" if minutes else f"{value:.1f} s"
+    if name in _TIMES:
+        return duration(value)
+    return f"{value:.2f}" if isinstance(value, float) else str(value)

@@ -37,7 +37,7 @@ def test_rows_by_person_cost_and_csv(workspace: Path, tmp_path: Path) -> None:
     late = artiworld("stats", workspace, "--since", "2026-03-03", "--by", "day", "--json")
     assert [row["day"] for row in json.loads(late.stdout)] == ["2026-03-03"]
     shown = artiworld("stats", workspace, "--by", "step").stdout
-    assert "Annotate" in shown and "10.0 s" in shown
+    assert "Annotate" in shown and "10 s" in shown
 
 
 def test_what_is_no_workspace_or_no_day(workspace: Path, tmp_path: Path) -> None:

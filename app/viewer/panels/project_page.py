@@ -22,7 +22,7 @@ from app.viewer.words import project as words
 from app.viewer.words.queue import STATE_ORDER
 from sessions.project import Overview
 from sessions.review import ROLES
-from sessions.statistics import csv_text
+from sessions.statistics import csv_text, duration
 
 _SECONDS = 60.0
 """Longest reading of the log."""
@@ -181,7 +181,7 @@ def today_html(found: Overview) -> str:
         (
             who, f.objects, f.accepted,
             "–" if math.isnan(f.per_hour) or not f.accepted else f"{f.per_hour:.1f}",
-            words.duration(f.active), words.duration(f.waiting), f.clicks, f.corrections,
+            duration(f.active), duration(f.waiting), f.clicks, f.corrections,
         )
         for who, f in found.people.items()
     ]  # fmt: skip

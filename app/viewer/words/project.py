@@ -27,14 +27,6 @@ ACTIVE_HINT: Final = "Times between actions; pauses of more than 30 s left out. 
 accepted_of = Message("{accepted} of {total} accepted ({share} %)")
 
 
-def duration(seconds: float) -> str:
-    """A time as hours and minutes, or minutes and seconds."""
-    whole = round(seconds)
-    if whole >= 3600:
-        return f"{whole // 3600} h {whole % 3600 // 60:02} min"
-    return f"{whole // 60}:{whole % 60:02} min" if whole >= 60 else f"{whole} s"
-
-
 def ago(seconds: float) -> str:
     """How long ago something was."""
     if seconds < 60:
