@@ -13,14 +13,18 @@
     const made = document.createElement(PLACES[place]);
     made.id = `artiworld-${place}`;
     if (LABELS[place]) made.setAttribute("aria-label", LABELS[place]);
-    if (place === "tools") made.setAttribute("role", "toolbar");
+    if (place === "tools") {
+      made.setAttribute("role", "toolbar");
+      made.classList.toggle("aw-folded", wasFolded());
+    }
     if (place === "progress") made.setAttribute("role", "status");
     document.body.append(made);
     return (nodes[place] = made);
   };
 
   // They lie over the picture, whose place changes with the panels beside it.
-  let before = "";
+  const NARROW = 420;
+  let before = "", stepped = false;
   const follow = () => {
     const canvas = window.__viserMutable?.canvas;
     const box = canvas && canvas.getBoundingClientRect();
@@ -30,6 +34,14 @@
     before = now;
     document.documentElement.style.setProperty("--aw-left", `${box.left}px`);
     document.documentElement.style.setProperty("--aw-width", `${box.width}px`);
+    document.documentElement.classList.toggle("aw-narrow", box.width < NARROW);
+    // The queue comes back with its own button; on a small screen the picture comes first.
+    const fold = !stepped && box.width < NARROW &&
+      document.querySelector("[aria-label]:has(> .tabler-icon-chevrons-left)");
+    if (fold) {
+      stepped = true;
+      fold.click();
+    }
   };
   setInterval(follow, 150);
 
@@ -37,6 +49,34 @@
     const pressed = event.target instanceof Element && event.target.closest("[data-press]");
     if (pressed && !pressed.disabled) send(pressed.dataset.press, pressed.value ?? "");
   });
+
+  // The rail can be folded to its first icons; the browser remembers it.
+  const KEY = "artiworld-rail";
+  const foldable = (at) => {
+    const button = document.createElement("button");
+    button.type = "button";
+    button.className = "aw-button aw-fold";
+    button.innerHTML = '<svg aria-hidden="true" viewBox="0 0 24 24" fill="none" ' +
+      'stroke="currentColor"><path d="M6 15l6-6 6 6"/></svg>';
+    const say = () => {
+      const folded = at.classList.contains("aw-folded");
+      button.title = folded ? "Show all tools" : "Fold the tools";
+      button.setAttribute("aria-label", button.title);
+      button.setAttribute("aria-expanded", String(!folded));
+    };
+    button.addEventListener("click", () => {
+      at.classList.toggle("aw-folded");
+      try {
+        localStorage.setItem(KEY, at.classList.contains("aw-folded") ? "folded" : "");
+      } catch { /* Without a memory it is as it was the next time. */ }
+      say();
+    });
+    say();
+    at.append(button);
+  };
+  const wasFolded = () => {
+    try { return localStorage.getItem(KEY) === "folded"; } catch { return false; }
+  };
 
   const dark = window.matchMedia("(prefers-color-scheme: dark)");
   const theme = () => send("theme", dark.matches ? "dark" : "light");
@@ -52,6 +92,7 @@
       const key = held && `[data-press="${held.dataset.press}"][value="${CSS.escape(held.value)}"]`;
       at.innerHTML = html;
       at.classList.toggle("shown", html !== "");
+      if (place === "tools" && html) foldable(at);
       if (key) at.querySelector(key)?.focus();
       follow();
     },

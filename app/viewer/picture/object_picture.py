@@ -39,6 +39,8 @@ _VIEWS: Final[dict[View, tuple[float, float]]] = {
     "front": (0.0, 0.0), "side": (1e3, 0.0), "top": (0.0, 1e2),
 }  # fmt: skip
 """How far aside and above the front."""
+_OTHER_SHAPE = 0.02
+"""Of the aspect: a larger change, as where panels open, asks for another distance."""
 
 
 class ObjectPicture:
@@ -67,6 +69,7 @@ class ObjectPicture:
         self.scan: Any = None
         self.overlay: LabelOverlay | None = None
         self._frame = np.eye(4)
+        self._framed_at: tuple[npt.NDArray[np.float64], float, View | None] | None = None
         self._prompts: dict[int, tuple[Click, Any]] = {}
         self._moving = False
         self.parts = MovingParts(self._client)
@@ -175,10 +178,22 @@ class ObjectPicture:
         center = (asset_from_shown @ [*bounds.mean(0), 1.0])[:3]
         distance = 1.08 * fitting_distance(camera, float(np.linalg.norm(np.ptp(bounds, axis=0))))
         turn = asset_from_shown[:3, :3]
-        aim(
-            self._client, center + distance * (turn @ direction), center, least_near=1e-4,
-            up=tuple(turn[:, 2].tolist()),
-        )  # fmt: skip
+        position = center + distance * (turn @ direction)
+        aim(self._client, position, center, least_near=1e-4, up=tuple(turn[:, 2].tolist()))
+        self._framed_at = position, float(camera.aspect or 0.0), view
+
+    def refit(self) -> None:
+        """Aim again where the picture got another shape and nobody has moved the camera since."""
+        if self._framed_at is None:
+            return
+        (position, aspect, view), camera = self._framed_at, self._client.camera
+        near = 1e-3 * float(np.linalg.norm(position - camera.look_at))
+        if abs(camera.aspect - aspect) < _OTHER_SHAPE * aspect:
+            return
+        if np.linalg.norm(position - camera.position) < near:
+            self.frame_camera(view)
+        else:
+            self._framed_at = None
 
     # --- labels and parts
 
