@@ -11,7 +11,17 @@ from fastapi.exceptions import RequestValidationError
 from fastapi.responses import HTMLResponse, JSONResponse, Response
 from starlette.types import ASGIApp
 
-from app.server.api import assets, entry, objects, people, reviews, sessions, webhooks, work
+from app.server.api import (
+    assets,
+    entry,
+    objects,
+    people,
+    reviews,
+    sessions,
+    statistics,
+    webhooks,
+    work,
+)
 from app.server.api.guard import ApiGuard, Reader
 from app.server.app_state import AppState
 from app.server.entrance import Entrance, TooManyAttempts
@@ -55,7 +65,8 @@ def make_application(app_state: AppState, entrance: Entrance, origins: Origins) 
         openapi_url=None,
     )
     app.state.app_state, app.state.entrance, app.state.origins = app_state, entrance, origins
-    for part in (entry, objects, sessions, reviews, work, assets, people, webhooks):
+    parts = (entry, objects, sessions, reviews, work, assets, statistics, people, webhooks)
+    for part in parts:
         app.include_router(part.router, prefix=API)
     app.add_api_route(f"{API}/openapi.json", _description, include_in_schema=False)
     app.add_api_route(f"{API}/docs", _page, include_in_schema=False)
