@@ -97,10 +97,6 @@ class Credentials:
             row = connection.execute(wanted).one_or_none()
         return None if row is None else _person(row, SCOPES, secret)
 
-    def living(self, secrets: Iterable[str]) -> set[str]:
-        """Return those of the browser sessions that haven't ended."""
-        return {secret for secret in set(secrets) if self.session(secret) is not None}
-
     def end_session(self, secret: str, address: str = "") -> None:
         """Log out."""
         person = self.session(secret)

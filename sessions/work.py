@@ -16,7 +16,7 @@ from sqlalchemy import Connection, delete, func, insert, select, update
 
 from model.core.errors import ConfigurationError
 from sessions.account_tables import accounts, assignments, presence
-from sessions.accounts import PROGRAMS, Account
+from sessions.accounts import COMMAND_LINE, PROGRAMS, Account
 from sessions.audit import record
 from sessions.database import Database, objects
 from sessions.records import ObjectRecord, now
@@ -59,13 +59,15 @@ class Work:
             object id → name.
 
         Raises:
-            ConfigurationError: where an account is disabled.
+            ConfigurationError: where an account is disabled, or there is no such object.
+            NotPermittedError: where ``by`` is no manager now.
         """
         for account in to:
             if account.status == "disabled":
                 raise ConfigurationError(f"the account {account.name} is disabled")
         given = dict(zip(object_ids, cycle(to), strict=False)) if to else {}
         with self._database.writing() as connection:
+            _check_manager(connection, by)
             known = set(connection.execute(select(objects.c.id)).scalars())
             unknown = [i for i in object_ids if i not in known]
             if unknown:
@@ -188,6 +190,12 @@ def check_owner(connection: Connection, object_id: int, account: Account) -> Non
     owner = connection.execute(wanted).one_or_none()
     if owner is not None and owner.id != account.id:
         raise NotPermittedError(f"this object is assigned to {owner.name}")
+
+
+def _check_manager(connection: Connection, by: str) -> None:
+    role = select(accounts.c.role).where(accounts.c.name == by, accounts.c.status == "active")
+    if by != COMMAND_LINE and connection.execute(role).scalar() != "manager":
+        raise NotPermittedError("only a manager may assign objects")
 
 
 def _put(connection: Connection, object_id: int, account_id: int, **values: Any) -> None:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Sequence
 from typing import Any
 
 from app.server.login import Attempts, Login, cookie_name
@@ -115,11 +114,9 @@ class Entrance:
         """Drop whose browser tab it was; viser gives the connection that ended."""
         self.tabs.pop(left.client_id, None)
 
-    def living(self, secrets: Sequence[str]) -> set[str]:
-        """Return those of the browser sessions that haven't ended."""
-        if self._people is None:
-            return set(secrets)
-        return self._people.credentials.living(secrets)
+    def session(self, secret: str) -> Person | None:
+        """Return who has that browser session now; None where it ended."""
+        return None if self._people is None else self._people.credentials.session(secret)
 
     @staticmethod
     def sessions(cookies: list[str], port: int) -> list[str]:

@@ -263,7 +263,9 @@ class _Guard:
     def _has_ended(self, person: Person) -> bool:
         if person.session is None:  # it began before there were accounts
             return self.entrance.with_accounts
-        return not self.entrance.living([person.session])
+        now = self.entrance.session(person.session)
+        # With another role the page connects again, as who it is then.
+        return now is None or now.account != person.account
 
     def process(self, viser_page: Callable[..., Any]) -> Callable[..., Any]:
         async def process_request(

@@ -10,7 +10,7 @@ from websockets.http11 import Response
 
 _SCRIPTS = (
     "upload.js", "focus.js", "panels.js", "markup.js", "queue.js", "view.js", "tree.js",
-    "pointer.js",     "light.js",
+    "pointer.js", "light.js", "account.js",
 )  # fmt: skip
 _STYLES = ("style.css", "controls.css", "project.css")
 

@@ -173,6 +173,19 @@ def test_a_revoked_session_ends_an_open_tab(server: Server) -> None:
         WebTab(browser)
 
 
+def test_a_changed_role_ends_an_open_tab_which_comes_back_with_the_new_one(server: Server) -> None:
+    people, browser = server.app_state.store.people, Browser(server)
+    people.accounts.add("ivy", "manager", PASSWORD)
+    browser.log_in("ivy")
+    tab = WebTab(browser)
+    wait_until(lambda: any("ivy · manager" in t for t in tab.texts()), "the panel", 60)
+    people.accounts.set_role("ivy", "annotator", "mia")
+    assert tab.closed.wait(20)
+    again = WebTab(browser)
+    wait_until(lambda: any("ivy · annotator" in t for t in again.texts()), "the panel", 60)
+    again.close()
+
+
 def test_a_token_makes_no_token_and_no_password(server: Server) -> None:
     ann = token_client(server, "ann", "read", "annotate")
     assert refused(ann, "POST", "/tokens", {"label": "x", "scopes": ["read"]}) == 403

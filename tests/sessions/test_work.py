@@ -104,6 +104,9 @@ def test_assignment_by_hand_and_in_turn(store, people, objects):
     assert people.work.next(ann, store.objects()) == objects[2], "what is assigned comes first"
     with pytest.raises(ConfigurationError, match="no object 99"):
         people.work.assign([99], [ann], "mia")
+    for by in ("ann", "rob", "nobody"):
+        with pytest.raises(NotPermittedError, match="only a manager"):
+            people.work.assign(objects, [ann], by)
     people.accounts.disable("bob")
     with pytest.raises(ConfigurationError, match="disabled"):
         people.work.assign(objects, [account(people, "bob")], "mia")
