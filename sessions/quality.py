@@ -1,10 +1,10 @@
 """Second annotations of objects, unmarked in the queue, and a reviewer's daily sample.
 
-An object is annotated a second time as a second object of the workspace: the same file under
-another path, which looks like an upload. It shares neither clicks nor joints with the first. That
-it is one, and of what, stands only in the table ``meta``, which neither the screen nor the API
-reads. Where the first one's accepted asset is to be trusted as ground truth, the second is a
-honeypot, else a double annotation.
+An object is annotated a second time as a second object of the workspace: a link to the same file,
+where uploads lie, with the name that the next object of its series would have. It shares neither
+clicks nor joints with the first. That it is one, and of what, stands only in the table ``meta``,
+which neither the screen nor the API reads. Where the first one's accepted asset is to be trusted as
+ground truth, the second is a honeypot, else a double annotation.
 
 All choices follow from a seed and the objects' ids, by SHA-256. What was queued before counts, so
 running again adds only what new objects ask for.
@@ -15,7 +15,8 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Iterable, Sequence
+import re
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Literal
@@ -23,7 +24,8 @@ from typing import Final, Literal
 from sqlalchemy import insert, select
 
 from model.core.errors import StoreError
-from model.core.files import written_to
+from model.core.files import free_name, written_to
+from model.io.model_files import MODEL_SUFFIXES
 from sessions.database import Database, meta
 from sessions.records import ObjectRecord
 from sessions.statistics import Act, day_of
@@ -33,6 +35,8 @@ Kind = Literal["double", "honeypot"]
 _KEY = "second "
 """Stored key prefix, before the id of a second annotation."""
 UPLOADS: Final = "uploads"
+_WITH_OTHERS = (".obj", ".gltf", ".dae", ".usd", ".usda", ".usdc")
+"""Formats that refer to files beside them, besides those of whole models."""
 
 
 @dataclass(frozen=True)
@@ -110,19 +114,46 @@ def plant(
 
 
 def _plant(store: Store, database: Database, record: ObjectRecord, kind: Kind, seed: int) -> Second:
-    """Queue one object again. Its folder is linked, so that textures beside it are found."""
-    token = _rank(f"path {seed} {record.path}", record.id)[:16]
-    folder = store.workspace / UPLOADS / token
+    """Queue one object again."""
+    folder = store.workspace / UPLOADS / _rank(f"path {seed} {record.path}", record.id)[:16]
+    name = next_name(record.name, {r.name for r in store.objects()})
     with written_to(folder, "check space and permissions"):
-        folder.parent.mkdir(exist_ok=True)
-        if not folder.is_symlink():
-            os.symlink(record.path.parent, folder, target_is_directory=True)
-    copy = store.open_object(folder / record.path.name, record.sha256, record.name)
+        folder.mkdir(parents=True)
+        path = _link(record.path, folder, name)
+    copy = store.open_object(path, record.sha256, name)
     second = Second(copy.id, record.id, kind)
     value = json.dumps({"of": second.of, "kind": kind})
     with database.writing() as connection:
         connection.execute(insert(meta).values(key=f"{_KEY}{second.object}", value=value))
     return second
+
+
+def next_name(name: str, taken: Collection[str]) -> str:
+    """A name as the next object of a series has it: ``oven_12`` after ``oven_03`` and ``oven_11``,
+    ``chair_2`` after ``chair``."""
+    stem, digits = re.fullmatch(r"(.*?)(\d*)", name, re.DOTALL).groups()  # type: ignore[union-attr]
+    if not digits:
+        return free_name(name, taken)
+    series = re.compile(rf"{re.escape(stem)}(\d{{1,{len(digits) + 2}}})")
+    last = max(int(m[1]) for n in {*taken, name} if (m := series.fullmatch(n)))
+    return f"{stem}{last + 1:0{len(digits)}}"
+
+
+def _link(path: Path, folder: Path, name: str) -> Path:
+    """Link a source as ``folder``/``name`` where it is one file or a folder.
+
+    A file that refers to others keeps its name, and its folder is linked: readers follow nothing
+    that leads out of it.
+    """
+    if path.is_dir():
+        os.symlink(path, folder / name, target_is_directory=True)
+        return folder / name
+    if path.suffix.lower() in (*MODEL_SUFFIXES, *_WITH_OTHERS):
+        os.symlink(path.parent, folder / name, target_is_directory=True)
+        return folder / name / path.name
+    target = folder / f"{name}{path.suffix}"
+    os.symlink(path, target)
+    return target
 
 
 def daily_sample(

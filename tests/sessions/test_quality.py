@@ -7,15 +7,22 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import trimesh
+from PIL import Image
+from trimesh.visual import TextureVisuals
 
 from app.server.app_state import AppState
 from app.server.config import ServeConfig
 from app.server.server import queue_routes
 from model.core.errors import StoreError
+from model.io.assets.asset_folder import write_asset
+from model.io.assets.reader import load_object
+from model.io.find_assets import asset_name
+from model.io.open_asset import open_asset
 from sessions.agreements import pairs_of, summaries, week_of
 from sessions.command_log import open_database, read_work
 from sessions.database import Database
-from sessions.quality import choose, daily_sample, plant, seconds_in
+from sessions.quality import choose, daily_sample, next_name, plant, seconds_in
 from sessions.releases.contents import accepted_assets
 from sessions.statistics import acts_of
 from sessions.store import Store
@@ -76,8 +83,10 @@ def test_nothing_that_an_annotator_gets_says_that_it_is_a_second_one(
             assert word not in text
         for s in new:
             record, first = listed[s.object], workspace.object(s.of)
-            assert (record.name, record.state, record.seq) == (first.name, "todo", 0)
-            assert record.path.read_text() == "scan" and record.path != first.path
+            assert (record.state, record.seq) == ("todo", 0)
+            assert record.name in ("oven 10", "oven 11", "oven 12"), "the series goes on"
+            assert record.path.name == f"{record.name}.ply" and first.name not in str(record.path)
+            assert record.path.read_text() == "scan"
             folder = record.path.parent.name
             assert len(folder) == 16 and set(folder) <= set("0123456789abcdef"), "as an upload's"
     finally:
@@ -122,6 +131,43 @@ def test_the_commands_queue_measure_and_sample(workspace: Store) -> None:
     assert_users_mistake(artiworld("repeat", folder), "--double", "--honeypots")
     assert_users_mistake(artiworld("repeat", folder, "--double", "3"), "share from 0 to 1")
     assert_users_mistake(artiworld("repeat", folder / "x", "--double", "1"), "no workspace")
+
+
+@pytest.mark.parametrize(
+    ("name", "taken", "expected"),
+    [
+        ("oven_03", ["oven_03", "oven_11", "chair_40"], "oven_12"),
+        ("chair", ["chair", "chair_2"], "chair_3"),
+        ("7128", ["7128", "7201"], "7202"),
+        ("scan 9", ["scan 9"], "scan 10"),
+        ("a.b(1", ["a.b(1"], "a.b(2"),
+    ],
+)
+def test_a_name_goes_on_as_its_series_does(name: str, taken: list[str], expected: str) -> None:
+    assert next_name(name, taken) == expected
+
+
+def test_files_beside_the_source_are_found(store: Store, tmp_path: Path) -> None:
+    """An OBJ with a texture, a URDF with meshes, and a folder that is called as its object."""
+    mesh = trimesh.creation.box((0.4, 0.3, 0.2))
+    mesh.visual = TextureVisuals(
+        uv=mesh.vertices[:, :2], image=Image.new("RGB", (4, 4), (200, 30, 30))
+    )
+    (tmp_path / "obj").mkdir()
+    mesh.export(tmp_path / "obj" / "box.obj")
+    saved = write_asset(cupboard(), tmp_path / "cupboard", provenance={})
+    paths = [tmp_path / "obj" / "box.obj", saved.folder, tmp_path / "cupboard" / "object.urdf"]
+    for path in paths:
+        store.open_object(path, None, asset_name(path))
+    database = open_database(store.workspace)
+    new = plant(store, database, share=1.0)
+    database.close()
+    copies = {s.of: store.object(s.object) for s in new}
+    box, folder, urdf = (open_asset(copies[k].path) for k in (1, 2, 3))
+    assert box.mesh is not None and any(m.texture is not None for m in box.mesh.materials)
+    assert [j.type for j in load_object(copies[3].path).tree.joints] == ["revolute"]
+    assert folder.mesh is not None and urdf.mesh is not None
+    assert {copies[k].name for k in (1, 2, 3)} == {"box_2", "cupboard_2", "cupboard_3"}
 
 
 def test_a_daily_sample_is_the_same_all_day(workspace: Store) -> None:
