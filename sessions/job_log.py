@@ -21,10 +21,11 @@ FILE: Final = "jobs.jsonl"
 PICK: Final = "pick"
 AWAITED: Final = frozenset({"open", PICK, "segment", "predict", "tool", "room"})
 """Jobs that a person sees nothing before the end of."""
-SAVE: Final = "save"
+ACCEPT: Final = "accept"
+"""From the request to the acceptance, which a person needn't wait for."""
 BULK: Final = "bulk"
 """Work on many objects: commands of a person who isn't at it."""
-KINDS: Final = AWAITED | {SAVE, BULK}
+KINDS: Final = AWAITED | {ACCEPT, BULK}
 LEAST: Final = 0.05
 """Seconds; nobody notices a shorter job, and most clicks are."""
 

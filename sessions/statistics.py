@@ -27,7 +27,7 @@ from typing import Any, Final
 
 from sessions.accounts import PROGRAMS
 from sessions.command_log import LoggedCommand, WorkLog
-from sessions.job_log import AWAITED, BULK, PICK, SAVE, TimedJob
+from sessions.job_log import ACCEPT, AWAITED, BULK, PICK, TimedJob
 
 PAUSE: Final = 30.0
 """Seconds without an act after which a person counts as away: longer than looking at an object from
@@ -60,7 +60,7 @@ _JOINT_EDITS = frozenset({"set_joint", "set_composite", "set_root"})
 """Corrections where joints were predicted before."""
 _JOB_OF: Final[Mapping[str, str]] = {
     "record_prediction": "predict", "apply_tool": "tool", "leave_out": "room", "crop_out": "room",
-    "accept": SAVE, "add_click": PICK, "add_region": PICK,
+    "accept": ACCEPT, "add_click": PICK, "add_region": PICK,
 }  # fmt: skip
 """Command that holds a job's result → kind of the job."""
 BY: Final = ("person", "category", "predictor", "step", "object", "day")

@@ -6,6 +6,7 @@ that was accepted before.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -21,6 +22,7 @@ from model.io.assets.asset_folder import publish
 from model.validation.report import ValidationReport
 from sessions import commands as cmd
 from sessions.document import Document
+from sessions.job_log import ACCEPT
 from sessions.review import Role, transition
 from sessions.state import Context, apply, review_problems
 from sessions.store import PendingAcceptance
@@ -35,6 +37,7 @@ def accept(
     *,
     seen: ValidationReport | None = None,
     refused: Callable[[CommandError], None] | None = None,
+    asked: float | None = None,
 ) -> None:
     """Write the asset, read it back, and only then record the decision.
 
@@ -43,6 +46,7 @@ def accept(
         seen: the report whose warnings the person was shown.
         refused: gets what prevents the acceptance where that is found only later; where it is
             None, all tabs show it.
+        asked: when the person asked for it, seconds since 1970; None is now.
 
     Raises:
         CommandError: where something is missing, or there are errors and no reason.
@@ -51,6 +55,7 @@ def accept(
     if "save" in obj.jobs:
         obj.notify("Accepting", "It is being saved already", "gray")
         return
+    begun = time.time() if asked is None else asked
     state = obj.state
     doc = state.present
     # First: an annotator must neither write an asset nor leave a pending acceptance.
@@ -73,7 +78,7 @@ def accept(
             return
         try:
             _check_validated(obj)
-            accept(obj, comment, who, at, override, seen=seen, refused=refused)
+            accept(obj, comment, who, at, override, seen=seen, refused=refused, asked=begun)
         except CommandError as error:
             _hold(obj, pending, str(error))
             _refuse(obj, error, refused)
@@ -100,6 +105,7 @@ def accept(
             return
         # Only now: until here the asset that was accepted before stays.
         written = str(publish(draft, folder, record).folder)
+        obj.record_job(ACCEPT, begun, time.time() - begun)
         obj.do(command, who)
         obj.do(cmd.Saved(written), who)
         obj.notify("Accepted", f"Saved in {written}", "green")

@@ -13,6 +13,8 @@ from app.server.config import ServeConfig
 from app.server.guard import Route, RouteRequest
 from app.server.server import queue_routes
 from sessions import commands as cmd
+from sessions.command_log import read_work
+from sessions.statistics import acts_of, figures_of
 from sessions.store import Store
 from tests.builders import wait_until
 
@@ -69,6 +71,8 @@ def test_a_category_for_many_is_found_and_sorted_by(app_state: AppState, rows: R
     assert asked(rows, sort="recent", count="1")["rows"][0]["category"] == "Chair"
     done = app_state.store.load(ids[0]).present
     assert done.category == "Chair" and app_state.bulk.progress is None
+    work = figures_of(acts_of(read_work(app_state.workspace)))
+    assert (work.objects, work.commands, work.active) == (12, 12, 0.0), "it took nobody's time"
 
 
 def test_what_can_not_be_done_is_counted_with_its_reason(app_state: AppState) -> None:

@@ -83,7 +83,7 @@ def morning(script: Script, cabinet: KinematicTree) -> None:
     script.predict(124, 40, 0)
     script.at(174, 0, cmd.SetJoint(replace(cabinet.joint_of["link_1"], upper=1.2)))
     script.at(180, 0, cmd.Undo())
-    script.job(190, 0, "save", 20)
+    script.job(190, 0, "accept", 20)
     script.at(210, 0, cmd.Accept())
     script.at(210.1, 0, cmd.Saved("/assets/oven"))
 
