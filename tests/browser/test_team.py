@@ -1,0 +1,133 @@
+"""Three people at once: annotate, submit, send back with a comment, correct, accept."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from sessions.commands import SetJoint
+from sessions.store import Store
+from tests.browser.browsing import COARSE, FEWER_FRAMES, PAGE_TIMEOUT, Tab
+from tests.builders import wait_until, write_cupboard
+from tests.sessions.people import PASSWORD, add_people
+
+
+class PersonTab(Tab):
+    """A tab whose application is found by the person's name: several are open at once."""
+
+    name = ""
+
+    @property
+    def app(self) -> Any:
+        return wait_until(
+            lambda: next(
+                (a for a in list(self.server.apps.values()) if a.tab.user == self.name), None
+            ),
+            f"the tab of {self.name}",
+        )
+
+    def says(self, text: str) -> None:
+        """Wait until the page shows a text."""
+        self.page.get_by_text(text).first.wait_for()
+
+
+@pytest.fixture
+def come(browser: Any) -> Iterator[Callable[..., PersonTab]]:
+    """``come(server, name)`` logs a person in, in a browser of their own."""
+    contexts: list[Any] = []
+
+    def begin(server: Any, name: str) -> PersonTab:
+        contexts.append(browser.new_context(viewport={"width": 1280, "height": 800}))
+        contexts[-1].set_default_timeout(PAGE_TIMEOUT)
+        contexts[-1].add_init_script(FEWER_FRAMES)
+        page = contexts[-1].new_page()
+        page.goto(server.url)
+        page.wait_for_url("**/login")
+        page.get_by_label("Name").fill(name)
+        page.get_by_role("textbox", name="Password").fill(PASSWORD)
+        page.get_by_role("button", name="Log in").click()
+        page.wait_for_url("**/")
+        page.goto(f"{server.url}{COARSE}")
+        tab = PersonTab(page, server)
+        tab.name = name
+        tab.ready()
+        return tab
+
+    yield begin
+    for context in contexts:
+        context.close()
+
+
+def test_three_people_make_one_asset(
+    start: Any, come: Callable[..., PersonTab], tmp_path: Path
+) -> None:
+    store = Store(tmp_path / "workspace")
+    add_people(store)
+    store.close()
+    server = start(write_cupboard(tmp_path / "cupboard"), predictor="geometric")
+    people = server.app_state.store.people
+    ann = come(server, "ann")
+    wait_until(lambda: ann.document.segmentation_current and ann.object.asset, "parts")
+    ann.key("p")
+    wait_until(lambda: ann.document.tree is not None, "joints")
+    ann.step("Review")
+    ann.says("Submit (Y)")
+    assert not ann.button("Reject (X)").is_visible(), "who annotates isn't asked for a reason"
+    ann.wait_seen()
+    ann.key("y")
+    wait_until(lambda: ann.document.review.state == "submitted", "submitted")
+
+    rob, bob = come(server, "rob"), come(server, "bob")
+    rob.says("Also here: ann")
+    bob.says("Also here: ann")
+    rob.step("Review")
+    rob.field("Comment").fill("opens too far")
+    rob.choose("The comment is about", "part 1")
+    rob.drawn()
+    rob.wait_seen()
+    rob.key("Escape")
+    rob.button("Reject (X)").click()
+    rob.page.get_by_text("1 range", exact=True).click()
+    wait_until(lambda: rob.document.review.state == "rejected", "sent back")
+    review = rob.document.review
+    assert (review.by, review.comment, review.joint) == ("rob", "opens too far", "link_1")
+
+    # Back at ann, who sees why; bob, a second annotator, is kept out while she corrects it.
+    ann.says("opens too far")
+    joint = ann.document.tree.joint_of["link_1"]
+    smaller = type(joint)(
+        **{**vars(joint), "upper": joint.lower + 0.5 * (joint.upper - joint.lower)}
+    )
+    ann.app.tab.act(lambda: ann.app.tab.do(SetJoint(smaller)))
+    wait_until(lambda: ann.document.tree.joint_of["link_1"] == smaller, "corrected")
+    bob.app.tab.act(lambda: bob.app.tab.do(SetJoint(joint)))
+    bob.says("ann works on this object now")
+    assert ann.document.tree.joint_of["link_1"] == smaller
+    ann.step("Review")
+    ann.wait_seen()
+    ann.key("y")
+    wait_until(lambda: ann.document.review.state == "submitted", "submitted again")
+
+    # A session that is revoked leads back to the login.
+    people.credentials.revoke(people.accounts.find("bob"), "mia")
+    bob.page.wait_for_url("**/login")
+
+    accept(rob)
+    assert rob.document.review.by == "rob"
+
+
+def accept(rob: PersonTab) -> None:
+    """Look at the checks, and accept whatever they say."""
+    rob.step("Review")
+    wait_until(lambda: rob.object.validation.report is not None, "checks")
+    rob.app.review.validation_list.show_worst()
+    rob.drawn()
+    if rob.page.get_by_label("Reason for override").is_visible():
+        rob.field("Reason for override").fill("a test")
+        rob.drawn()
+    rob.wait_seen()
+    rob.page.get_by_role("button", name="Accept").first.click()
+    wait_until(lambda: rob.document.review.state == "accepted", "accepted")
