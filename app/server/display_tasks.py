@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from app.server.light_tasks import lit_parts
 from app.server.part_tasks import PartSource
 from app.server.prepare_tasks import removed_of
 from app.server.segmenting_tasks import source_regions
@@ -236,6 +237,7 @@ def part_payloads(
     """Return each part's displayed geometry."""
     shown = display_asset(asset_of(source.folder))
     labels = arrays_of(source.workspace).get(source.labels)[element]
+    lit = None if shown.mesh is None else lit_parts(source.folder, shown.mesh, labels)
     out = []
     parts = [int(p) for p in np.unique(labels)]
     for k, part in enumerate(parts):
@@ -246,7 +248,7 @@ def part_payloads(
             out.append(
                 PartPayload(
                     part,
-                    mesh_to_glb(mesh, matt=True),
+                    mesh_to_glb(mesh if lit is None else lit[part], matt=True),
                     None,
                     None,
                     mesh.vertices.astype(np.float32),

@@ -123,7 +123,7 @@ class ClientApp:
             if self.scene is not None:
                 self.scene.build_object_widgets()
             self._build_object()
-        self.light = LightSwitch(tab, self._remember)
+        self.light = LightSwitch(tab, self.drawing.detail, self._remember)
         scene = () if self.scene is None else (self.scene.picture,)
         self.theme = Theme(tab, self._presses, (self.picture, *scene))
         gui.main_panel.dock_right()

@@ -29,6 +29,12 @@ def test_without_a_gpu_it_is_plain_until_taken_back_and_that_is_kept(
 
     wait_until(lambda: lit(True), "lit plainly, as nothing was chosen and a processor draws")
     assert tab.field("Simple lighting").is_checked()
+    tab.wait_node("/edges")  # a box has no texture
+    wait_until(lambda: tab.app.drawing.detail.lit, "light is in the vertex colors")
+    tab.field("Edges").uncheck()
+    page.wait_for_function("() => !('/edges' in window.__viserSceneTree.getState())")
+    tab.field("Edges").check()
+    tab.wait_node("/edges")
     first = tab.object
     tab.key("n")
     wait_until(lambda: tab.object not in (first, None) and tab.app.drawing.drawn, "the next object")

@@ -13,6 +13,7 @@ from app.viewer.picture import palette
 from app.viewer.picture.joint_marks import AxisMark, axis_length
 from app.viewer.picture.motion import Motion
 from app.viewer.picture.object_picture import ObjectPicture
+from app.viewer.picture.surface_detail import SurfaceDetail
 from app.viewer.tab import AT_REST, Tab
 from model.core.joint import Joint
 from model.segmentation.prompts import Click
@@ -25,6 +26,9 @@ class ObjectDrawing:
     Args:
         shown: gets, once another asset was sent, whether it lies where the last one did.
         tapped: gets what a finger taps.
+
+    Attributes:
+        detail: light and edges of objects without a texture.
     """
 
     def __init__(
@@ -37,6 +41,7 @@ class ObjectDrawing:
     ) -> None:
         self._tab, self._picture, self._motion = tab, picture, motion
         self._shown, self._tapped = shown, tapped
+        self.detail = SurfaceDetail(tab, picture)
         self._asset: Any = None
         self._id: int | None = None
         tab.selection.on_open(self._forget)
@@ -101,6 +106,7 @@ class ObjectDrawing:
         ]
         picture.show_prompts(clicks, visible=selection.step == "Annotate")
         picture.show_parts(payloads, moving, selection.hidden)
+        self.detail.draw(obj, moving and payloads is not None)
         picture.marks.show_axes(self._axis_marks(obj, doc) if moving else ())
         choosing = moving and selection.step == "Joints"
         picture.marks.show_directions(obj.asset.bounds[0] if choosing else None)

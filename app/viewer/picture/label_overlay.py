@@ -43,6 +43,7 @@ class LabelOverlay:
         self._marked: npt.NDArray[np.bool_] | None = None
         self._mark: Any = None
         self._left_out: npt.NDArray[np.bool_] | None = None
+        self._order = asset.glb_order
         self._visible = True
         self._offset: npt.NDArray[np.float32] | None = None
         if asset.glb is not None:
@@ -60,6 +61,12 @@ class LabelOverlay:
                 self._color_cloud(labels)
             self._leave_out(labels, hidden)
         self.labels = labels  # last: they are drawn by now
+
+    def redrawn(self, order: npt.NDArray[np.int32]) -> None:
+        """The page draws the mesh with other triangles: (T,) the displayed face of each."""
+        self._order, self._left_out = order, None
+        hide_on_page(self._client, None)
+        self._leave_out(self.labels, self._hidden)
 
     def mark(self, marked: npt.NDArray[np.bool_] | None) -> None:
         """Show (D,) elements in grey; None or none of them marks nothing."""
@@ -125,8 +132,8 @@ class LabelOverlay:
         out = None
         if labels is not None and hidden:
             out = np.isin(labels, list(hidden))
-            if self._asset.glb_order is not None:
-                out = out[self._asset.glb_order]
+            if self._order is not None:
+                out = out[self._order]
             out = out if out.any() else None
         before, self._left_out = self._left_out, out
         if out is not before and not (

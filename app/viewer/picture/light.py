@@ -12,8 +12,10 @@ from app.viewer.panels.markup import Presses
 from app.viewer.picture.object_picture import ObjectPicture
 from app.viewer.picture.scene_picture import ScenePicture
 from app.viewer.picture.stage import GRID, LIGHT_ROOT, SCENE_ROOT, set_backdrop
+from app.viewer.picture.surface_detail import SurfaceDetail
 from app.viewer.tab import Tab
 from app.viewer.words import common as words
+from app.viewer.words import view
 
 PLAIN = "plain"
 """Stored in the browser where there are no reflections."""
@@ -22,10 +24,10 @@ _ABOVE, _BESIDE = (0.0, 0.0, 1.0), (-2.0, -3.0, 2.0)
 
 
 class LightSwitch:
-    """A checkbox for the light of one tab."""
+    """Checkboxes for the light of one tab and for edges."""
 
-    def __init__(self, tab: Tab, remember: Callable[[], None]) -> None:
-        """Make the checkbox; ``remember`` is called once it was switched."""
+    def __init__(self, tab: Tab, detail: SurfaceDetail, remember: Callable[[], None]) -> None:
+        """Make the checkboxes; ``remember`` is called once the light was switched."""
         self._tab, self._remember = tab, remember
         self._lamps: list[viser.SceneNodeHandle] = []
         self._box = tab.client.gui.add_checkbox(
@@ -34,6 +36,8 @@ class LightSwitch:
             hint=words.SIMPLE_LIGHT_HINT,
         )
         self._box.on_update(lambda _: tab.act(self._switched))
+        self._edges = tab.client.gui.add_checkbox(view.EDGES, True, hint=view.EDGES_HINT)
+        tab.on_update(self._edges, lambda: self._show_edges(detail))
 
     @property
     def plain(self) -> bool:
@@ -47,6 +51,10 @@ class LightSwitch:
     def _switched(self) -> None:
         self._light(self.plain)
         self._remember()
+
+    def _show_edges(self, detail: SurfaceDetail) -> None:
+        detail.edges_on = self._edges.value
+        self._tab.invalidate()
 
     def _light(self, plain: bool) -> None:
         """Plainly, or by viser's own map of surroundings.

@@ -84,6 +84,16 @@ class MovingParts:
                 frame.wxyz = vtf.SO3.from_matrix(transform[:3, :3]).wxyz
                 frame.position = transform[:3, 3]
 
+    @property
+    def payloads(self) -> list[PartPayload] | None:
+        """What was drawn last."""
+        return self._payloads
+
+    @property
+    def drawn(self) -> tuple[int, ...]:
+        """The parts that have a frame."""
+        return tuple(self._frames)
+
     def points(self, part: int) -> npt.NDArray[np.floating] | None:
         """(N, 3) vertices or points of a drawn part at rest, or None."""
         for payload in self._payloads or ():

@@ -114,6 +114,13 @@ class ObjectPicture:
         if not keep_view:
             self.frame_camera()
 
+    def show_lit(self, glb: bytes, order: npt.NDArray[np.int32]) -> None:
+        """Draw the object's mesh with its light; (T,) the displayed face of each triangle."""
+        if self.overlay is None:
+            return
+        self.scan = self._scene.add_glb("/scan", glb, cast_shadow=False, visible=not self._moving)
+        self.overlay.redrawn(order)
+
     @property
     def shown_upright(self) -> npt.NDArray[np.float64]:
         """(4, 4) from the asset's frame to the one that is shown upright."""
