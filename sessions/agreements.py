@@ -16,6 +16,7 @@ from model.core.progress import Progress, no_progress
 from model.evaluation.agreement import Agreement, agreement, mean_figures
 from model.io.assets.reader import load_object, read_provenance
 from sessions.quality import Kind, Second
+from sessions.releases.contents import saved_folder
 from sessions.store import Store
 
 
@@ -76,9 +77,10 @@ def pairs_of(
         found: Agreement | None = None
         problem = ""
         try:
-            if first.saved is None or again.saved is None:
+            folders = [saved_folder(store, r.id) for r in (one, other)]
+            if folders[0] is None or folders[1] is None:
                 raise ArtiworldError("one of them has no asset")
-            found = compared(Path(first.saved.folder), Path(again.saved.folder))
+            found = compared(folders[0], folders[1])
         except ArtiworldError as error:
             problem = str(error)
         pairs.append(Pair(

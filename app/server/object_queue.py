@@ -40,11 +40,12 @@ class ObjectQueue:
         self._listeners: list[Listener] = []
         self._ids: list[int] = []
         self._records: dict[int, ObjectRecord] = {}
+        self._workspace = workspace
+        self._looked_at: set[int] = set()  # ids that were queued, or are of another run
         self.unreadable: frozenset[int] = frozenset()
         self.removed: tuple[int, ...] = ()
         self._enter(paths)
-        if workspace is not None:
-            self._enter([r.path for r in store.objects() if _kept(r, workspace)])
+        self._take_in(store.objects())
         self._leave_out_removed()
 
     def records(self) -> list[ObjectRecord]:
@@ -80,6 +81,12 @@ class ObjectQueue:
             self._ids = list(dict.fromkeys([*self._ids, *ids]))
             self._records.update({r.id: r for r in records})
         return ids
+
+    def _take_in(self, records: list[ObjectRecord]) -> None:
+        """Queue those of other runs and servers that are to be listed."""
+        self._looked_at |= {r.id for r in records}
+        if self._workspace is not None:
+            self._enter([r.path for r in records if _kept(r, self._workspace)])
 
     def _leave_out_removed(self) -> None:
         """Leave out what was removed in an earlier run, unless the file changed since.
@@ -143,11 +150,15 @@ class ObjectQueue:
             self.changed()
 
     def sync(self, last: dict[int, int]) -> None:
-        """Take in what other servers did.
+        """Take in what other servers did, and what was imported meanwhile.
 
         Args:
             last: object id → number of its last command.
         """
+        new = set(last) - self._looked_at
+        if new:
+            self._take_in([self._store.object(i) for i in sorted(new)])
+            self.changed()
         with self._lock:
             stale = [i for i in self._ids if last.get(i, 0) > self._records[i].seq]
         for object_id in stale:

@@ -122,14 +122,24 @@ def accepted_assets(store: Store, without: Container[int] = ()) -> list[Accepted
     for record in store.objects():
         if record.state != "accepted" or record.id in without:
             continue
-        saved = store.load(record.id).present.saved
-        if saved is None or not (folder := Path(saved.folder)).is_dir():
-            where = store.workspace / "assets" if saved is None else Path(saved.folder)
+        folder = saved_folder(store, record.id)
+        if folder is None or not folder.is_dir():
             raise InputFileError(
-                where, f"the asset of “{record.name}” isn't there", "reopen and accept it again"
+                folder or store.workspace / "assets",
+                f"the asset of “{record.name}” isn't there",
+                "reopen and accept it again",
             )
         found.append(AcceptedAsset(folder, record.name))
     return found
+
+
+def saved_folder(store: Store, object_id: int) -> Path | None:
+    """The asset's folder of an object, also in a workspace that was moved; None without one."""
+    saved = store.load(object_id).present.saved
+    if saved is None:
+        return None
+    moved = store.workspace / "assets" / Path(saved.folder).name
+    return moved if not Path(saved.folder).is_dir() and moved.is_dir() else Path(saved.folder)
 
 
 def keys_of(assets: Iterable[AcceptedAsset]) -> dict[str, AcceptedAsset]:

@@ -85,6 +85,23 @@ def test_what_can_not_be_done_is_counted_with_its_reason(app_state: AppState) ->
         app_state.bulk.predict([], "ann", lambda *n: None)
 
 
+def test_what_is_imported_meanwhile_is_listed(app_state: AppState, rows: Route) -> None:
+    uploads = app_state.workspace / "uploads" / "kitchen-1"
+    uploads.mkdir(parents=True)
+    for name in ("hood.ply", "tap.ply"):
+        (uploads / name).write_bytes(b"not read here")
+    other = Store(app_state.workspace)
+    other.open_object(uploads / "hood.ply", None, "hood")
+    other.open_object(uploads.parents[1] / "objects" / "tap.ply", None, "of a scene")
+    app_state.sync_remote()
+    assert asked(rows)["total"] == 32 and asked(rows, search="hood")["total"] == 1
+    app_state.sync_remote()
+    other.open_object(uploads / "tap.ply", None, "tap")
+    app_state.sync_remote()
+    assert asked(rows)["total"] == 33
+    other.close()
+
+
 def test_a_row_says_whom_the_object_is_assigned_to(app_state: AppState, rows: Route) -> None:
     people = app_state.store.people
     account = people.accounts.add("mona", "manager", "three horses eat 42 apples")

@@ -83,6 +83,14 @@ def test_names_of_people_and_folders_stay_at_home(workspace: Store, tmp_path: Pa
     assert kept["review"]["by"] == "person-2" and kept["source"]["path"] == "cabinet.ply"
 
 
+def test_a_workspace_that_was_moved_is_released(workspace: Store, tmp_path: Path) -> None:
+    workspace.close()
+    moved = workspace.workspace.rename(tmp_path / "moved")
+    store = Store(moved)
+    assert len(release(store, tmp_path / "1.0").assets) == 2
+    store.close()
+
+
 def test_a_release_is_never_written_twice_nor_of_changed_assets(
     workspace: Store, tmp_path: Path
 ) -> None:
