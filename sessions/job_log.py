@@ -27,7 +27,7 @@ BULK: Final = "bulk"
 """Work on many objects: commands of a person who isn't at it."""
 KINDS: Final = AWAITED | {ACCEPT, BULK}
 LEAST: Final = 0.05
-"""Seconds; nobody notices a shorter job, and most clicks are."""
+"""Seconds: nobody notices a click that is answered sooner, as most are, so it isn't kept."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +50,11 @@ class TimedJob:
     def end(self) -> float:
         """When it ended, seconds since 1970."""
         return self.at + self.seconds
+
+
+def counts(kind: str, seconds: float) -> bool:
+    """Whether a job is kept: all of :data:`KINDS` but the answers to clicks that came at once."""
+    return kind in KINDS and (seconds >= LEAST or kind not in (PICK, "segment"))
 
 
 def record_job(workspace: Path, job: TimedJob) -> None:

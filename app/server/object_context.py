@@ -122,7 +122,7 @@ class ObjectContext(Observable):
 
     def record_job(self, kind: str, at: float, seconds: float) -> None:
         """Keep how long a job took that began at ``at`` (seconds since 1970), where it counts."""
-        if kind in job_log.KINDS and seconds >= job_log.LEAST:
+        if job_log.counts(kind, seconds):
             job = job_log.TimedJob(self.record.id, kind, at, seconds)
             job_log.record_job(self.services.workspace, job)
 

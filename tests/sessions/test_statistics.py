@@ -15,7 +15,7 @@ from model.core.tree import KinematicTree
 from model.segmentation.prompts import Click
 from sessions import commands as cmd
 from sessions.command_log import WorkLog, read_work
-from sessions.job_log import BULK, FILE, TimedJob, record_job
+from sessions.job_log import BULK, FILE, TimedJob, counts, record_job
 from sessions.statistics import PAUSE, STEPS, acts_of, csv_text, figures_of, grouped, rows_of
 from sessions.store import Store
 
@@ -157,6 +157,18 @@ def test_reopened_objects_are_not_accepted(script: Script, cabinet: KinematicTre
         "anna": 0, "ben": 0,
     }  # fmt: skip
     assert set(grouped(log, acts_of(log), "step")) <= set(STEPS)
+
+
+@pytest.mark.parametrize(
+    ("kind", "seconds", "kept"),
+    [
+        ("pick", 0.01, False), ("pick", 0.3, True), ("segment", 0.04, False),
+        ("open", 0.01, True), ("accept", 0.0, True), ("encode", 9.0, False), ("check", 9.0, False),
+    ],
+)  # fmt: skip
+def test_openings_are_kept_however_short(kind: str, seconds: float, kept: bool) -> None:
+    """An opening is an act, and its moment counts."""
+    assert counts(kind, seconds) == kept
 
 
 def test_damaged_lines_of_the_job_log_are_left_out(script: Script) -> None:
