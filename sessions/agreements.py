@@ -49,29 +49,20 @@ class Pair:
         return asdict(self)
 
 
-@dataclass(frozen=True)
-class Waiting:
-    """A pair that can't be compared yet, as one of the two isn't accepted."""
-
-    object: int
-    second: int
-    name: str
-
-
 def pairs_of(
     store: Store, seconds: Sequence[Second], progress: Progress = no_progress
-) -> tuple[list[Pair], list[Waiting]]:
-    """Compare all that are accepted, largest disagreement first; and those that wait."""
+) -> tuple[list[Pair], list[Second]]:
+    """Compare those whose two objects are accepted, largest disagreement first; and the rest."""
     records = {r.id: r for r in store.objects()}
     pairs: list[Pair] = []
-    waiting: list[Waiting] = []
+    waiting: list[Second] = []
     for k, second in enumerate(seconds):
         one, other = records.get(second.of), records.get(second.object)
         if one is None or other is None:
             continue
         progress(k / len(seconds), one.name)
         if not one.state == other.state == "accepted":
-            waiting.append(Waiting(one.id, other.id, one.name))
+            waiting.append(second)
             continue
         first, again = (store.load(r.id).present for r in (one, other))
         found: Agreement | None = None

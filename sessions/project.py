@@ -6,8 +6,9 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
+from pathlib import Path
 
-from sessions.command_log import WorkLog
+from sessions.command_log import WorkLog, read_work
 from sessions.statistics import Act, Figures, acts_of, day_of, figures_of
 
 DAYS = 14
@@ -53,6 +54,11 @@ class Overview:
     days: tuple[Day, ...]
     recent: tuple[RecentObject, ...]
     rows: tuple[Mapping[str, object], ...]
+
+
+def read_overview(workspace: Path, database: str | None, now: float, only: str | None) -> Overview:
+    """:func:`overview` of a workspace, as a job of a worker."""
+    return overview(read_work(workspace, database), now, only)
 
 
 def overview(log: WorkLog, now: float, only: str | None = None) -> Overview:

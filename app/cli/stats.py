@@ -12,9 +12,9 @@ from app.cli.team_commands import RepeatCommand, StatsCommand
 from model.core.errors import ConfigurationError
 from model.core.files import written_to
 from model.evaluation.agreement import FIGURES
-from sessions.agreements import Pair, Waiting, pairs_of, summaries
+from sessions.agreements import Pair, pairs_of, summaries
 from sessions.command_log import open_database, read_work
-from sessions.quality import daily_sample, plant, seconds_in
+from sessions.quality import Second, daily_sample, plant, seconds_in
 from sessions.statistics import acts_of, csv_text, day_of, duration, grouped, rows_of
 from sessions.store import Store
 
@@ -72,7 +72,7 @@ def quality(options: StatsCommand) -> int:
 
 
 def _print_quality(
-    means: dict[str, dict[str, dict[str, Any]]], pairs: list[Pair], waiting: list[Waiting]
+    means: dict[str, dict[str, dict[str, Any]]], pairs: list[Pair], waiting: list[Second]
 ) -> None:
     console = printing.console()
     for by, rows in means.items():

@@ -104,7 +104,7 @@ def test_pairs_are_compared_and_the_largest_disagreement_comes_first(
     pairs, waiting = pairs_of(workspace, seconds_in(database))
     assert [p.second for p in pairs] == [traps[1].object, traps[0].object]
     assert [p.agreement.range_iou for p in pairs if p.agreement] == pytest.approx([0.4, 1.0])
-    assert {w.second for w in waiting} == {s.object for s in new if s.kind == "double"}
+    assert {w.object for w in waiting} == {s.object for s in new if s.kind == "double"}
     means = summaries(pairs)
     assert means["person"]["ben"]["pairs"] == 2 and list(means["person"]) == ["ben"]
     assert means["category"]["Oven"]["range_iou"] == pytest.approx(0.7)

@@ -14,13 +14,12 @@ import viser.uplot
 
 from app.server.app_state import AppState
 from app.server.job import Job
-from app.server.project_tasks import project_overview
 from app.viewer.panels.markup import Presses, button
 from app.viewer.tab import Tab
 from app.viewer.words import common
 from app.viewer.words import project as words
 from app.viewer.words.queue import STATE_ORDER
-from sessions.project import Overview
+from sessions.project import Overview, read_overview
 from sessions.review import ROLES
 from sessions.statistics import csv_text, duration
 
@@ -56,7 +55,7 @@ class ProjectPage:
         with modal:
             said = gui.add_html(f'<p class="aw-project">{words.READING}</p>')
         job = self._app_state.workers.readers[-1].submit(
-            project_overview, self._app_state.workspace, config.database, time.time(),
+            read_overview, self._app_state.workspace, config.database, time.time(),
             self._only(), most_seconds=_SECONDS,
         )  # fmt: skip
         job.add_done_callback(lambda job: self._tab.act(lambda: self._read(job, modal, said)))
