@@ -100,7 +100,7 @@ class UserTokenCommand(WorkspaceCommand):
 
     name: str = argument("name of the account", "NAME")
     label: str = option("what the token is for", "TEXT", "script")
-    scope: tuple[Scope, ...] = repeated("what the token allows", "SCOPE", ("read",))
+    scope: tuple[Scope, ...] = repeated("read, annotate, review or manage (default: read)", "SCOPE")
     days: int = option("how long it lasts", "DAYS", 90)
 
     def run(self) -> int:

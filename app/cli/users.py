@@ -65,7 +65,8 @@ def make_token(asked: options.UserTokenCommand) -> int:
     """Print a new token."""
     with _people(asked) as people:
         account = _account(people, asked.name)
-        secret = people.credentials.make_token(account, asked.label, asked.scope, asked.days)
+        scopes = asked.scope or ("read",)
+        secret = people.credentials.make_token(account, asked.label, scopes, asked.days)
     return _say(asked, {"token": secret}, secret)
 
 

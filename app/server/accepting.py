@@ -118,6 +118,13 @@ def _role(obj: OpenObject, command: cmd.Accept, who: str) -> Role:
     return obj.services.store.people.role_for(obj.record.id, command, who)
 
 
+def acceptance_over(obj: OpenObject) -> bool:
+    """Whether an acceptance that began is decided or failed; its job ends a moment before."""
+    if obj.being_accepted:
+        return False
+    return obj.record.id not in obj.services.store.pending_acceptances()
+
+
 def withdraw(obj: OpenObject) -> bool:
     """Withdraw an acceptance that waits for validation; whether there was one."""
     if not obj.validation.withdraw():

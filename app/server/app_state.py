@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections import OrderedDict
+from collections import OrderedDict, deque
 from pathlib import Path
 
 from app.server.bulk import BulkWork
@@ -21,12 +21,14 @@ from app.server.scene_member import SceneMember
 from app.server.scene_workspace import SceneWorkspace
 from app.server.services import Services
 from app.server.workers import Workers
-from sessions.live import SessionHub
+from sessions.live import LiveSession, SessionHub
 from sessions.store import ObjectRecord, Store
 
 log = logging.getLogger(__name__)
 SYNC_SECONDS = 2.0
 """Period of taking in what other servers of the workspace did."""
+RECENT_SESSIONS = 64
+"""Sessions that scripts used last, which needn't be loaded again: a few per person."""
 OPEN_KEPT = 4
 """Objects that stay open though no tab shows them, so that going back to them is quick."""
 
@@ -57,6 +59,7 @@ class AppState:
         )
         self.scene: SceneWorkspace | None = None
         self.review_order = ReviewOrder(lambda i: store.load(i).present)
+        self._recent: deque[LiveSession] = deque(maxlen=RECENT_SESSIONS)
         self._services = Services(
             config, store, self.hub, self.workers, AssetDrafts(self.workers.saving), self.queue,
             self.acceptances,
@@ -105,6 +108,12 @@ class AppState:
             self._release_unused()
         opened.reopen()
         return opened
+
+    def session(self, object_id: int) -> LiveSession:
+        """Return an object's session without reading its asset, and keep it for a while."""
+        session = self.hub.session(object_id)
+        self._recent.append(session)
+        return session
 
     def _release_unused(self) -> None:
         """Release unused objects, except those that were used last."""

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from app.server.accepting import accept
+from app.server.accepting import accept, acceptance_over
 from app.server.export_tasks import ExportTask, export_one
 from app.server.job import Job, WorkerDied
 from app.server.open_object import OpenObject
@@ -93,7 +93,7 @@ class BulkWork:
             refused: list[CommandError] = []
             at = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
             accept(obj, "", who, at, refused=refused.append)
-            self._wait(lambda: bool(refused) or not obj.being_accepted)
+            self._wait(lambda: bool(refused) or acceptance_over(obj))
             if obj.document.review.state != "accepted":
                 raise CommandError("on hold: see its warnings" if refused else "not accepted")
 

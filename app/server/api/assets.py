@@ -29,7 +29,7 @@ def list_assets(person: Reader, state: State) -> dict[str, Any]:
     found = []
     for record in state.queue.records():
         if record.state == "accepted":
-            saved = state.hub.session(record.id).document.saved
+            saved = state.session(record.id).document.saved
             if saved is not None and Path(saved.folder).is_dir():
                 found.append({
                     "id": record.id, "name": record.name, "category": record.category,
@@ -44,7 +44,7 @@ def download(object_id: int, person: Reader, state: State, format: str = "asset"
     name = record_of(state, object_id).name
     if format not in ("asset", *exporter_names()):
         raise HTTPException(422, f"format: one of asset, {', '.join(exporter_names())}")
-    saved = state.hub.session(object_id).document.saved
+    saved = state.session(object_id).document.saved
     if saved is None or not Path(saved.folder).is_dir():
         raise HTTPException(404, "the object has no asset: it wasn't accepted yet")
     folder = Path(saved.folder)

@@ -13,9 +13,11 @@ from app.server.api.guard import Annotator, Reader, State
 from app.server.app_state import AppState
 from app.server.open_object import OpenObject
 from model.core import codec
+from sessions.commands import Command
+from sessions.credentials import Person
 from sessions.document import Document
 from sessions.records import ObjectRecord
-from sessions.state import SessionState
+from sessions.state import SessionState, needed_jobs
 
 router = APIRouter(tags=["objects"])
 MOST = 500
@@ -64,7 +66,7 @@ def one_object(object_id: int, person: Reader, state: State) -> dict[str, Any]:
     """What is decided about one object: parts, prompts, joints, review."""
     record = record_of(state, object_id)
     assigned = state.store.people.work.assigned().get(object_id)
-    return {**_line(record, assigned), **document_json(state.hub.session(object_id).state)}
+    return {**_line(record, assigned), **document_json(state.session(object_id).state)}
 
 
 def record_of(state: AppState, object_id: int) -> ObjectRecord:
@@ -90,6 +92,22 @@ def opened(state: AppState, object_id: int) -> OpenObject:
     if obj.problem is not None:
         raise HTTPException(409, f"the object can't be read: {obj.problem}")
     return obj
+
+
+def decide(state: AppState, object_id: int, command: Command, person: Person) -> dict[str, Any]:
+    """Give a command; returns the object after it.
+
+    The asset is read only where that is needed: before the first decision, as a file's own parts
+    and joints come first, and where the labels have to follow.
+    """
+    record_of(state, object_id)
+    live = state.session(object_id)
+    if live.state.seq == 0:
+        opened(state, object_id)
+    after = live.do(command, person.name, role=person.role)
+    if needed_jobs(after):
+        state.object(object_id)
+    return document_json(after)
 
 
 def wait(ready: Callable[[], bool]) -> None:

@@ -8,9 +8,9 @@ from typing import Any
 from fastapi import APIRouter, HTTPException
 from pydantic import BaseModel
 
-from app.server.accepting import accept, withdraw
+from app.server.accepting import accept, acceptance_over, withdraw
 from app.server.api.guard import Annotator, Reader, Reviewer, State
-from app.server.api.objects import document_json, opened, record_of, wait
+from app.server.api.objects import decide, document_json, opened, wait
 from model.core.errors import CommandError
 from sessions.commands import Reject, Reopen, Submit
 from sessions.review import RejectReason
@@ -63,8 +63,7 @@ def checks(object_id: int, person: Reader, state: State) -> dict[str, Any]:
 @router.post("/objects/{object_id}/submit")
 def submit(object_id: int, body: CommentBody, person: Annotator, state: State) -> dict[str, Any]:
     """Hand an object in for review."""
-    obj = opened(state, object_id)
-    return document_json(obj.live.do(Submit(body.comment), person.name, role=person.role))
+    return decide(state, object_id, Submit(body.comment), person)
 
 
 @router.post("/objects/{object_id}/accept")
@@ -81,7 +80,7 @@ def accept_object(
         obj, body.comment, person.name, at, body.override, seen=seen, refused=refused.append
     )  # fmt: skip
     try:
-        wait(lambda: bool(refused) or not obj.being_accepted)
+        wait(lambda: bool(refused) or acceptance_over(obj))
     except HTTPException:
         withdraw(obj)
         raise
@@ -95,15 +94,11 @@ def accept_object(
 @router.post("/objects/{object_id}/reject")
 def reject(object_id: int, body: RejectBody, person: Reviewer, state: State) -> dict[str, Any]:
     """Send an object back to its annotator."""
-    record_of(state, object_id)
     command = Reject(body.reason, body.comment, "", body.joint, body.place)
-    live = state.hub.session(object_id)
-    return document_json(live.do(command, person.name, role=person.role))
+    return decide(state, object_id, command, person)
 
 
 @router.post("/objects/{object_id}/reopen")
 def reopen(object_id: int, body: CommentBody, person: Reviewer, state: State) -> dict[str, Any]:
     """Reopen an accepted or rejected object."""
-    record_of(state, object_id)
-    live = state.hub.session(object_id)
-    return document_json(live.do(Reopen(body.comment), person.name, role=person.role))
+    return decide(state, object_id, Reopen(body.comment), person)

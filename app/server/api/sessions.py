@@ -8,12 +8,10 @@ from fastapi import APIRouter, HTTPException
 from pydantic import BaseModel
 
 from app.server.api.guard import Annotator, Reader, State
-from app.server.api.objects import document_json, joints_json, opened, record_of, wait
+from app.server.api.objects import decide, joints_json, opened, record_of, wait
 from app.server.app_state import AppState
 from sessions.commands import Redo, Undo, from_json, to_json
-from sessions.credentials import Person
 from sessions.describe import describe
-from sessions.state import SessionState
 
 router = APIRouter(tags=["sessions"])
 KINDS: frozenset[str] = frozenset(
@@ -56,20 +54,19 @@ def give(object_id: int, body: CommandBody, person: Annotator, state: State) -> 
     if kind not in KINDS:
         raise HTTPException(422, f"command.kind: one of {', '.join(sorted(KINDS))}")
     _check_seq(state, object_id, body.expected_seq)
-    obj = opened(state, object_id)
-    return document_json(obj.live.do(from_json(body.command), person.name, role=person.role))
+    return decide(state, object_id, from_json(body.command), person)
 
 
 @router.post("/objects/{object_id}/undo")
 def undo(object_id: int, person: Annotator, state: State) -> dict[str, Any]:
     """Take back the last decision."""
-    return document_json(_do(state, object_id, Undo(), person))
+    return decide(state, object_id, Undo(), person)
 
 
 @router.post("/objects/{object_id}/redo")
 def redo(object_id: int, person: Annotator, state: State) -> dict[str, Any]:
     """Do again what was taken back last."""
-    return document_json(_do(state, object_id, Redo(), person))
+    return decide(state, object_id, Redo(), person)
 
 
 @router.post("/objects/{object_id}/prediction", status_code=202)
@@ -87,7 +84,7 @@ def predict(object_id: int, person: Annotator, state: State) -> dict[str, Any]:
 def prediction(object_id: int, person: Reader, state: State) -> dict[str, Any]:
     """The last prediction, and whether one is running."""
     record_of(state, object_id)
-    doc = state.hub.session(object_id).document
+    doc = state.session(object_id).document
     found = doc.prediction
     return {
         "running": state.is_predicting(object_id),
@@ -99,13 +96,8 @@ def prediction(object_id: int, person: Reader, state: State) -> dict[str, Any]:
     }
 
 
-def _do(state: AppState, object_id: int, command: Undo | Redo, person: Person) -> SessionState:
-    obj = opened(state, object_id)
-    return obj.live.do(command, person.name, role=person.role)
-
-
 def _check_seq(state: AppState, object_id: int, expected: int | None) -> None:
     record_of(state, object_id)
-    seq = state.hub.session(object_id).state.seq
+    seq = state.session(object_id).state.seq
     if expected is not None and seq != expected:
         raise HTTPException(409, f"the object is at command {seq}, not {expected}")
