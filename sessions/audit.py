@@ -1,6 +1,6 @@
 """What happened to accounts: a table that is only ever appended to.
 
-Decisions about objects aren't repeated here: :meth:`~sessions.store.Store.history` has them.
+Decisions about objects aren't repeated here: the commands say who gave them and when.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from sqlalchemy import Connection, insert, select
 
 from model.core.errors import ConfigurationError
 from sessions.account_tables import audit
-from sessions.database import Database
+from sessions.database import Database, commands, objects
 from sessions.records import now
 
 EventKind = Literal[
@@ -46,6 +46,27 @@ class Event:
     subject: str
     detail: str
     address: str
+
+
+@dataclass(frozen=True)
+class Decision:
+    """One command, without its content: :meth:`~sessions.store.Store.history` has that.
+
+    Attributes:
+        object: id of the object.
+        name: of the object.
+        seq: number among the commands of the object.
+        at: ISO 8601, UTC.
+        who: the account, or the program.
+        kind: stored name of the command.
+    """
+
+    object: int
+    name: str
+    seq: int
+    at: str
+    who: str
+    kind: str
 
 
 def record(
@@ -110,3 +131,38 @@ class AuditLog:
             wanted = wanted.where(audit.c.id < before)
         with self._database.reading() as connection:
             return [Event(*row) for row in connection.execute(wanted)]
+
+    def decisions(
+        self,
+        *,
+        who: str | None = None,
+        object_id: int | None = None,
+        kind: str | None = None,
+        since: str | None = None,
+        first: int = 0,
+        count: int = 200,
+    ) -> list[Decision]:
+        """Return decisions about objects, the newest first.
+
+        Args:
+            who: name of the account.
+            kind: stored name of the command.
+            since: ISO 8601, UTC.
+            first: how many of the newest are left out, for the next page.
+            count: at most so many, up to :data:`MOST_EVENTS`.
+        """
+        c = commands.c
+        wanted = (
+            select(c.object_id, objects.c.name, c.seq, c.at, c.who, c.kind)
+            .join(objects, objects.c.id == c.object_id)
+            .order_by(c.at.desc(), c.object_id, c.seq.desc())
+            .offset(max(first, 0))
+            .limit(min(max(count, 1), MOST_EVENTS))
+        )
+        for column, value in ((c.who, who), (c.object_id, object_id), (c.kind, kind)):
+            if value is not None:
+                wanted = wanted.where(column == value)
+        if since is not None:
+            wanted = wanted.where(c.at >= since)
+        with self._database.reading() as connection:
+            return [Decision(*row) for row in connection.execute(wanted)]

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar, Literal
 
-from app.cli.command import Command, argument, option, repeated
+from app.cli.command import Command, argument, flag, option, repeated
 from app.cli.options import json_flag
 from model.core.registry import at_place
 
@@ -125,12 +125,14 @@ class UserCommand(Command):
 
 @dataclass(frozen=True, kw_only=True)
 class AuditCommand(WorkspaceCommand):
-    """Say what happened to accounts, the newest first."""
+    """Say what happened to accounts, or what was decided about objects, the newest first."""
 
     name: str | None = option("only what this account did, or what was done to it", "NAME")
-    kind: str | None = option("only events of this kind, such as login_failed", "KIND")
+    kind: str | None = option("only this kind, such as login_failed or accept", "KIND")
     since: str | None = option("only from this day on, such as 2026-01-31", "DAY")
     count: int = option("at most so many", "N", 50)
+    decisions: bool = flag("decisions about objects instead of what happened to accounts")
+    object: int | None = option("with --decisions: only those about this object", "ID")
 
     def run(self) -> int:
         """Print the events."""

@@ -71,7 +71,9 @@ def make_token(asked: options.UserTokenCommand) -> int:
 
 
 def show_audit(asked: options.AuditCommand) -> int:
-    """Print events."""
+    """Print events, or decisions about objects."""
+    if asked.decisions:
+        return _show_decisions(asked)
     with _people(asked) as people:
         events = people.audit.events(
             name=asked.name, kind=asked.kind, since=asked.since, count=asked.count
@@ -81,6 +83,16 @@ def show_audit(asked: options.AuditCommand) -> int:
         for e in events
     ]
     return _say(asked, [asdict(e) for e in events], *(lines or ["Nothing"]))
+
+
+def _show_decisions(asked: options.AuditCommand) -> int:
+    with _people(asked) as people:
+        found = people.audit.decisions(
+            who=asked.name, object_id=asked.object, kind=asked.kind, since=asked.since,
+            count=asked.count,
+        )  # fmt: skip
+    lines = [f"{d.at[:19]}  {d.who}  {d.kind}  {d.name} ({d.object})" for d in found]
+    return _say(asked, [asdict(d) for d in found], *(lines or ["Nothing"]))
 
 
 @contextmanager

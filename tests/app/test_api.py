@@ -71,6 +71,8 @@ def test_predict_submit_send_back_correct_accept_download(
     history = ann.call("GET", f"/objects/{id}/commands")
     kinds = [(e["who"], e["command"]["kind"]) for e in history]
     mia = token_client(server, "mia", "read", "manage")
+    decided = mia.call("GET", "/audit/decisions", object=id, kind="reject")
+    assert [(d["who"], d["name"]) for d in decided] == [("rob", "cupboard")]
     figures = {row["person"]: row for row in mia.call("GET", "/statistics")}
     assert figures["rob"]["accepted"] == 1 and figures["ann"]["commands"] >= 4
     for expected in (("ann", "submit"), ("rob", "reject"), ("ann", "set_joint"), ("rob", "accept")):

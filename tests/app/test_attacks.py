@@ -60,6 +60,7 @@ def kinds(server: Server) -> list[tuple[str, str]]:
         ("POST", "/users/mia/disable", None),
         ("POST", "/assignments", {"objects": [1], "people": ["ann"]}),
         ("GET", "/audit", None),
+        ("GET", "/audit/decisions", None),
         ("GET", "/users", None),
         ("POST", "/webhooks", {"url": "https://example.org", "events": ["object.accepted"]}),
     ],

@@ -244,6 +244,19 @@ def test_the_audit_says_who_did_what_to_whom(people):
         people.audit.events(kind="x")
 
 
+def test_decisions_are_found_by_person_object_and_kind(people, live):
+    live.do(CLICK, "ann")
+    live.do(Reject("axis"), "rob")
+    log = people.audit
+    assert [(d.who, d.kind, d.name) for d in log.decisions()] == [
+        ("rob", "reject", "oven"), ("ann", "add_click", "oven"),
+    ]  # fmt: skip
+    assert [d.seq for d in log.decisions(who="ann")] == [1]
+    assert [d.seq for d in log.decisions(kind="reject", object_id=live.object_id)] == [2]
+    assert [d.seq for d in log.decisions(first=1, count=1)] == [1]
+    assert log.decisions(object_id=99) == log.decisions(since="2999") == []
+
+
 @pytest.mark.parametrize("statement", ["UPDATE audit SET who='eve'", "DELETE FROM audit"])
 def test_nothing_of_the_audit_can_be_changed(people, store, statement):
     database = sqlite3.connect(store.workspace / "artiworld.db")

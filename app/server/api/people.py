@@ -112,3 +112,22 @@ def audit(
     log = state.store.people.audit
     events = log.events(name=name, kind=kind, since=since, before=before, count=count)
     return [asdict(event) for event in events]
+
+
+@router.get("/audit/decisions")
+def decisions(
+    person: Manager,
+    state: State,
+    who: str | None = None,
+    object_id: Annotated[int | None, Query(alias="object")] = None,
+    kind: str | None = None,
+    since: str | None = None,
+    first: Annotated[int, Query(ge=0)] = 0,
+    count: Annotated[int, Query(ge=1, le=MOST_EVENTS)] = 200,
+) -> list[dict[str, Any]]:
+    """Who decided what about which object, the newest first."""
+    log = state.store.people.audit
+    found = log.decisions(
+        who=who, object_id=object_id, kind=kind, since=since, first=first, count=count
+    )
+    return [asdict(one) for one in found]
