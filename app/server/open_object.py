@@ -17,6 +17,7 @@ from app.server import display_tasks, part_tasks, picking_tasks
 from app.server.display_tasks import OpenedAsset, PartPayload
 from app.server.job import OutOfTimeError
 from app.server.jobs import CLICKS, EDITS, Job, JobFailed
+from app.server.likeness import Likeness
 from app.server.object_context import ObjectContext
 from app.server.observable import Listener, Notice
 from app.server.preparing import Preparing
@@ -66,6 +67,7 @@ class OpenObject(ObjectContext):
         self._anew = False
         self._failed_on: Stamp | None = None
         self.segmenting = Segmenting(self)
+        self.likeness = Likeness(self)
         self.preparing = Preparing(self)
         self.validation = Validation(self)
         self._unsubscribe = self.live.subscribe(lambda state, command: self._decided(state))
@@ -130,6 +132,7 @@ class OpenObject(ObjectContext):
         stop = super().watch(listener, notice)
         if self.asset is not None:
             self._prepare_clicks(self.asset)
+            self.likeness.update()
         return stop
 
     def left(self) -> None:
@@ -236,6 +239,7 @@ class OpenObject(ObjectContext):
         self.ensure_open()
         if self.asset is not None:
             self.segmenting.update()
+            self.likeness.update()
             self.validation.update()
             if self.document.prompts and not self._warm and self.asset.element_kind == "point":
                 self._warm = True
@@ -287,6 +291,7 @@ class OpenObject(ObjectContext):
             DEFAULT_PREDICTOR if here else self.services.config.predictor,
             doc.locked_joints,
             0,
+            self.likeness.source_of_joints(doc),
             on_progress=self.jobs.progress("predict"),
             priority=10,
             preempted_by=EDITS,

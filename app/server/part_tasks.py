@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from app.server.like_tasks import carried_joints
 from app.server.tasks import arrays_of, asset_of
 from model.core.articulated_object import ArticulatedObject, Part, Prediction, SegmentedObject
 from model.core.errors import ConfigurationError, KinematicsError
@@ -156,11 +157,20 @@ def predict(
     predictor: str,
     locked: tuple[Joint, ...],
     seed: int,
+    like: Path | None = None,
     progress: Progress = no_progress,
 ) -> Prediction:
-    """Predict the kinematic tree of the parts."""
+    """Predict the kinematic tree of the parts.
+
+    Args:
+        like: accepted asset whose joints are taken where the parts are alike.
+    """
     progress(0.02, "Cutting out the parts")
     segmented = segmented_object(source)
+    if like is not None:
+        known = {joint.child for joint in locked}
+        carried = carried_joints(segmented.parts, like)
+        locked = (*locked, *(joint for joint in carried if joint.child not in known))
     found: object = load_predictor(predictor).predict(
         segmented, locked=locked, seed=seed, progress=progress
     )

@@ -79,14 +79,20 @@ class Commands:
         return act
 
     def enter(self) -> None:
-        """Prepare what needs it, or edit the selected object of the scene."""
+        """Prepare what needs it, take the parts that are offered, or edit the selected object of
+        the scene.
+        """
         selection = self._tab.selection
         if self._scene is not None:
             self._scene.edit.enter()
             return
         obj = selection.object
-        if obj is not None and selection.step == "Annotate" and self.prepare.noticed(obj):
+        if obj is None or selection.step != "Annotate":
+            return
+        if self.prepare.noticed(obj):
             selection.set_step("Prepare")
+        else:
+            self._annotate.take_alike()
 
     # --- decisions
 

@@ -58,6 +58,7 @@ class AnnotateStep:
         # Above what comes and goes, so that it keeps its place.
         self._predict = PredictButtons(tab)
         self._hint = gui.add_markdown("")
+        self._alike = gui.add_button("", icon=viser.Icon.COPY, color="blue", visible=False)
         self._to_prepare = gui.add_button(PREPARE, color="blue", visible=False)
         self._room = gui.add_button("", icon=viser.Icon.SCISSORS, color="gray", visible=False)
         self._category = Choice(
@@ -71,6 +72,7 @@ class AnnotateStep:
         self.parts = PartList(tab, pointing, presses)
         self._prompts = PromptList(tab)
         self.source = SourcePanel(tab, open_object)
+        self._alike.on_click(lambda _: tab.act(self.take_alike))
         self._room.on_click(lambda _: tab.act(self._room_clicked))
         self._to_prepare.on_click(lambda _: tab.act(lambda: tab.selection.set_step("Prepare")))
 
@@ -79,6 +81,16 @@ class AnnotateStep:
             self.source.leave_out()
         else:
             self.source.cut_out()
+
+    def take_alike(self) -> bool:
+        """Take the parts of the accepted object that this one is like; False where there is none."""
+        obj = self._tab.selection.object
+        offer = None if obj is None or self._tab.in_scene else obj.likeness.wanted
+        if obj is None or offer is None:
+            return False
+        count = obj.likeness.take(self._tab.user)
+        self._tab.notify(*words.alike_taken(count, offer.folder), "green")
+        return True
 
     @property
     def likely_category(self) -> str | None:
@@ -125,6 +137,7 @@ class AnnotateStep:
             selection.picking,
             doc.segmentation is None,
             id(obj.preparing.current),
+            id(obj.likeness.offer),
         )
         if now != self._drawn:
             self._drawn = now
@@ -148,6 +161,10 @@ class AnnotateStep:
         whole = room and doc.left_out is None and not doc.prompts
         noticed = self._prepare.notice(obj)
         put(self._to_prepare, "visible", noticed is not None)
+        alike = None if room or noticed or selection.picking else obj.likeness.wanted
+        if alike is not None:
+            put(self._alike, "label", words.take_alike(len(alike.regions), alike.folder))
+        put(self._alike, "visible", alike is not None)
         mine = [p for p in doc.prompts if p.part == selection.part]
         put(self._room, "label", words.EXCLUDE_ROOM if whole else words.EXTRACT)
         put(self._room, "color", "blue" if whole or doc.segmentation is not None else "gray")

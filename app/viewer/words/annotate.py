@@ -64,6 +64,17 @@ def part_button(part: int, name: str, share: str, hidden: bool) -> str:
     return " · ".join(w for w in words if w) + (" (hidden)" if hidden else "")
 
 
+def take_alike(count: int, name: str) -> str:
+    """The button that takes the parts of an accepted object."""
+    return f"Like {name}: use its {plural('part', count)} (Enter)"
+
+
+def alike_taken(count: int, name: str) -> tuple[str, str]:
+    """Its parts were taken: title and text."""
+    text = f"{count} {plural('part', count)} with their names. P takes its joints; undo reverts"
+    return f"Like {name}", text
+
+
 category_set = Message("Category: {category}")
 name_set = Message("Part {part}: {name}")
 

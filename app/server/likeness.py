@@ -1,0 +1,104 @@
+"""Offers the parts of an accepted object to one that is like it, before anybody clicks."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from app.server import like_tasks
+from app.server.acceptance_record import asset_folder
+from app.server.jobs import PREVIEWS
+from app.server.like_tasks import LIKE, LikeOffer
+from app.server.object_context import ObjectContext
+from model.core.errors import CommandError
+from sessions import commands as cmd
+from sessions.document import Document, RegionRef
+from sessions.tool_commands import ToolRegion
+
+MOST = 60
+"""Accepted objects that are compared: those of its category first, then the newest."""
+
+
+class Likeness:
+    """What an open object and the workspace's accepted ones have in common.
+
+    Attributes:
+        offer: the parts of the most similar one; None where there is none, or not yet.
+    """
+
+    def __init__(self, obj: ObjectContext) -> None:
+        self.offer: LikeOffer | None = None
+        self._obj = obj
+        self._asked: tuple[Path, tuple[Path, ...]] | None = None
+
+    def update(self) -> None:
+        """Look for an object like it, as long as nobody worked on it, when it is read and shown."""
+        obj = self._obj
+        asset, doc = obj.asset, obj.document
+        if asset is None or not _untouched(doc):
+            return
+        assets = self._accepted(doc)
+        if not assets or (asset.folder, assets) == self._asked:
+            return
+        self._asked, self.offer = (asset.folder, assets), None
+        job = obj.lane.segmentation.submit(
+            like_tasks.find_alike,
+            asset.folder,
+            obj.services.workspace,
+            assets,
+            priority=PREVIEWS - 1,  # after the encoding, which it needs
+            preempted_by=PREVIEWS,
+        )
+
+        def keep(offer: LikeOffer | None) -> None:
+            if obj.asset is asset:
+                self.offer = offer
+
+        obj.start("like", job, keep)
+
+    @property
+    def wanted(self) -> LikeOffer | None:
+        """The offer, as long as nobody worked on the object."""
+        return self.offer if _untouched(self._obj.document) else None
+
+    def take(self, who: str) -> int:
+        """Take the offered parts with their names, as one step; returns their number.
+
+        Raises:
+            CommandError: where nothing is offered.
+        """
+        offer = self.wanted
+        if offer is None:
+            raise CommandError("no accepted object is like this one")
+        regions = tuple(
+            ToolRegion(part, region.elements, True, region.count, name)
+            for part, (region, name) in enumerate(
+                zip(offer.regions, offer.names, strict=True), start=1
+            )
+        )
+        self._obj.do(cmd.ApplyTool(f"{LIKE} {offer.folder}", regions), who)
+        if offer.category and self._obj.document.category is None:
+            self._obj.do(cmd.SetCategory(offer.category), who)
+        return len(regions)
+
+    def source_of_joints(self, doc: Document) -> Path | None:
+        """Return the accepted asset whose parts were taken; None where it is gone."""
+        for prompt in doc.prompts:
+            if isinstance(prompt, RegionRef) and prompt.tool.startswith(f"{LIKE} "):
+                folder = self._obj.services.workspace / "assets" / prompt.tool[len(LIKE) + 1 :]
+                return folder if folder.is_dir() else None
+        return None
+
+    def _accepted(self, doc: Document) -> tuple[Path, ...]:
+        obj = self._obj
+        records = [
+            r for r in obj.services.queue.records()
+            if r.state == "accepted" and r.id != obj.record.id
+        ]  # fmt: skip
+        records.sort(key=lambda r: r.updated, reverse=True)
+        records.sort(key=lambda r: doc.category is None or r.category != doc.category)
+        folders = (asset_folder(obj.services.workspace, r) for r in records[:MOST])
+        return tuple(folder for folder in folders if folder.is_dir())
+
+
+def _untouched(doc: Document) -> bool:
+    return not doc.prompts and doc.tree is None and doc.review.state != "accepted"

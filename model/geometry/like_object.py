@@ -1,0 +1,306 @@
+"""Match an object with one that is done: which turn, mirroring and proportions map them best.
+
+Objects stand upright (+z up, metres) and may face anywhere. Both are compared in the frames of
+their tightest upright boxes: quarter turns and mirror images are tried, and the sides scaled, each
+by its own factor; the best of them is fitted closer by matching nearest points.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import KDTree
+
+from model.core.articulated_object import ArticulatedObject, Part
+from model.core.errors import GeometryError
+from model.core.joint import Joint
+from model.geometry.sampling import sample_surface
+from model.geometry.upright_box import box_yaw
+
+Points = npt.NDArray[np.float64]
+
+POINTS = 4000
+"""Of each object that is compared."""
+_LEAST_POINTS = 60
+"""Of each part, however small."""
+PROPORTIONS = 1.35
+"""Largest factor between two sides' scales."""
+SCALE = 1.6
+"""Largest factor between two sizes of one thing: the unit of a scan may be wrong by little."""
+REACH = 0.02
+"""Share of the diagonal within which a point has a counterpart."""
+_ROUNDS = 6
+_CLOSER = 6
+"""Starts that are fitted closer."""
+_MIRRORED = 0.03
+"""How much better a mirror image has to fit: most things look like their own."""
+_FEWER, _WIDER = 8, 2.0
+"""Divisor of the points by which starts are compared, and factor of the reach then."""
+_CLOSEST = 0.8
+"""Share of the nearest pairs that a round fits: the others lack a counterpart."""
+
+
+@dataclass(frozen=True, eq=False)
+class Example:
+    """A finished object as others are compared with it.
+
+    Attributes:
+        name: for people.
+        points: (N, 3) on its surface, metres.
+        part: (N,) index into ``links``; the base is one of them.
+        links: the parts' links. names: what people call them, or None.
+        joints, root: of its kinematic tree.
+        category: of the object, or None.
+    """
+
+    name: str
+    points: Points
+    part: npt.NDArray[np.int64]
+    links: tuple[str, ...]
+    names: tuple[str | None, ...]
+    joints: tuple[Joint, ...]
+    root: str
+    category: str | None = None
+
+    @cached_property
+    def frame(self) -> _Frame:
+        """Its tightest upright box."""
+        return _Frame.around(self.points)
+
+    @cached_property
+    def tree(self) -> KDTree:
+        """Of its points."""
+        return KDTree(self.points)
+
+
+@dataclass(frozen=True, eq=False)
+class Match:
+    """An example laid over an object.
+
+    Attributes:
+        linear, offset: (3, 3) and (3,): object = linear @ example + offset.
+        fit: 0..1, share of each part's points that have a counterpart, mean of the parts and of
+            the object's own points.
+    """
+
+    example: Example
+    linear: Points
+    offset: Points
+    fit: float
+
+    def to_object(self, points: npt.ArrayLike) -> Points:
+        """(N, 3) points of the example, in the object's frame."""
+        return np.asarray(points, float) @ self.linear.T + self.offset
+
+    def to_example(self, points: npt.ArrayLike) -> Points:
+        """(N, 3) points of the object, in the example's frame."""
+        return (np.asarray(points, float) - self.offset) @ np.linalg.inv(self.linear).T
+
+
+@dataclass(frozen=True, eq=False)
+class _Frame:
+    middle: Points
+    turn: Points
+    sides: Points
+
+    @classmethod
+    def around(cls, points: Points) -> _Frame:
+        yaw = box_yaw(points[:, :2], 0.98)
+        c, s = np.cos(yaw), np.sin(yaw)
+        turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
+        low, high = np.percentile(points @ turn, (0.5, 99.5), axis=0)
+        return cls(turn @ (low + high) / 2, turn, np.maximum(high - low, 1e-9))
+
+
+def example_of(obj: ArticulatedObject, name: str | None = None, seed: int = 0) -> Example:
+    """Sample an object's parts evenly, small ones more densely.
+
+    Raises:
+        GeometryError: where no part has a surface or a point.
+    """
+    rng = np.random.default_rng(seed)
+    sizes = np.array([_size(part) for part in obj.parts])
+    points: list[Points] = []
+    for part, share in zip(obj.parts, sizes / max(float(sizes.sum()), 1e-12), strict=True):
+        count = max(int(POINTS * share), _LEAST_POINTS)
+        points.append(_sampled(part, count, rng))
+    if not sum(map(len, points)):
+        raise GeometryError(f"{obj.name!r} has no surface to compare")
+    return Example(
+        name or obj.name,
+        np.concatenate(points),
+        np.repeat(np.arange(len(points)), [len(p) for p in points]),
+        tuple(p.link for p in obj.parts),
+        tuple(p.name for p in obj.parts),
+        obj.tree.joints,
+        obj.tree.root,
+        obj.category,
+    )
+
+
+def _size(part: Part) -> float:
+    """Area (m²) of a mesh; of a cloud that of its box, as its points' density is unknown."""
+    if part.cloud is None and part.mesh is not None:
+        return float(part.mesh.face_areas.sum())
+    a, b, c = np.ptp(part.bounds, axis=0)
+    return float(a * b + b * c + c * a)
+
+
+def _sampled(part: Part, count: int, rng: np.random.Generator) -> Points:
+    if part.cloud is not None:  # as it was scanned, its mesh is made up
+        every = rng.permutation(len(part.cloud))[:count]
+        return part.cloud.points[every].astype(float)
+    if part.mesh is None or not float(part.mesh.face_areas.sum()) > 0:
+        return np.zeros((0, 3))
+    return sample_surface(part.mesh, count, rng)[0].points.astype(float)
+
+
+def surface_points(parts: Sequence[Part], seed: int = 0) -> Points:
+    """(N, 3) points on the surfaces of an object's parts, as :func:`best_match` takes them."""
+    rng = np.random.default_rng(seed)
+    sizes = [_size(part) for part in parts]
+    whole = max(sum(sizes), 1e-12)
+    return np.concatenate([
+        _sampled(part, max(int(POINTS * size / whole), 1), rng)
+        for part, size in zip(parts, sizes, strict=True)
+    ])  # fmt: skip
+
+
+def best_match(examples: Iterable[Example], points: npt.ArrayLike, seed: int = 0) -> Match | None:
+    """Return the example that fits an object best; None where none has its proportions.
+
+    Args:
+        points: (N, 3) on the object's surface, metres.
+    """
+    given = np.asarray(points, float)
+    given = given[np.random.default_rng(seed).permutation(len(given))[:POINTS]]
+    if len(given) < _LEAST_POINTS:
+        return None
+    frame, tree = _Frame.around(given), KDTree(given)
+    found = [_rough(start, given, tree) for e in examples for start in _starts(e, frame)]
+    found.sort(key=_worth, reverse=True)
+    closer = [_closer(match, given, tree) for match in found[:_CLOSER]]
+    return max(closer, key=_worth, default=None)
+
+
+def _worth(match: Match) -> float:
+    return match.fit - _MIRRORED * (np.linalg.det(match.linear) < 0)
+
+
+def _starts(example: Example, frame: _Frame) -> Iterator[Match]:
+    own = example.frame
+    for quarter in range(4):
+        c, s = ((1, 0), (0, 1), (-1, 0), (0, -1))[quarter]
+        turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
+        scale = frame.sides / np.abs(turn @ own.sides)
+        mean = float(np.exp(np.log(scale).mean()))
+        if max(mean, 1 / mean) > SCALE or scale.max() > PROPORTIONS * scale.min():
+            continue
+        for mirror in (1.0, -1.0):
+            linear = frame.turn @ np.diag(scale * (mirror, 1, 1)) @ turn @ own.turn.T
+            yield Match(example, linear, frame.middle - linear @ own.middle, 0.0)
+
+
+def _rough(match: Match, points: Points, tree: KDTree) -> Match:
+    """The share of some points with a counterpart: which starts are worth a closer fit."""
+    own, given = match.example.points, points[: POINTS // _FEWER]
+    moved = match.to_object(own[:: max(1, _FEWER * len(own) // POINTS)])
+    reach = REACH * float(np.linalg.norm(np.ptp(points, axis=0)))
+    there = tree.query(moved, distance_upper_bound=reach)[0] < np.inf
+    back = KDTree(moved).query(given, distance_upper_bound=_WIDER * reach)[0] < np.inf
+    return replace(match, fit=(float(there.mean()) + float(back.mean())) / 2)
+
+
+def _scored(match: Match, points: Points, tree: KDTree) -> Match:
+    moved = match.to_object(match.example.points)
+    reach = REACH * float(np.linalg.norm(np.ptp(points, axis=0)))
+    there = tree.query(moved, distance_upper_bound=reach)[0] < np.inf
+    part = match.example.part
+    shares = np.bincount(part, there) / np.maximum(np.bincount(part), 1)
+    back = KDTree(moved).query(points, distance_upper_bound=reach)[0] < np.inf
+    return replace(match, fit=(float(shares.mean()) + float(back.mean())) / 2)
+
+
+def _closer(match: Match, points: Points, tree: KDTree) -> Match:
+    """Fit scale and offset of each side to the nearest points, in turns."""
+    sides = _Frame.around(points).turn
+    best = match = _scored(match, points, tree)
+    for _ in range(_ROUNDS):
+        moved = match.to_object(match.example.points)
+        far, nearest = tree.query(moved)
+        close = far <= np.quantile(far, _CLOSEST)
+        x, y = moved[close] @ sides, points[nearest[close]] @ sides
+        low = x.mean(axis=0)
+        spread = np.maximum(((x - low) ** 2).mean(axis=0), 1e-12)
+        slope = ((x - low) * (y - y.mean(axis=0))).mean(axis=0) / spread
+        slope = np.clip(slope, 1 / PROPORTIONS, PROPORTIONS)
+        linear = sides @ np.diag(slope) @ sides.T
+        offset = sides @ (y.mean(axis=0) - slope * low)
+        match = replace(match, linear=linear @ match.linear, offset=linear @ match.offset + offset)
+        match = _scored(match, points, tree)
+        best = max(best, match, key=lambda m: m.fit)
+    return best
+
+
+def carried_joint(
+    match: Match, joint: Joint, before: npt.ArrayLike, after: npt.ArrayLike, child: str, parent: str
+) -> Joint:
+    """Return an example's joint as that of a part of the object.
+
+    The line keeps its place in the moving part's box, which may have other proportions; a range
+    along the axis grows with the part.
+
+    Args:
+        before, after: (2, 3) bounds of the moving part, in the example and in the object.
+        child, parent: links in the object.
+    """
+    axis = match.linear @ np.asarray(joint.axis)
+    growth = float(np.linalg.norm(axis))
+    axis /= growth
+    if joint.rotates and np.linalg.det(match.linear) < 0:
+        axis = -axis  # the mirror image turns the other way
+    corners = match.to_object(_corners(before))
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    new = np.asarray(after, float)
+    place = match.to_object([joint.origin])[0]
+    factor = np.ptp(new, axis=0) / np.maximum(high - low, 1e-9)
+    origin = new[0] + (place - low) * np.where(high - low > 1e-6, factor, 1.0)
+    limits = (joint.lower, joint.upper)
+    if joint.type == "prismatic":
+        limits = tuple(None if v is None else v * growth for v in limits)  # type: ignore[assignment]
+    return replace(
+        joint, name=f"joint_{child}", child=child, parent=parent,
+        axis=tuple(axis.tolist()), origin=tuple(origin.tolist()), lower=limits[0], upper=limits[1],
+        mimic=None,
+    )  # fmt: skip
+
+
+def _corners(bounds: npt.ArrayLike) -> Points:
+    low, high = np.asarray(bounds, float)
+    return np.array([[(low, high)[k >> a & 1][a] for a in range(3)] for k in range(8)])
+
+
+def counterparts(match: Match, parts: Sequence[Part]) -> dict[str, str]:
+    """Link of the object → link of the example that lies there, each used once.
+
+    A part's counterpart has most of its points' nearest neighbours, and the other way round.
+    """
+    out: dict[str, str] = {}
+    nearest: dict[str, npt.NDArray[np.int64]] = {}
+    rng = np.random.default_rng(0)
+    count = len(match.example.links)
+    for part in parts:
+        points = _sampled(part, 300, rng)
+        if len(points):
+            of_point = match.example.part[match.example.tree.query(match.to_example(points))[1]]
+            nearest[part.link] = np.bincount(of_point, minlength=count) / len(points)
+    for k, link in enumerate(match.example.links):
+        shares = {own: float(share[k]) for own, share in nearest.items() if own not in out}
+        best = max(shares, key=shares.__getitem__, default=None)
+        if best is not None and shares[best] > 0.5:
+            out[best] = link
+    return out
