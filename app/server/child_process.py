@@ -40,9 +40,10 @@ class Child:
         self.connection: Connection
         self.connection, theirs = multiprocessing.Pipe(duplex=True)
         descriptor = theirs.fileno()
+        forked = None if template is None else template.fork(name, descriptor)
         self.process: Process
-        if template is not None:
-            self.process = template.fork(name, descriptor)
+        if forked is not None:
+            self.process = forked
         else:
             code = (
                 f"from app.server.worker import main; main({descriptor}, {os.getpid()}, {name!r})"

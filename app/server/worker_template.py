@@ -228,9 +228,10 @@ def main(descriptor: int, parent: int) -> None:
                         os._exit(0)
                     name = data.decode(errors="replace")
                     ours = (descriptor, woken, waker, *reports.values())
-                    pid = _fork(name, *received, ours)
-                    reports[pid] = received[1]
-                    os.close(received[0])
+                    pipe, report = received
+                    pid = _fork(name, pipe, report, ours)
+                    reports[pid] = report
+                    os.close(pipe)
                     _report(reports[pid], pid)
                 else:
                     os.read(woken, 4096)

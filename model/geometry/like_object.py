@@ -7,6 +7,7 @@ by its own factor; the best of them is fitted closer by matching nearest points.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -231,7 +232,8 @@ def _closer(match: Match, points: Points, tree: KDTree) -> Match:
     best = match = _scored(match, points, tree)
     for _ in range(_ROUNDS):
         moved = match.to_object(match.example.points)
-        far, nearest = tree.query(moved)
+        found = tree.query(moved)
+        far, nearest = np.asarray(found[0]), np.asarray(found[1])
         close = far <= np.quantile(far, _CLOSEST)
         x, y = moved[close] @ sides, points[nearest[close]] @ sides
         low = x.mean(axis=0)
@@ -281,7 +283,7 @@ def carried_joint(
 
 def _corners(bounds: npt.ArrayLike) -> Points:
     low, high = np.asarray(bounds, float)
-    return np.array([[(low, high)[k >> a & 1][a] for a in range(3)] for k in range(8)])
+    return np.array(list(itertools.product(*np.stack([low, high]).T)))
 
 
 def counterparts(match: Match, parts: Sequence[Part]) -> dict[str, str]:
@@ -290,7 +292,7 @@ def counterparts(match: Match, parts: Sequence[Part]) -> dict[str, str]:
     A part's counterpart has most of its points' nearest neighbours, and the other way round.
     """
     out: dict[str, str] = {}
-    nearest: dict[str, npt.NDArray[np.int64]] = {}
+    nearest: dict[str, Points] = {}
     rng = np.random.default_rng(0)
     count = len(match.example.links)
     for part in parts:

@@ -51,11 +51,11 @@ def interpreter():
 needs_fork = pytest.mark.skipif(not WorkerTemplate.possible(), reason="it doesn't fork here")
 
 
-def parent_of(pid: int) -> int:
+def parent_of(pid: int | None) -> int:
     return int(Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[1])
 
 
-def alive(pid: int) -> bool:
+def alive(pid: int | None) -> bool:
     try:
         state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
     except (FileNotFoundError, ProcessLookupError):
@@ -89,6 +89,7 @@ def test_forked_workers_are_processes_of_their_own(template):
         assert [one.submit(functions.count_calls).result(60) for _ in range(2)] == [1, 2]
         assert two.submit(functions.count_calls).result(60) == 1
         kept, killed = two.pid, one.pid
+        assert killed is not None
         os.kill(killed, signal.SIGKILL)
         wait_until(lambda: one.pid not in (None, killed))
         assert one.submit(functions.echo, 5).result(60) == 5
