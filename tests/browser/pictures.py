@@ -164,7 +164,7 @@ def cabinet(taking: Taking) -> None:
     wait_until(lambda: tab.selection.step == "Joints", "the joints are shown")
     wait_until(lambda: tab.object.validation.report, "a verdict", LONG)
     wait_until(lambda: not tab.object.busy, "the sweeps are done", LONG)
-    tab.choose("Joint", "door 1")
+    tab.page.locator('[data-press="joint"][value="link_1"]').click()
     for count, (part, far) in enumerate(OPEN.items(), start=1):
         unit = "°" if part.startswith("door") else "mm"
         tab.set_slider(f"{part} [{unit}]", far)

@@ -17,6 +17,7 @@
     }
     named("button:has(.tabler-icon-list-search)", "Command palette (Ctrl+K)");
     named("[role='progressbar']", "Accepted");
+    named(".mantine-Notification-closeButton", "Close");
   }, 500);
 
   // viser's worker says when its connection opens and closes.

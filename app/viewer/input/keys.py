@@ -12,7 +12,7 @@ from app.viewer.words import keys as words
 
 _STYLE = (
     "display:grid;grid-template-columns:max-content 1fr;gap:0.05em 1.2em;"
-    "font-size:0.82em;line-height:1.32"
+    "font-size:0.82em;line-height:1.22"
 )
 
 

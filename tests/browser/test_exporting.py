@@ -1,0 +1,118 @@
+"""Downloads, SimReady packages, and accepting many above a confidence, from the browser."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import pytest
+import trimesh
+from pxr import Sdf
+
+from model.core.articulated_object import Prediction
+from model.io.assets.asset_folder import write_asset
+from model.io.assets.reader import load_object
+from sessions import commands as cmd
+from tests.browser.browsing import Tab, wait_until
+from tests.browser.test_urdf import URDF
+
+pytestmark = pytest.mark.browser
+
+
+@pytest.fixture
+def cupboard(tmp_path: Path) -> Path:
+    """A URDF file whose door moves freely."""
+    trimesh.creation.box(bounds=[[-0.3, -0.13, 0], [0.3, 0.15, 0.4]]).export(tmp_path / "body.ply")
+    trimesh.creation.box(bounds=[[0, 0, 0], [0.6, 0.02, 0.4]]).export(tmp_path / "door.ply")
+    (tmp_path / "cupboard.urdf").write_text(URDF)
+    return tmp_path / "cupboard.urdf"
+
+
+def test_an_accepted_object_is_downloaded_and_packaged(
+    cupboard: Path, start: Any, open_tab: Any
+) -> None:
+    tab: Tab = open_tab(start(cupboard))
+    wait_until(lambda: tab.document.tree is not None, "the joints of the file")
+    tab.app.tab.do(cmd.SetCategory("StorageFurniture"))
+    saved = write_asset(load_object(cupboard), cupboard.with_name("asset"), provenance={})
+    tab.app.tab.do(cmd.Accept("", (), ""))
+    tab.app.tab.do(cmd.Saved(str(saved.folder)))
+    tab.step("Review")
+    check_the_download(tab)
+    check_the_package(tab)
+
+
+def check_the_download(tab: Tab) -> None:
+    """A zip with a URDF that opens, and nothing left on the server."""
+    tab.button("Export…").click()
+    tab.field("mjcf").check()
+    tab.field("Read back and compare").uncheck()
+    tab.button("Export").click()
+    link = tab.page.locator("a[download$='.zip']")
+    link.wait_for()
+    with tab.page.expect_download() as coming:
+        link.click()
+    name = coming.value.suggested_filename
+    assert name in {"artiworld_urdf_mjcf.zip", "artiworld_mjcf_urdf.zip"}
+    archive = zipfile.ZipFile(io.BytesIO(Path(coming.value.path()).read_bytes()))
+    files = archive.namelist()
+    assert any(f.endswith(".urdf") for f in files) and any(f.endswith(".xml") for f in files)
+    assert archive.testzip() is None
+    exports = Path(tab.server.config.workspace) / "exports"
+    wait_until(lambda: not any(exports.glob("*")), "no copy stays")
+
+
+def check_the_package(tab: Tab) -> None:
+    """A SimReady package asks for author and license, and is then written and checked."""
+    page = tab.page
+    tab.button("Export…").click()
+    tab.field("urdf").uncheck()
+    tab.field("SimReady package (USD)").check()
+    tab.field("Read back and compare").uncheck()
+    tab.field("Author").fill("A. Author")
+    tab.field("License").fill("")
+    tab.field("Folder").fill("ready")
+    tab.button("Export").click()
+    page.get_by_text("names its author and its license", exact=False).wait_for()
+    tab.field("License").fill("CC-BY-4.0")
+    tab.drawn()
+    tab.button("Export").click()
+    page.get_by_text("Written to", exact=False).wait_for()
+    out = Path(tab.server.config.workspace) / "exports" / "ready"
+    (package,) = out.rglob("*.usdc")
+    said = Sdf.Layer.FindOrOpen(str(package)).customLayerData["SimReady_Metadata"]
+    assert (said["author"], said["asset_license"]) == ("A. Author", "CC-BY-4.0")
+    assert list(package.parent.rglob("*.png")), "with its thumbnail"
+
+
+def test_many_are_accepted_above_a_confidence(cupboard: Path, start: Any, open_tab: Any) -> None:
+    other = cupboard.with_name("wardrobe.urdf")
+    other.write_text(cupboard.read_text())
+    server = start(cupboard, other)
+    tab: Tab = open_tab(server)
+    records = {r.name: r.id for r in server.app_state.queue.records()}
+    for name, sure in (("cupboard", 0.93), ("wardrobe", 0.41)):
+        tab.app.tab.act(lambda name=name: tab.app.queue.open(records[name]))
+        wait_until(lambda name=name: tab.object and tab.object.record.name == name, "it is open")
+        wait_until(lambda: tab.document.tree is not None, "the joints of the file")
+        doc = tab.document
+        told = Prediction(doc.tree, confidence={"link_1": sure}, backend="test")
+        tab.app.tab.do(cmd.RecordPrediction(told, doc.segmentation.labels))
+    page = tab.page
+    page.get_by_role("button", name="Gallery or list").click()
+    page.get_by_role("button", name="Select all").click()
+    page.get_by_text("2 selected").wait_for()
+    page.locator(".aw-number").fill("80")
+    page.locator(".aw-bulk").get_by_role("button", name="Accept from").click()
+
+    def states() -> dict[str, str]:
+        return {r.name: r.state for r in server.app_state.queue.records()}
+
+    wait_until(lambda: states()["cupboard"] == "accepted", "the sure one is accepted", 120)
+    assert states()["wardrobe"] != "accepted", "the other one waits for a person"
+    session = server.app_state.hub.session(records["cupboard"])
+    assert session.document.saved is not None
+    asset = Path(session.document.saved.folder)
+    assert [j.type for j in load_object(asset).tree.joints] == ["revolute"]
