@@ -106,18 +106,34 @@ def _example(asset: Path) -> Example | None:
     return None
 
 
-def carried_joints(parts: Sequence[Part], asset: Path) -> tuple[Joint, ...]:
+@dataclass(frozen=True)
+class CarriedJoints:
+    """Joints of an accepted asset on another object's parts.
+
+    Attributes:
+        name: of the accepted object. fit: 0..1, of the two objects.
+    """
+
+    joints: tuple[Joint, ...] = ()
+    name: str = ""
+    fit: float = 0.0
+
+
+def object_name(asset_folder: str) -> str:
+    """The name of the object that an accepted asset's folder is named after."""
+    return asset_folder.rpartition("-")[0] or asset_folder
+
+
+def carried_joints(parts: Sequence[Part], asset: Path) -> CarriedJoints:
     """Return an accepted asset's joints on those of ``parts`` that have a counterpart in it.
 
     Where parent or child has none, a joint is left to the predictor, and so are chains.
     """
     example = _example(asset)
-    if example is None:
-        return ()
-    match = best_match([example], surface_points(parts))
+    match = None if example is None else best_match([example], surface_points(parts))
     if match is None or match.fit < FIT:
-        return ()
-    return joints_of(match, parts)
+        return CarriedJoints()
+    return CarriedJoints(joints_of(match, parts), object_name(asset.name), match.fit)
 
 
 def joints_of(match: Match, parts: Sequence[Part]) -> tuple[Joint, ...]:

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from app.server.like_tasks import carried_joints
+from app.server.like_tasks import CarriedJoints, carried_joints
 from app.server.tasks import arrays_of, asset_of
 from model.core.articulated_object import ArticulatedObject, Part, Prediction, SegmentedObject
 from model.core.errors import ConfigurationError, KinematicsError
@@ -167,14 +167,18 @@ def predict(
     """
     progress(0.02, "Cutting out the parts")
     segmented = segmented_object(source)
-    if like is not None:
-        known = {joint.child for joint in locked}
-        carried = carried_joints(segmented.parts, like)
-        locked = (*locked, *(joint for joint in carried if joint.child not in known))
+    carried = CarriedJoints() if like is None else carried_joints(segmented.parts, like)
+    known = {joint.child for joint in locked}
+    taken = tuple(joint for joint in carried.joints if joint.child not in known)
     found: object = load_predictor(predictor).predict(
-        segmented, locked=locked, seed=seed, progress=progress
+        segmented, locked=(*locked, *taken), seed=seed, progress=progress
     )
-    return checked(predictor, segmented, found)
+    answer = checked(predictor, segmented, found)
+    if not taken or answer.tree is None:
+        return answer
+    fit = {joint.child: carried.fit for joint in taken}
+    note = {joint.child: f"As accepted of {carried.name}." for joint in taken}
+    return replace(answer, confidence={**answer.confidence, **fit}, notes={**answer.notes, **note})
 
 
 def checked(predictor: str, segmented: SegmentedObject, found: object) -> Prediction:

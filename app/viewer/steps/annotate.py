@@ -7,6 +7,7 @@ from typing import Any
 
 import viser
 
+from app.server.like_tasks import object_name
 from app.server.open_object import OpenObject
 from app.viewer.input.pointing import Pointing
 from app.viewer.panels.category_guess import CategoryGuess
@@ -89,7 +90,7 @@ class AnnotateStep:
         if obj is None or offer is None:
             return False
         count = obj.likeness.take(self._tab.user)
-        self._tab.notify(*words.alike_taken(count, offer.folder), "green")
+        self._tab.notify(*words.alike_taken(count, object_name(offer.folder)), "green")
         return True
 
     @property
@@ -163,7 +164,11 @@ class AnnotateStep:
         put(self._to_prepare, "visible", noticed is not None)
         alike = None if room or noticed or selection.picking else obj.likeness.wanted
         if alike is not None:
-            put(self._alike, "label", words.take_alike(len(alike.regions), alike.folder))
+            put(
+                self._alike,
+                "label",
+                words.take_alike(len(alike.regions), object_name(alike.folder)),
+            )
         put(self._alike, "visible", alike is not None)
         mine = [p for p in doc.prompts if p.part == selection.part]
         put(self._room, "label", words.EXCLUDE_ROOM if whole else words.EXTRACT)

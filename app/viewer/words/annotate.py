@@ -66,7 +66,7 @@ def part_button(part: int, name: str, share: str, hidden: bool) -> str:
 
 def take_alike(count: int, name: str) -> str:
     """The button that takes the parts of an accepted object."""
-    return f"Like {name}: use its {plural('part', count)} (Enter)"
+    return f"Like {name}: use its {count} {plural('part', count)} (Enter)"
 
 
 def alike_taken(count: int, name: str) -> tuple[str, str]:
