@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import sqlite3
+import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 
 from sqlalchemy import (
@@ -102,6 +103,9 @@ class Database:
         if self.url.get_backend_name() == "sqlite":
             self.name = self.url.database or self.name
         self.engine = _engine(self.url, busy_timeout)
+        # SQLite's own wait for another writer sleeps ever longer, and some threads get no turn.
+        sqlite = self.url.get_backend_name() == "sqlite"
+        self._turn = threading.Lock() if sqlite else nullcontext()
         self._writer = self.engine.execution_options(artiworld_write=True)
         try:
             self._migrate()
@@ -118,7 +122,7 @@ class Database:
     @contextmanager
     def writing(self) -> Iterator[Connection]:
         """Open a transaction that locks for writing from its start; it commits at the end."""
-        with self.translated(), self._writer.begin() as connection:
+        with self._turn, self.translated(), self._writer.begin() as connection:
             yield connection
 
     def close(self) -> None:

@@ -91,6 +91,9 @@ def test_upload_undo_and_filters(ann: Client, rob: Client, tmp_path: Path) -> No
     assert [o["id"] for o in ann.objects(category="Globe")] == [ball["id"]]
     assert list(ann.objects(category="Globe", state="todo")) == []
     assert {o["name"] for o in ann.objects()} >= {"cupboard", "box", "ball"}
+    again = ann.upload(tmp_path / "ball.stl", "globe.stl")
+    first, second = ann.object(ball["id"]), ann.object(again["id"])
+    assert not {"path", "sha256"} & {*first, *second}, "nothing marks a second annotation"
 
 
 def test_wrong_requests_say_what_would_be_right(ann: Client, tmp_path: Path) -> None:

@@ -150,9 +150,10 @@ def joints_json(doc: Document) -> list[dict[str, Any]]:
 
 
 def _line(record: ObjectRecord, assigned: str | None) -> dict[str, Any]:
+    # Without path and digest, which would mark second annotations of the same content.
     return {
         "id": record.id, "name": record.name, "state": record.state, "category": record.category,
         "who": record.who, "updated": record.updated, "created": record.created,
-        "sha256": record.sha256, "assigned_to": assigned or record.assigned_to,
+        "assigned_to": assigned or record.assigned_to,
         "prompt_count": record.prompts, "part_count": record.parts,
     }  # fmt: skip
