@@ -53,6 +53,7 @@ SLOW = (
     "tests/app/test_jobs.py",
     "tests/app/test_lanes.py",
     "tests/app/test_leftovers.py",
+    "tests/app/test_likeness.py",
     "tests/app/test_masks.py",
     "tests/app/test_open_objects.py",
     "tests/app/test_opened_mjcf.py::test_commands_take_it",

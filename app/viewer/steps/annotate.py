@@ -83,15 +83,14 @@ class AnnotateStep:
         else:
             self.source.cut_out()
 
-    def take_alike(self) -> bool:
-        """Take the parts of the accepted object that this one is like; False where there is none."""
+    def take_alike(self) -> None:
+        """Take the parts of the accepted object that this one is like, if there is one."""
         obj = self._tab.selection.object
         offer = None if obj is None or self._tab.in_scene else obj.likeness.wanted
         if obj is None or offer is None:
-            return False
+            return
         count = obj.likeness.take(self._tab.user)
         self._tab.notify(*words.alike_taken(count, object_name(offer.folder)), "green")
-        return True
 
     @property
     def likely_category(self) -> str | None:
