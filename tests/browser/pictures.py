@@ -188,7 +188,7 @@ def oven(taking: Taking) -> None:
         return
     tab = taking.open(EXAMPLES / "oven_scan.ply")
     look(tab, (-1.0, -2.05, 1.3), (0.0, -0.05, 0.45))
-    front = (510, 150, 1400, 697)  # the oven's front and the panel beside it
+    front = (310, 120, 1050, 720)  # the oven between rail and panel
     if taking.wanted("preview"):
         x, y = tab.pixel(DOOR)
         tab.page.mouse.move(x - 3, y)
@@ -263,7 +263,7 @@ def lasso(taking: Taking, tab: Tab) -> None:
     tab.page.mouse.down()
     for place in ring[1:]:
         tab.page.mouse.move(*place)
-    taking.take(tab, "lasso", (400, 215, 1400, 850))
+    taking.take(tab, "lasso", (310, 120, 1050, 850))
     tab.page.mouse.up()
 
 
