@@ -82,7 +82,7 @@ def check_the_package(tab: Tab) -> None:
     page.get_by_text("Written to", exact=False).wait_for()
     out = Path(tab.server.config.workspace) / "exports" / "ready"
     (package,) = out.rglob("*.usdc")
-    said = Sdf.Layer.FindOrOpen(str(package)).customLayerData["SimReady_Metadata"]
+    said = Sdf.Layer.FindOrOpen(str(package)).customLayerData["SimReady_Metadata"]  # type: ignore[attr-defined]
     assert (said["author"], said["asset_license"]) == ("A. Author", "CC-BY-4.0")
     assert list(package.parent.rglob("*.png")), "with its thumbnail"
 
