@@ -148,7 +148,7 @@ def test_click_predict_move_edit_accept(
     assert drawer.axis[1] < -0.99
 
     # The tree scrolls by itself, however many joints there are.
-    style = "() => getComputedStyle(document.querySelector('ul:has(strong)')).overflowY"
+    style = "() => getComputedStyle(document.querySelector('.aw-tree')).overflowY"
     wait_until(lambda: tab.page.evaluate(style) == "auto", "the tree leaves room for the editor")
 
     # A slider moves the link; the drawn frame is where the kinematics says.
