@@ -72,6 +72,8 @@ def pull(tab: Tab, side: Side, q: float, key: str | None = None) -> None:
 def check_the_tree(tab: Tab) -> None:
     """A part is dragged onto another one, and back by two clicks."""
     page = tab.page
+    wait_until(lambda: not tab.object.busy, "the checks, which draw the rows again, are done")
+    tab.drawn()
     page.drag_and_drop('.aw-node[data-link="link_1"]', '.aw-node[data-link="link_2"]')
     wait_until(lambda: tab.document.tree.joint_of["link_1"].parent == "link_2", "it hangs there")
     tab.drawn()
@@ -129,8 +131,8 @@ def check_measuring(tab: Tab) -> None:
     tab.key("Shift+M")
     wait_until(lambda: tab.app.pointing.armed == "measure", "the next clicks measure")
     scene = tab.app.tab.client.scene
-    for k, x in enumerate((-0.397, 0.397)):
-        tab.click3d((x, -0.222, 0.6))
+    for k, x in enumerate((-0.3995, 0.3995)):
+        tab.click3d((x, -0.2245, 0.6))
         wait_until(lambda k=k: scene.get_handle_by_name(f"/measure/{k}"), "the place is marked")
     assert scene.get_handle_by_name("/measure/label").text == "80.0 cm"
     tab.key("Escape")

@@ -51,6 +51,9 @@ def load_again(tab: SceneTab) -> None:
 
 
 def play_by_keys(tab: SceneTab) -> None:
+    work = tab.scene_workspace.work("cabinet 1")
+    wait_until(lambda: work.drawn is not None, "it can play")
+    tab.drawn()
     tab.page.locator("canvas").first.focus()
     for key in ("Space", "Shift+Space"):
         tab.key(key)
