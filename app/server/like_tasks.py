@@ -33,7 +33,7 @@ from model.segmentation.tools.carry_over import carry_over
 LIKE = "like"
 """First word of the recorded tool; the second one is the asset's folder."""
 FIT, AGREEMENT = 0.9, 0.6
-"""Least fit and agreement of an offer, chosen on 37 objects that were scanned twice, see docs/annotate.md."""
+"""Least fit and agreement of an offer; chosen on 37 objects scanned twice (docs/annotate.md)."""
 CLOSE_FIT, LITTLE_AGREEMENT = 0.97, 0.2
 """The same where the shapes hardly differ: clicks that are answered badly are those to save."""
 _KEPT = 256
