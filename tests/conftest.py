@@ -66,8 +66,6 @@ SLOW = (
     "tests/app/test_up_axis.py",
     "tests/model/data/test_partnet_mobility.py::test_real_objects",
     "tests/model/data/test_procedural_objects.py::test_joints_move",
-    "tests/model/data/test_procedural_scans.py::test_clicks_of_demo",
-    "tests/model/data/test_procedural_scans.py::test_demo_objects_are_made",
     "tests/model/evaluation/test_evaluation_run.py",
     "tests/model/evaluation/test_pool.py",
     "tests/model/evaluation/test_predictions.py::test_real_objects",
@@ -85,7 +83,6 @@ SLOW = (
     "tests/model/io/test_asset_folder.py::test_real_objects",
     "tests/model/io/test_asset_folder.py::test_an_asset_with_shapes",
     "tests/model/io/test_round_trips.py",
-    "tests/model/io/test_budgets.py::test_a_process_with_a_limit",
     "tests/model/io/test_damaged_files.py::test_damaged_bytes",
     "tests/model/io/test_exporters.py",
     "tests/model/io/test_hostile_pickles.py",
@@ -117,6 +114,15 @@ SLOW = (
     "tests/model/test_bundled_refrigerator.py",
     "tests/sessions/test_session_properties.py",
     "tests/sessions/test_store_processes.py",
+    "tests/sessions/test_store_postgresql.py",
+    "tests/sessions/test_releases.py",
+    "tests/app/test_release_command.py",
+    "tests/sessions/test_quality.py",
+    "tests/model/geometry/test_like_object.py",
+    "tests/model/geometry/test_prepare.py",
+    "tests/model/data/test_procedural_scans.py",
+    "tests/model/io/test_budgets.py",
+    "tests/model/io/test_masks.py",
 )
 """Beginnings of the names of tests with a browser, physics, training or much to compute, the
 longest first by ``pytest --durations=0``. ``make test-fast`` leaves them out."""
