@@ -48,6 +48,8 @@
   window.addEventListener("click", (event) => {
     const pressed = event.target instanceof Element && event.target.closest("[data-press]");
     if (pressed && !pressed.disabled) send(pressed.dataset.press, pressed.value ?? "");
+    // A clicked control gives the keys back to the picture: Enter and Space mean it there.
+    if (pressed && event.detail) pressed.blur();
   });
 
   // The rail can be folded to its first icons; the browser remembers it.
