@@ -49,14 +49,12 @@ class LikeOffer:
         folder: name of the accepted asset's folder.
         regions: of the parts. names: of the parts, in the same order.
         category: of the accepted object.
-        fit: 0..1, see :class:`~model.geometry.like_object.Match`.
     """
 
     folder: str
     regions: tuple[RegionOffer, ...]
     names: tuple[str | None, ...]
     category: str | None
-    fit: float
 
 
 def find_alike(
@@ -91,9 +89,7 @@ def find_alike(
         ref = arrays_of(workspace).put(elements)
         regions.append(RegionOffer(NEW_PART, ref, len(elements)))
         names.append(of_link[link])
-    return LikeOffer(
-        match.example.name, tuple(regions), tuple(names), match.example.category, match.fit
-    )
+    return LikeOffer(match.example.name, tuple(regions), tuple(names), match.example.category)
 
 
 def _example(asset: Path) -> Example | None:

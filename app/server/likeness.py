@@ -84,8 +84,11 @@ class Likeness:
         """Return the accepted asset whose parts were taken; None where it is gone."""
         for prompt in doc.prompts:
             if isinstance(prompt, RegionRef) and prompt.tool.startswith(f"{LIKE} "):
-                folder = self._obj.services.workspace / "assets" / prompt.tool[len(LIKE) + 1 :]
-                return folder if folder.is_dir() else None
+                name = prompt.tool[len(LIKE) + 1 :]
+                folder = self._obj.services.workspace / "assets" / name
+                # Scripts write commands, too: the name may lead nowhere else.
+                inside = folder.name == name and name not in (".", "..")
+                return folder if inside and folder.is_dir() else None
         return None
 
     def _accepted(self, doc: Document) -> tuple[Path, ...]:

@@ -123,12 +123,7 @@ def example_of(obj: ArticulatedObject, name: str | None = None, seed: int = 0) -
     Raises:
         GeometryError: where no part has a surface or a point.
     """
-    rng = np.random.default_rng(seed)
-    sizes = np.array([_size(part) for part in obj.parts])
-    points: list[Points] = []
-    for part, share in zip(obj.parts, sizes / max(float(sizes.sum()), 1e-12), strict=True):
-        count = max(int(POINTS * share), _LEAST_POINTS)
-        points.append(_sampled(part, count, rng))
+    points = _sampled_parts(obj.parts, _LEAST_POINTS, seed)
     if not sum(map(len, points)):
         raise GeometryError(f"{obj.name!r} has no surface to compare")
     return Example(
@@ -162,13 +157,18 @@ def _sampled(part: Part, count: int, rng: np.random.Generator) -> Points:
 
 def surface_points(parts: Sequence[Part], seed: int = 0) -> Points:
     """(N, 3) points on the surfaces of an object's parts, as :func:`best_match` takes them."""
+    return np.concatenate(_sampled_parts(parts, 1, seed))
+
+
+def _sampled_parts(parts: Sequence[Part], least: int, seed: int) -> list[Points]:
+    """Points of each part in proportion to its size, and ``least`` at least."""
     rng = np.random.default_rng(seed)
     sizes = [_size(part) for part in parts]
     whole = max(sum(sizes), 1e-12)
-    return np.concatenate([
-        _sampled(part, max(int(POINTS * size / whole), 1), rng)
+    return [
+        _sampled(part, max(int(POINTS * size / whole), least), rng)
         for part, size in zip(parts, sizes, strict=True)
-    ])  # fmt: skip
+    ]
 
 
 def best_match(examples: Iterable[Example], points: npt.ArrayLike, seed: int = 0) -> Match | None:
@@ -289,7 +289,7 @@ def _corners(bounds: npt.ArrayLike) -> Points:
 def counterparts(match: Match, parts: Sequence[Part]) -> dict[str, str]:
     """Link of the object → link of the example that lies there, each used once.
 
-    A part's counterpart has most of its points' nearest neighbours, and the other way round.
+    A part's counterpart is nearest to more than half of its points.
     """
     out: dict[str, str] = {}
     nearest: dict[str, Points] = {}

@@ -19,6 +19,7 @@ from model.core.point_cloud import PointCloud
 from model.io.write.meshes import write_cloud
 from model.segmentation.prompts import Click
 from sessions import commands as cmd
+from sessions.document import Document, RegionRef
 from sessions.records import now
 from sessions.store import Store
 from tests.builders import cabinet_cloud, wait_until
@@ -67,6 +68,22 @@ def accepted(obj: OpenObject) -> None:
     report = obj.validation.report
     accept(obj, "", "tester", now(), "as it is", seen=report)
     wait_until(lambda: obj.document.saved is not None, "it is saved")
+
+
+def test_joints_come_from_accepted_assets_alone(app_state: AppState, tmp_path: Path) -> None:
+    """Whatever folder a command names that a script wrote."""
+    obj = app_state.object(app_state.queue.records()[0].id)
+    assets = tmp_path / "workspace" / "assets"
+    (assets / "good-1" / "inner").mkdir(parents=True)
+
+    def source(name: str) -> Path | None:
+        return obj.likeness.source_of_joints(
+            Document(prompts=(RegionRef(1, "a", True, 1, f"like {name}"),))
+        )
+
+    assert source("good-1") == assets / "good-1"
+    for name in ("..", ".", "../assets", "good-1/inner", "/etc", "good-1/..", "absent-2"):
+        assert source(name) is None
 
 
 def test_a_second_one_takes_parts_and_joints_of_the_first(app_state: AppState) -> None:

@@ -73,18 +73,19 @@ class Overlays:
             return
         for handle in self._places:
             handle.remove()
-        self._places = [
+        self._places = self._balls("/place", places, palette.CONTACT, self._diagonal)
+
+    def _balls(
+        self, name: str, places: Sequence[Any], color: palette.Rgb, diagonal: float
+    ) -> list[Any]:
+        """Draw a small ball at each place, (3,); returns the handles."""
+        return [
             self._client.scene.add_icosphere(
-                f"/place/{k}",
-                radius=_MARK * self._diagonal,
-                color=palette.CONTACT,
-                subdivisions=2,
-                position=place,
-                cast_shadow=False,
-                receive_shadow=False,
+                f"{name}/{k}", radius=_MARK * diagonal, color=color, subdivisions=2,
+                position=place, cast_shadow=False, receive_shadow=False,
             )
             for k, place in enumerate(places)
-        ]
+        ]  # fmt: skip
 
     def show_measure(self, places: Sequence[npt.NDArray[np.float64]], text: str) -> None:
         """Mark one or two points, (3,) each, and the line between them with ``text``."""
@@ -93,18 +94,7 @@ class Overlays:
         for handle in self._measure:
             handle.remove()
         scene = self._client.scene
-        self._measure = [
-            scene.add_icosphere(
-                f"/measure/{k}",
-                radius=_MARK * self._diagonal,
-                color=palette.SELECTED,
-                subdivisions=2,
-                position=place,
-                cast_shadow=False,
-                receive_shadow=False,
-            )
-            for k, place in enumerate(places)
-        ]
+        self._measure = self._balls("/measure", places, palette.SELECTED, self._diagonal)
         if len(places) == 2:
             ends = np.stack(places).astype(np.float32)
             self._measure += [
