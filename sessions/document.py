@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 from model.core.articulated_object import Prediction
@@ -15,6 +15,7 @@ from model.segmentation.prompts import BASE, MAX_PARTS, UNASSIGNED, Click
 from sessions.review import RejectReason, ReviewState
 from sessions.scene_commands import Decided, PickOut
 from sessions.tool_commands import SOURCE_FRAME, FaceCut, ObjectFrame
+from sessions.tree_edits import holds_part
 
 
 @dataclass(frozen=True)
@@ -292,6 +293,14 @@ class Document:
         if self.tree is None:
             return ()
         return tuple(j for j in self.tree.joints if j.child in self.locked)
+
+    def likely_joints(self, joint: Joint) -> tuple[Joint, ...]:
+        """What the prediction finds likely for one of the tree's joints, likeliest first, on the
+        present parent. Nothing where helper links take part: their joints belong together.
+        """
+        if self.prediction is None or not (holds_part(joint.parent) and holds_part(joint.child)):
+            return ()
+        return tuple(replace(j, parent=joint.parent) for j in self.prediction.likely(joint.child))
 
     def part(self, part: int) -> PartInfo | None:
         """Return the part with that id, or None."""

@@ -78,6 +78,16 @@ class Commands:
 
         return act
 
+    def in_joints(
+        self, there: Callable[[], None], otherwise: Callable[[], None]
+    ) -> Callable[[], None]:
+        """An action for the joints step, and another one for all others."""
+
+        def act() -> None:
+            (there if self._tab.selection.step == "Joints" else otherwise)()
+
+        return act
+
     def enter(self) -> None:
         """Prepare what needs it, take the parts that are offered, or edit the selected object of
         the scene.
@@ -253,6 +263,7 @@ def bindings(
                 key = TOOL_KEYS.get(tool)
                 use = _with(tools.use, label)
                 if tool == "merge":
+                    use = commands.in_joints(joints.editor.next_likely, use)
                     use = by_step(prepare.measure, use)
                 yield Binding(words.tool(label), key, use)
     yield Binding(words.CUT, "K", pointing.next_cut)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from model.core.affordance import Affordance
 from model.core.errors import GeometryError, KinematicsError
 from model.core.inertial import Inertial
 from model.core.joint import Joint
@@ -105,6 +106,7 @@ class ArticulatedObject:
     category: str | None = None
     inertials: Mapping[str, Inertial] = field(default_factory=dict)
     shapes: Mapping[str, tuple[Shape, ...]] = field(default_factory=dict)
+    affordances: tuple[Affordance, ...] = ()
 
     def __post_init__(self) -> None:
         links, owned = set(self.tree.links), {p.link for p in self.parts}
@@ -135,6 +137,7 @@ class Prediction:
         raw_text: the model's own words, "" for a predictor without any.
         notes: child link → how the joint was decided, for people.
         file: name of the file that tells the joints; None where a predictor answered.
+        alternatives: child link → other joints that it may have, likeliest first.
     """
 
     tree: KinematicTree | None
@@ -146,12 +149,18 @@ class Prediction:
     raw_text: str = ""
     notes: Mapping[str, str] = field(default_factory=dict)
     file: str | None = None
+    alternatives: Mapping[str, tuple[Joint, ...]] = field(default_factory=dict)
 
     @classmethod
     def of_file(cls, name: str, tree: KinematicTree) -> Prediction:
         """The joints that a file declares; declared joints have no confidence."""
         notes = {j.child: f"From {name}." for j in tree.joints}
         return cls(tree, backend=f"file {name}", notes=notes, file=name)
+
+    def likely(self, child: str) -> tuple[Joint, ...]:
+        """The joint of ``child`` and its alternatives, likeliest first."""
+        joint = self.joint(child)
+        return () if joint is None else (joint, *self.alternatives.get(child, ()))
 
     def joint(self, child: str) -> Joint | None:
         """The joint of ``child``, or None."""

@@ -190,6 +190,21 @@ def canonical_axis_sign(joint: Joint) -> Joint:
     return joint.flipped() if axis[np.argmax(np.abs(axis))] < 0 else joint
 
 
+def same_motion(a: Joint, b: Joint, angle: float, line: float) -> bool:
+    """Whether both turn, or both slide, along one axis; its direction and the limits aside.
+
+    Args:
+        angle: between the axes, radians. line: between those of joints that turn, metres.
+    """
+    if a.moves != b.moves or a.rotates != b.rotates:
+        return False
+    along = np.asarray(b.axis)
+    if abs(float(along @ np.asarray(a.axis))) < np.cos(angle):
+        return False
+    offset = np.asarray(b.origin) - np.asarray(a.origin)
+    return not a.rotates or float(np.linalg.norm(np.cross(along, offset))) <= line
+
+
 def motion(joint: Joint, q: float) -> npt.NDArray[np.float64]:
     """The one place that turns (joint, q) into a motion.
 

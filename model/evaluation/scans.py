@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from typing import Literal
 
@@ -21,7 +21,7 @@ import numpy.typing as npt
 from model.core.articulated_object import ArticulatedObject, SegmentedObject
 from model.core.asset import Asset
 from model.core.errors import ArtiworldError
-from model.core.joint import Joint
+from model.core.joint import Joint, same_motion
 from model.core.progress import Progress, no_progress
 from model.core.tree import KinematicTree
 from model.data.registry import DatasetOptions, open_dataset
@@ -174,7 +174,7 @@ def _scored(
 
     asset, object_from_truth, kept, up_error = _delivered(frame, truth, scan)
     lap()
-    part_of = _numbers(truth)
+    part_of = part_numbers(truth)
     index = scan.part[kept]
     labels = np.where(index < 0, -1, part_of[np.maximum(index, 0)]).astype(np.int16)
     session = load_segmenter().encode(asset)
@@ -192,7 +192,7 @@ def _scored(
     )
     lap()
     seen = [p for p in rounds.parts if p != BASE]
-    right, joints, extra = _joints_right(truth, part_of, seen, guess.tree, object_from_truth)
+    right, joints, extra = joints_right(truth, part_of, seen, guess.tree, object_from_truth)
     return ScanScore(
         name, frame, up_error, rounds.iou, rounds.clicks, rounds.drops, joints, right, extra,
         tuple(round(s, 3) for s in seconds),
@@ -220,7 +220,7 @@ def _delivered(
     return found.asset, found.object_from_source @ scan.source_from_object, found.kept, error
 
 
-def _numbers(truth: ArticulatedObject) -> npt.NDArray[np.int64]:
+def part_numbers(truth: ArticulatedObject) -> npt.NDArray[np.int64]:
     """(P,) number of each part: 0 for the one that nothing moves, the others from 1 on."""
     links = [p.link for p in truth.parts]
     still = [k for k, link in enumerate(links) if not chain(truth.tree, link, set(links))[1]]
@@ -233,12 +233,12 @@ def _numbers(truth: ArticulatedObject) -> npt.NDArray[np.int64]:
 
 def _front(truth: ArticulatedObject) -> Array:
     """(3,) where a person looks at it from: the side that shows most of the moving parts."""
-    numbers = _numbers(truth).tolist()
+    numbers = part_numbers(truth).tolist()
     pieces = [(n, p.mesh) for n, p in zip(numbers, truth.parts, strict=True) if p.mesh is not None]
     return np.array(front_of(pieces))
 
 
-def _joints_right(
+def joints_right(
     truth: ArticulatedObject,
     part_of: npt.NDArray[np.int64],
     seen: Sequence[int],
@@ -272,13 +272,11 @@ def _agrees(true: Joint, found: Joint, asset_from_truth: Array, diagonal: float)
     """Whether type, axis and, of what turns, the axis line are right."""
     linear = asset_from_truth[:3, :3]
     axis = linear @ np.asarray(true.axis)
-    axis /= np.linalg.norm(axis)
-    if found.type != true.type or abs(float(axis @ np.asarray(found.axis))) < np.cos(AXIS):
-        return False
-    if not true.rotates:
-        return True
-    offset = np.asarray(found.origin) - (linear @ np.asarray(true.origin) + asset_from_truth[:3, 3])
-    return float(np.linalg.norm(np.cross(axis, offset))) <= LINE * diagonal
+    origin = linear @ np.asarray(true.origin) + asset_from_truth[:3, 3]
+    there = replace(
+        true, axis=tuple((axis / np.linalg.norm(axis)).tolist()), origin=tuple(origin.tolist())
+    )
+    return found.type == true.type and same_motion(found, there, AXIS, LINE * diagonal)
 
 
 def table(scores: Sequence[ScanScore]) -> Iterator[dict[str, float | str]]:

@@ -27,6 +27,7 @@ class PredictionBuilder:
         links: of the parts. locked: joints fixed by a person, kept unchanged.
         confidence_model: of the predictor. problems: for people.
         evidence: child link → evidence of its joint.
+        alternatives: see :class:`~model.core.articulated_object.Prediction`.
     """
 
     links: tuple[str, ...]
@@ -34,6 +35,7 @@ class PredictionBuilder:
     confidence_model: ConfidenceModel
     problems: list[str] = field(default_factory=list)
     evidence: dict[str, Evidence] = field(default_factory=dict)
+    alternatives: dict[str, tuple[Joint, ...]] = field(default_factory=dict)
     _joints: list[Joint] = field(default_factory=list)
     _helpers: list[str] = field(default_factory=list)
     _notes: dict[str, str] = field(default_factory=dict)
@@ -63,6 +65,7 @@ class PredictionBuilder:
             time.perf_counter() - self._started,
             "" if tree is None else text(tree),
             self._notes | {j.child: LOCKED for j in self.locked},
+            alternatives=self.alternatives,
         )
 
     def _tree(self) -> KinematicTree | None:

@@ -14,6 +14,7 @@ from app.server import snapping_tasks
 from app.viewer.panels.joint_editor import JointEditor
 from app.viewer.words.joints import AXIS
 from model.core.articulated_object import Prediction
+from model.core.errors import CommandError
 from model.core.joint import Joint
 from model.core.tree import KinematicTree
 from sessions.document import Document
@@ -68,6 +69,30 @@ def test_the_predicted_type_comes_back_as_predicted(editor: Any) -> None:
     editor.selection.joint = replace(DRAWER, parent="link_2")
     editor.set_type("revolute")
     assert editor.asked, "the prediction is of a joint on another part"
+
+
+def test_the_likely_motions_of_a_prediction_come_one_after_the_other(editor: Any) -> None:
+    with pytest.raises(CommandError, match="no other motion"):
+        editor.next_likely()
+    obj = editor.selection.need_object()
+    other_side = replace(DOOR, axis=(0, 0, -1), origin=(0.5, 0.2, 0.0))
+    prediction = Prediction(obj.document.tree, alternatives={"link_1": (other_side, DRAWER)})
+    obj.document = replace(obj.document, prediction=prediction)
+    editor.selection.joint = replace(DOOR, name="front", upper=0.3)  # the range was edited
+    taken = []
+    for _ in range(3):
+        editor.next_likely()
+        taken.append(editor.selection.joint)
+    assert taken == [replace(j, name="front") for j in (other_side, DRAWER, DOOR)]
+    editor.selection.joint = replace(DOOR, axis=(1, 0, 0))  # by hand, none of them
+    editor.next_likely()
+    assert editor.selection.joint == DOOR
+    editor.selection.joint = replace(DOOR, parent="link_7")
+    editor.next_likely()
+    assert editor.selection.joint == replace(other_side, parent="link_7"), "the parent stays"
+    editor.selection.joint = replace(DOOR, parent="helper_1")
+    with pytest.raises(CommandError, match="no other motion"):
+        editor.next_likely()
 
 
 def test_an_axis_is_shown_without_a_trace_of_the_other_side(editor: Any) -> None:

@@ -59,7 +59,7 @@ def test_a_refusal_speaks_the_unit_that_is_shown() -> None:
 
 
 def test_an_edited_joint_is_called_so() -> None:
-    assert "confidence 22\u00a0%" in tree_rows(TREE, document())[1]
+    assert "confidence\u00a022\u00a0%" in tree_rows(TREE, document())[1]
     said = tree_rows(TREE, document(replace(DOOR, upper=1.0)))[1]
     assert "confidence" not in said
     assert "edited" in said
@@ -118,8 +118,8 @@ def test_the_joints_of_one_part_are_told_apart() -> None:
     said = tree_rows(tree, doc)
     assert not any("helper" in row for row in said)
     assert said[1:3] == [
-        f"1 {first} prismatic 0 to 100 mm · confidence 71\u00a0%",
-        f"2 {second} continuous · confidence 71\u00a0%",
+        f"1 {first} prismatic 0 to 100 mm · confidence\u00a071\u00a0%",
+        f"2 {second} continuous · confidence\u00a071\u00a0%",
     ]
     cloud = tuple(Part(p.link, cloud=POINTS, name=p.name) for p in parts)
     obj = ArticulatedObject("chair", cloud, tree)

@@ -187,7 +187,7 @@ NEWER_FIELDS = {
 """What later versions added, with its default."""
 NEWER_REGION = {"like": None}
 """The same for each region of a tool."""
-NEWER_PREDICTION = {"file": None}
+NEWER_PREDICTION = {"alternatives": {}, "file": None}
 """The same for a prediction."""
 
 

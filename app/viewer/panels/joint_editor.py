@@ -14,14 +14,14 @@ from app.server.display_names import holds_part, joint_title, part_title
 from app.server.jobs import EDITS, WorkerProcess
 from app.server.open_object import OpenObject
 from app.viewer.panels.joint_motion import JointMotion
-from app.viewer.panels.joint_text import joint_note, shown
+from app.viewer.panels.joint_text import axis_name, joint_note, shown
 from app.viewer.panels.widgets import differs, put
 from app.viewer.picture.motion import Motion
 from app.viewer.tab import Tab
 from app.viewer.words import joints as words
-from app.viewer.words.common import NONE
+from app.viewer.words.common import CHOSEN, NONE
 from model.core.errors import CommandError
-from model.core.joint import JOINT_TYPES, Joint
+from model.core.joint import JOINT_TYPES, Joint, same_motion
 from model.core.tree import KinematicTree
 from model.io.file_names import FileNames
 from sessions import commands as cmd
@@ -53,6 +53,7 @@ class JointEditor:
         self._child = gui.add_dropdown(words.JOINT, (NONE,))
         self.pose_box = gui.add_folder(None)
         self._note = gui.add_markdown("")
+        self._likely = gui.add_button_group(words.LIKELY, (NONE,), hint=words.LIKELY_HINT)
         self._type = gui.add_dropdown(words.TYPE, JOINT_TYPES)
         self.several = JointMotion(tab, self._on_edit)
         self._parent = gui.add_dropdown(words.PARENT, (NONE,))
@@ -91,6 +92,7 @@ class JointEditor:
         self._on_edit(self._lower, lambda: self._limit("lower", self._lower.value))
         self._on_edit(self._upper, lambda: self._limit("upper", self._upper.value))
         tab.on_update(self._locked, self._lock)
+        self._likely.on_click(lambda e: tab.act(lambda: self._take_likely(e.target.value)))
         self._axis_to.on_click(lambda e: tab.act(lambda: self._preset(e.target.value)))
         self._axis_box.on_click(
             lambda e: tab.act(lambda: self._snap(words.ALIGN_AXIS_ACTIONS[e.target.value]))
@@ -161,6 +163,22 @@ class JointEditor:
         """The next type in the list (T)."""
         at = JOINT_TYPES.index(self._need_joint().type)
         self.set_type(JOINT_TYPES[(at + 1) % len(JOINT_TYPES)])
+
+    def next_likely(self) -> None:
+        """The next of the motions that the prediction finds likely (M)."""
+        joint, found = self._need_joint(), self._likely_joints()
+        if len(found) < 2:
+            raise CommandError(words.ONE_LIKELY)
+        at = next((k for k, j in enumerate(found) if _same(j, joint)), -1)
+        self._set(replace(found[(at + 1) % len(found)], name=joint.name))
+
+    def _take_likely(self, label: str) -> None:
+        joint = self._need_joint()
+        number = int(label.removeprefix(CHOSEN).split()[0])
+        self._set(replace(self._likely_joints()[number - 1], name=joint.name))
+
+    def _likely_joints(self) -> tuple[Joint, ...]:
+        return self._tab.selection.need_object().document.likely_joints(self._need_joint())
 
     def flip(self) -> None:
         """Turn the axis round; the limits stay, so the part opens to the other side (F)."""
@@ -237,6 +255,12 @@ class JointEditor:
         files = FileNames.of_tree(tree, names, doc.category)
         put(self._name, "value", files.joints.get(joint.name, joint.name))
         put(self._type, "value", joint.type)
+        found = doc.likely_joints(joint)
+        put(self._likely, "visible", len(found) > 1 and doc.review.state != "accepted")
+        if len(found) > 1:
+            labels = (words.likely(k, j.type, axis_name(j)) for k, j in enumerate(found, 1))
+            marks = (CHOSEN * _same(j, joint) for j in found)
+            put(self._likely, "options", tuple(map("".join, zip(marks, labels, strict=True))))
         self.several.draw(obj, tree, joint)
         below = tree.descendants(joint.child)
         above = tuple(part_title(doc, k) for k in tree.links if k not in below)
@@ -266,6 +290,10 @@ class JointEditor:
         put(self._reset, "label", words.reset_to(doc.joints_file is not None))
         put(self._reset, "visible", joint.child in doc.edited_joints)
         put(self._note, "content", joint_note(joint, doc, obj.checks))
+
+
+def _same(a: Joint, b: Joint) -> bool:
+    return (a.type, a.parent) == (b.type, b.parent) and same_motion(a, b, 1e-3, 1e-3)
 
 
 def _differs(a: Any, b: Any) -> bool:

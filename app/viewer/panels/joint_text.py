@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Final
 
 from app.server.display_names import display_text, moved_part, part_title
 from app.server.validating import JointCollision
@@ -11,6 +12,9 @@ from app.viewer.words import joints as words
 from app.viewer.words.common import warning
 from model.core.joint import Joint, value_text
 from sessions.document import Document
+
+_NEARLY: Final = 0.97
+"""Least cosine between an axis and the one that it is called after."""
 
 
 def shown(joint: Joint, q: float) -> float:
@@ -45,6 +49,14 @@ def confidence_of(doc: Document, child: str) -> float | None:
     # All joints of a part are one prediction.
     part = child if doc.tree is None else moved_part(doc.tree, child)
     return known.get(child, known.get(part))
+
+
+def axis_name(joint: Joint) -> str:
+    """The axis as "X" or "-Z"; "" for another direction, or a joint that doesn't move."""
+    largest = max(range(3), key=lambda k: abs(joint.axis[k]))
+    if not joint.moves or abs(joint.axis[largest]) < _NEARLY:
+        return ""
+    return f"{'-' if joint.axis[largest] < 0 else ''}{'XYZ'[largest]}"
 
 
 def range_warnings(joint: Joint) -> list[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -133,6 +134,12 @@ class ObjectDrawing:
             color = palette.part_color(int(part)) if part.isdigit() else palette.GHOST
             color = palette.SELECTED if chosen else color
             marks.append(_mark(joint.name, joint, length, color, chosen))
+            if chosen and doc.review.state != "accepted":
+                for rank, other in enumerate(doc.likely_joints(joint), 1):
+                    if other.moves and _axis_differs(other, joint):
+                        mark = _mark(f"likely-{rank}", other, length, palette.GHOST, False)
+                        marks.append(replace(mark, label=str(rank)))
+                continue
             predicted = None if doc.prediction is None else doc.prediction.joint(joint.child)
             if predicted is not None and predicted.moves and _axis_differs(predicted, joint):
                 marks.append(_mark(f"ghost-{joint.name}", predicted, length, palette.GHOST, False))

@@ -26,7 +26,9 @@ NEAR_TURN, NEAR_SHIFT = np.radians(4.0), 0.025
 
 @dataclass(frozen=True)
 class AxisMark:
-    """One axis to draw: an arrow through ``origin`` along ``axis`` in its parent's pose."""
+    """One axis to draw: an arrow through ``origin`` along ``axis`` in its parent's pose, with a
+    ``label`` at its head.
+    """
 
     key: str
     parent: str
@@ -35,6 +37,7 @@ class AxisMark:
     length: float
     color: palette.Rgb
     thick: bool
+    label: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,14 +88,18 @@ class JointMarks:
         origin, axis = np.asarray(mark.origin), np.asarray(mark.axis)
         width = diagonal * (0.0042 if mark.thick else 0.0026)
         ends = np.stack([origin - 0.5 * mark.length * axis, origin + 0.62 * mark.length * axis])
-        return self._client.scene.add_arrows(
-            f"/axis/{mark.key}",
+        name = f"/axis/{mark.key}"
+        arrow = self._client.scene.add_arrows(
+            name,
             ends[None].astype(np.float32),
             mark.color,
             shaft_radius=width,
             head_radius=2.6 * width,
             head_length=6.5 * width,
         )
+        if mark.label:  # a child of the arrow, which goes with it
+            self._client.scene.add_label(f"{name}/label", mark.label, position=ends[1])
+        return arrow
 
     def show_directions(self, corner: npt.NDArray[np.float64] | None) -> None:
         """Show arrows X, Y and Z beside the corner (3,) of the object; None removes them."""

@@ -31,6 +31,9 @@ FOLLOWS: Final = "Follows"
 FOLLOWS_HINT: Final = "As gears do: this joint moves with another one"
 RATIO: Final = "Ratio"
 RATIO_HINT: Final = "Radians or metres for each radian or metre of the other joint"
+LIKELY: Final = "Likely (M)"
+LIKELY_HINT: Final = "The likeliest motions by the prediction; 2 and 3 have numbered axes"
+ONE_LIKELY: Final = "The prediction has no other motion for this joint"
 PARENT: Final = "Parent"
 SET_PARENT: Final = "Set parent"
 HINT_PARENT: Final = "Click the part that carries it, in the tree or the picture. Esc ends"
@@ -82,6 +85,11 @@ BEYOND_A_TURN: Final = "The range exceeds one turn; a continuous joint has no li
 SCAN_OUTSIDE: Final = "The scanned pose (0) is outside the range."
 
 
+def likely(rank: int, type: str, axis: str) -> str:
+    """A motion of the prediction, as in "2 revolute -Z"; ``axis`` is "" where it has none."""
+    return f"{rank} {type} {axis}".rstrip()
+
+
 def ask_name(part: str, other_selected: bool) -> str:
     """Ask what an unnamed part is; the selected joint may be of another part."""
     return f"**What is {part}?**" + " (The selected part is named.)" * other_selected
@@ -124,7 +132,7 @@ span = Message("{lower} to {upper}")
 
 def tree_line(kind: str, confidence: str, locked: bool, odd_range: bool, collides: bool) -> str:
     """A joint of the tree; ``kind`` holds type and range, ``confidence`` may say "edited"."""
-    sure = f"confidence {confidence}" if confidence.endswith("%") else confidence
+    sure = f"confidence\u00a0{confidence}" if confidence.endswith("%") else confidence
     marks = (locked, "locked"), (odd_range, "⚠ range"), (collides, "⚠ collision")
     words = [kind, sure, *(word for marked, word in marks if marked)]
     return " · ".join(w for w in words if w)

@@ -8,6 +8,7 @@ they are clear enough.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -147,8 +148,10 @@ class MotionRanker:
         """The answer with the likeliest motion of each part that moves; locked parts stay."""
         decisions = list(answer.decisions)
         parts = [
-            i for i, d in enumerate(decisions) if 0 <= d.slot < SLOTS and i not in locked
-        ]  # fmt: skip
+            i
+            for i, d in enumerate(decisions)
+            if i not in locked and d.parent >= 0 and arrays.candidate_scalars[i, :, 0].any()
+        ]
         read = [
             motion_features(arrays, i, network_odds(answer, i), rules[i], same[i]) for i in parts
         ]
@@ -156,13 +159,19 @@ class MotionRanker:
             return answer
         odds = self.trees(np.concatenate([features for _, features in read]))
         ends = np.cumsum([len(slots) for slots, _ in read])[:-1]
-        for i, (slots, _), own in zip(parts, read, np.split(odds, ends), strict=True):
+        motions = {
+            i: (slots, own)
+            for i, (slots, _), own in zip(parts, read, np.split(odds, ends), strict=True)
+        }
+        for i, (slots, own) in motions.items():
+            if not 0 <= decisions[i].slot < SLOTS:
+                continue
             present = int(np.flatnonzero(slots == decisions[i].slot)[0])
             among = same[i][np.ix_(slots, slots)]
             chosen = self.chosen(present, own, rules[i][v.SLOT_IDS][slots], among)
             if chosen != present:
-                decisions[i] = _moved(structure, i, decisions[i], int(slots[chosen]))
-        return replace(answer, decisions=tuple(decisions))
+                decisions[i] = with_candidate(structure, i, decisions[i], int(slots[chosen]))
+        return replace(answer, decisions=tuple(decisions), motions=motions)
 
     def chosen(self, present: int, odds: Floats, rules: Array, same: Bools) -> int:
         """Index of the candidate to take, of a part's K.
@@ -176,8 +185,30 @@ class MotionRanker:
         best = int(np.argmax(likely))
         if likely[best] - likely[same[present]].max() < self.margin:
             return present
-        # Of the candidates with this motion the rules know the one with the likeliest limits.
-        return int(np.argmax(np.where(same[best], rules, -np.inf)))
+        return _best_limits(best, rules, same)
+
+
+def _best_limits(candidate: int, rules: Array, same: Bools) -> int:
+    """Of the candidates with this motion the one whose limits the rules find likeliest."""
+    return int(np.argmax(np.where(same[candidate], rules, -np.inf)))
+
+
+def other_motions(
+    answer: Answer, structure: Structure, part: int, rules: Array, same: Bools
+) -> Iterator[Decision]:
+    """The decision about a part with each of its candidates' motions, likeliest first.
+
+    Args:
+        rules: (SIZE,) log-probabilities from geometry and names.
+        same: (SLOTS, SLOTS) candidates with the same motion.
+    """
+    if part not in answer.motions:
+        return
+    slots, odds = answer.motions[part]
+    among, own = same[np.ix_(slots, slots)], rules[v.SLOT_IDS][slots]
+    for k in np.argsort(-odds, kind="stable"):
+        slot = int(slots[_best_limits(int(k), own, among)])
+        yield with_candidate(structure, part, answer.decisions[part], slot)
 
 
 def network_odds(answer: Answer, part: int) -> Array:
@@ -190,7 +221,7 @@ def network_odds(answer: Answer, part: int) -> Array:
     return out
 
 
-def _moved(structure: Structure, part: int, decision: Decision, slot: int) -> Decision:
+def with_candidate(structure: Structure, part: int, decision: Decision, slot: int) -> Decision:
     """The decision with another candidate, its type and its limits."""
     found = structure.slots[part][slot]
     assert found is not None

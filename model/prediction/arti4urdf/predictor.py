@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -10,15 +11,16 @@ import numpy as np
 import numpy.typing as npt
 
 from model.core.articulated_object import Prediction, SegmentedObject
-from model.core.joint import Joint
+from model.core.joint import Joint, same_motion
 from model.core.progress import Progress, no_progress
 from model.prediction.arti4urdf import vocabulary as v
 from model.prediction.arti4urdf.answer import joints_of_decision, write_answer
-from model.prediction.arti4urdf.decoding import Answer, decode, same_motion
+from model.prediction.arti4urdf.decoding import Answer, decode
+from model.prediction.arti4urdf.decoding import same_motion as same_motions
 from model.prediction.arti4urdf.evidence import joint_evidence, parent_probability
 from model.prediction.arti4urdf.geometric_prior import geometric_prior
 from model.prediction.arti4urdf.grammar import Lock
-from model.prediction.arti4urdf.motion_ranker import load_motion_ranker
+from model.prediction.arti4urdf.motion_ranker import load_motion_ranker, other_motions
 from model.prediction.arti4urdf.network import ArtiModel, Prompt
 from model.prediction.arti4urdf.structure import (
     MECHANISMS,
@@ -32,6 +34,11 @@ from model.prediction.builder import PredictionBuilder, unknown_link
 from model.prediction.confidence import Evidence, load_confidence
 from model.prediction.explanation import COLLISION_FREE, FREE_AXIS, MECHANISM_TITLES, explain
 from model.prediction.geometric.mechanisms import SWEPT_LIMITS
+
+ALTERNATIVES = 2
+"""Other motions of a joint that are offered."""
+APART, LINE = 0.15, 0.06
+"""Motions differ from this angle between their axes on (rad), or this distance (diagonals)."""
 
 
 @dataclass(frozen=True)
@@ -108,7 +115,7 @@ class Arti4UrdfPredictor:
             )
         progress(0.6, "reading shapes")
         prompt = make_prompt(structure, segmented, seed)
-        rules, same = geometric_prior(structure), same_motion(prompt)
+        rules, same = geometric_prior(structure), same_motions(prompt)
         locks = _locks(locked, links, builder.problems)
         progress(0.8, "writing the tree")
         answer = self.answer(prompt, structure, locks, rules)
@@ -125,6 +132,12 @@ class Arti4UrdfPredictor:
             joints = joints_of_decision(structure, i, answer.decisions[i], assembly)
             evidence = joint_evidence(structure, answer, i, rules, same)
             builder.add(joints, evidence, _note(structure, answer, i))
+            if len(joints) == 1 and assembly is not None:
+                others = other_motions(answer, structure, i, rules[i], same[i])
+                made = (joints_of_decision(structure, i, d, assembly) for d in others)
+                builder.alternatives[link] = distinct_joints(
+                    joints[0], made, structure.sampled.frame.diagonal
+                )
         progress(1.0, "done")
         backend = f"{self.name} {self._version}".strip()
         made = builder.build(backend, seed, lambda tree: write_answer(tree, segmented))
@@ -163,6 +176,26 @@ class Arti4UrdfPredictor:
             and parent_probability(answer, i) < self.hybrid.tree
             for i, parent in enumerate(structure.assembly.parent)
         )
+
+
+def distinct_joints(
+    first: Joint, others: Iterable[Sequence[Joint]], diagonal: float
+) -> tuple[Joint, ...]:
+    """At most :data:`ALTERNATIVES` single joints whose motions differ from ``first``'s and from
+    each other's, in their order.
+
+    Args:
+        diagonal: of the object, metres.
+    """
+    found: list[Joint] = []
+    for joints in others:
+        [*helpers, joint] = joints
+        known = (first, *found)
+        if not helpers and not any(same_motion(joint, k, APART, LINE * diagonal) for k in known):
+            found.append(joint)
+        if len(found) == ALTERNATIVES:
+            break
+    return tuple(found)
 
 
 def make_prompt(structure: Structure, segmented: SegmentedObject, seed: int) -> Prompt:

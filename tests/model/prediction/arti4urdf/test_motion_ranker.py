@@ -10,9 +10,10 @@ pytest.importorskip("torch", reason="torch is not installed")
 
 from model.core.articulated_object import SegmentedObject
 from model.core.errors import InputFileError
+from model.core.joint import same_motion
 from model.data.procedural.generate import make
 from model.prediction.arti4urdf import vocabulary as v
-from model.prediction.arti4urdf.decoding import same_motion
+from model.prediction.arti4urdf.decoding import same_motion as same_motions
 from model.prediction.arti4urdf.geometric_prior import geometric_prior
 from model.prediction.arti4urdf.motion_ranker import (
     NAMES,
@@ -20,6 +21,7 @@ from model.prediction.arti4urdf.motion_ranker import (
     load_motion_ranker,
     motion_features,
     network_odds,
+    other_motions,
 )
 from model.prediction.arti4urdf.network import ArtiModel
 from model.prediction.arti4urdf.predictor import Arti4UrdfPredictor, HybridSettings, make_prompt
@@ -44,7 +46,7 @@ def oven():
     segmented = SegmentedObject(obj.name, obj.parts, obj.category)
     structure = read_structure(segmented)
     prompt = make_prompt(structure, segmented, 0)
-    return structure, prompt, geometric_prior(structure), same_motion(prompt)
+    return structure, prompt, geometric_prior(structure), same_motions(prompt)
 
 
 def test_features_do_not_change_when_the_object_is_turned_about_the_vertical(oven) -> None:
@@ -74,6 +76,36 @@ def test_a_clear_preference_overrules_and_a_locked_part_stays(oven, tiny_model: 
         assert decision.parent == answer.decisions[i].parent
     kept = slides(answer, structure, prompt.arrays, rules, same, frozenset(moving))
     assert kept.decisions == answer.decisions
+
+
+def test_other_motions_come_by_their_odds_and_differ(oven, tiny_model: ArtiModel) -> None:
+    structure, prompt, rules, same = oven
+    predictor = Arti4UrdfPredictor(tiny_model, hybrid=HybridSettings())
+    answer = predictor.answer(prompt, structure, {}, rules)
+    after = MotionRanker(stump("turns", 0.5, 0.1, -0.1))(
+        answer, structure, prompt.arrays, rules, same
+    )
+    part = next(i for i, d in enumerate(answer.decisions) if d.slot >= 0)
+    found = list(other_motions(after, structure, part, rules[part], same[part]))
+    turns = [v.TYPES[d.type] != "prismatic" for d in found]
+    assert turns == sorted(turns), "what the ranker prefers comes first"
+    assert {True, False} == set(turns)
+    assert all(d.parent == answer.decisions[part].parent for d in found)
+    assert not list(other_motions(answer, structure, part, rules[part], same[part]))
+
+    obj = make("Oven", 11, 0).object
+    whole = SegmentedObject(obj.name, obj.parts, obj.category)
+    prediction = predictor.predict(whole)
+    assert prediction.tree is not None and prediction.alternatives
+    diagonal = float(np.linalg.norm(np.ptp(whole.bounds, axis=0)))
+    for link in prediction.alternatives:
+        likely = prediction.likely(link)
+        assert 2 <= len(likely) <= 3
+        for k, joint in enumerate(likely):
+            assert (joint.name, joint.child) == (likely[0].name, link)
+            assert not any(same_motion(joint, j, 0.15, 0.06 * diagonal) for j in likely[:k])
+    locked = (prediction.tree.joints[0],)
+    assert locked[0].child not in predictor.predict(whole, locked=locked).alternatives
 
 
 def test_a_faint_preference_and_another_candidate_with_the_same_motion_change_nothing(
