@@ -108,15 +108,14 @@ class Annotator:
 
     def accept(self) -> None:
         """Press Y; again after a warning was shown; with a reason after an error."""
-        tab = self.tab
+        tab, obj = self.tab, self.tab.object  # the next one may be shown soon
         self.times.act(thoughts=1)  # the joints are looked at while they are checked
-        wait_until(lambda: tab.object.validation.report, "the checks")
+        wait_until(lambda: obj.validation.report, "the checks")
         self.times.phase("checks")
         tab.wait_seen()
         self.key("y", think=False)
-        report = tab.object.validation.report
+        report = obj.validation.report
         if report.severity == Severity.WARNING:
-            obj = tab.object
             wait_until(lambda: tab.app.review.validation_list.looked_at(obj), "it was shown")
             tab.wait_seen()
             self.key("y")
@@ -128,8 +127,8 @@ class Annotator:
             tab.field("Reason for override").press("Enter")
             tab.drawn()
             tab.button("Accept anyway (Y)").click()
-        wait_until(lambda: tab.document.review.state == "accepted", "accepted")
-        wait_until(lambda: tab.document.saved, "saved")
+        wait_until(lambda: obj.document.review.state == "accepted", "accepted")
+        wait_until(lambda: obj.document.saved, "saved")
 
 
 def oven(person: Annotator, source_from_object: np.ndarray) -> None:

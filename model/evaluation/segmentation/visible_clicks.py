@@ -66,13 +66,20 @@ def picture_of(asset: Asset, front: npt.ArrayLike = FRONT) -> Picture:
     Args:
         front: (3,) the direction that it faces.
     """
-    mesh, cloud = asset.mesh, asset.cloud
-    if mesh is not None:
-        low, high = mesh.bounds
-        return _of_mesh(mesh, *_camera(low, high, front))
-    assert cloud is not None
-    points = cloud.points.astype(np.float64)
-    return _of_points(points, *_camera(points.min(0), points.max(0), front))
+    low, high = asset.bounds
+    return picture_from(asset, *_camera(low, high, front))
+
+
+def picture_from(asset: Asset, eye: Points, target: Points, fov: float = _FOV) -> Picture:
+    """The picture of ``asset`` from an eye that looks at a target, both (3,).
+
+    Args:
+        fov: vertical angle of view in radians.
+    """
+    if asset.mesh is not None:
+        return _of_mesh(asset.mesh, eye, target, fov)
+    assert asset.cloud is not None
+    return _of_points(asset.cloud.points.astype(np.float64), eye, target, fov)
 
 
 def _camera(low: Points, high: Points, front: npt.ArrayLike) -> tuple[Points, Points]:
@@ -85,8 +92,8 @@ def _camera(low: Points, high: Points, front: npt.ArrayLike) -> tuple[Points, Po
     return middle + away * toward, middle
 
 
-def _of_mesh(mesh: Mesh, eye: Points, middle: Points) -> Picture:
-    directions = camera_rays(eye, middle, _COLUMNS, _ROWS, _FOV)
+def _of_mesh(mesh: Mesh, eye: Points, middle: Points, fov: float) -> Picture:
+    directions = camera_rays(eye, middle, _COLUMNS, _ROWS, fov)
     origins = np.broadcast_to(eye, directions.shape)
     hits = Caster([mesh]).cast(origins, directions, colors=False)
     element = np.full(_ROWS * _COLUMNS, _NOTHING, np.int64)
@@ -95,9 +102,9 @@ def _of_mesh(mesh: Mesh, eye: Points, middle: Points) -> Picture:
     return Picture(element.reshape(_ROWS, _COLUMNS), position.reshape(_ROWS, _COLUMNS, 3))
 
 
-def _of_points(points: Points, eye: Points, middle: Points) -> Picture:
+def _of_points(points: Points, eye: Points, middle: Points, fov: float) -> Picture:
     local = (points - eye) @ look_at(eye, middle).T
-    pixel = 2 * np.tan(_FOV / 2) / _ROWS
+    pixel = 2 * np.tan(fov / 2) / _ROWS
     column = np.floor(local[:, 0] / local[:, 2] / pixel + _COLUMNS / 2).astype(np.int64)
     row = np.floor(local[:, 1] / local[:, 2] / pixel + _ROWS / 2).astype(np.int64)
     some = points[:: max(len(points) // _SOME, 1)]
