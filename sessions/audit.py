@@ -18,7 +18,7 @@ from sessions.records import now
 EventKind = Literal[
     "login", "login_failed", "logout", "account_added", "invited", "claimed", "role_changed",
     "disabled", "password_changed", "sessions_revoked", "token_made", "token_revoked",
-    "assigned", "released", "webhook_added", "webhook_removed",
+    "assigned", "released", "webhook_added", "webhook_removed", "project_changed",
 ]  # fmt: skip
 EVENT_KINDS: tuple[EventKind, ...] = get_args(EventKind)
 MOST_EVENTS = 1000

@@ -24,6 +24,7 @@ from sessions.arrays import ArrayFiles
 from sessions.commands import NAME_LIMIT, Command, from_json, kind_of, to_json
 from sessions.database import Database, commands, meta, objects, snapshots, sqlite_file
 from sessions.people import People
+from sessions.project_settings import Project
 from sessions.records import Entry, ObjectRecord, PendingAcceptance, now
 from sessions.review import Role
 from sessions.serialise import VERSION, state_from_json, state_to_json
@@ -66,6 +67,7 @@ class Store:
 
     Attributes:
         people: accounts, what they may do, and who works on what.
+        project: settings of the project.
 
     Raises:
         StoreError: naming the file, where the workspace can't be used.
@@ -86,6 +88,7 @@ class Store:
         self._database = Database(url, busy_timeout)
         self._arrays = ArrayFiles(self.workspace / "arrays")
         self.people = People(self._database)
+        self.project = Project(self._database)
 
     def close(self) -> None:
         """Close the database's connections."""

@@ -59,6 +59,7 @@ SLOW = (
     "tests/app/test_opened_mjcf.py::test_commands_take_it",
     "tests/app/test_preemption.py",
     "tests/app/test_preparing.py",
+    "tests/app/test_project_settings.py",
     "tests/app/test_saving_tasks.py",
     "tests/app/test_scene_reading.py",
     "tests/app/test_serve_command.py",

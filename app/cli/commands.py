@@ -35,7 +35,7 @@ from app.cli.research_commands import (
     GenerateCommand,
     TrainCommand,
 )
-from app.cli.team_commands import ReleaseCommand, RepeatCommand, StatsCommand
+from app.cli.team_commands import ProjectCommand, ReleaseCommand, RepeatCommand, StatsCommand
 from app.cli.user_commands import AuditCommand, UserCommand
 from app.server.config import TOKEN_VARIABLE
 from app.server.ending import EndSignals
@@ -421,6 +421,7 @@ COMMANDS: dict[str, type[Command]] = {
     "generate": GenerateCommand,
     "train": TrainCommand,
     "bench": BenchCommand,
+    "project": ProjectCommand,
     "stats": StatsCommand,
     "repeat": RepeatCommand,
     "release": ReleaseCommand,

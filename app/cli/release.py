@@ -36,9 +36,11 @@ def create(options: ReleaseCreateCommand) -> int:
         with printing.session(options.json) as show:
             again = seconds_in(database)
             pairs, _ = pairs_of(store, again, show.progress)
+            wanted = store.project.settings
             release = Release(
-                name, version, options.form, options.license or license,
-                options.author or author, summaries(pairs)["all"]["all"],
+                name, version, options.form or wanted.form,
+                options.license or wanted.license or license,
+                options.author or wanted.author or author, summaries(pairs)["all"]["all"],
             )  # fmt: skip
             found = accepted_assets(store, {second.object for second in again})
             assets = _wanted(found, options.category)

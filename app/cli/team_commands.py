@@ -110,18 +110,20 @@ class ReleaseCreateCommand(Command):
     version: str | None = option(
         "its version, such as 1.0 (default: the number after the last one)", "VERSION"
     )
-    form: Literal["folder", "webdataset", "huggingface"] = option(
-        "plain folder, tar shards for WebDataset, or the layout of Hugging Face's hub",
-        default="folder",
+    form: Literal["folder", "webdataset", "huggingface"] | None = option(
+        "plain folder, tar shards for WebDataset, or the layout of Hugging Face's hub "
+        "(default: the project's)"
     )
     out: Path | None = option("folder of the releases (default: releases in the workspace)", "DIR")
     license: str = option(
-        "licence of the assets, such as CC-BY-4.0 (default: that of the last SimReady package)",
+        "licence of the assets, such as CC-BY-4.0 (default: the project's, or that of the last "
+        "SimReady package)",
         "NAME", "",
     )  # fmt: skip
     author: str = option(
-        "author or organisation (default: that of the last SimReady package)", "NAME", ""
-    )
+        "author or organisation (default: the project's, or that of the last SimReady package)",
+        "NAME", "",
+    )  # fmt: skip
     category: tuple[str, ...] = repeated("release objects of this category only", "NAME")
     shard_mb: int = option("with webdataset: largest shard", "MB", 500, parse=positive_count)
     database: str | None = option(
@@ -161,6 +163,56 @@ class ReleaseImportCommand(Command):
     def run(self) -> int:
         """Add the objects and list them."""
         return at_place("app.cli.release:import_into")(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProjectShowCommand(Command):
+    """Print the settings of a project."""
+
+    workspace: Path = argument("folder of sessions and accepted assets", "WORKSPACE")
+    database: str | None = option(
+        "URL of a SQLite or PostgreSQL database (default: one in the workspace)", "URL"
+    )
+    json: bool = json_flag()
+
+    def run(self) -> int:
+        """Print them."""
+        return at_place("app.cli.project:show")(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProjectSetCommand(ProjectShowCommand):
+    """Change settings of a project; what isn't given stays."""
+
+    name: str | None = option("name of the project", "NAME")
+    instructions: Path | None = option("Markdown that is shown beside the picture", "FILE")
+    labels: Path | None = option(
+        "text file with a line for each category: “Oven: door, knob”", "FILE"
+    )
+    strict: bool | None = flag("names outside of the labels are errors", None, negatable=True)
+    require: str | None = option(
+        "findings that prevent acceptance without override: collision,floating,…, or none",
+        "KIND,KIND",
+    )
+    format: str | None = option("formats that an export begins with", "NAME,NAME")
+    collision: str | None = option("collision shapes of an export: hollow, coacd, …", "NAME")
+    form: Literal["folder", "webdataset", "huggingface"] | None = option("form of releases")
+    license: str | None = option("licence of releases, such as CC-BY-4.0", "NAME")
+    author: str | None = option("author of releases", "NAME")
+
+    def run(self) -> int:
+        """Change them and print all."""
+        return at_place("app.cli.project:change")(self)
+
+
+class ProjectCommand(Command):
+    """Show or change what all who work on a project share: instructions, labels, checks."""
+
+    subcommands: ClassVar[dict[str, type[Command]]] = {
+        "show": ProjectShowCommand,
+        "set": ProjectSetCommand,
+    }
+    default_subcommand: ClassVar[str] = "show"
 
 
 class ReleaseCommand(Command):

@@ -184,6 +184,8 @@ class AppState:
         self.hub.sync(last)
         self.acceptances.sync()
         self.queue.sync(last)
+        if self.store.project.refresh():
+            self.queue.changed()
         self.presence.sync([obj for obj in list(self._open.values()) if obj.is_shown])
 
     def _sync_loop(self) -> None:

@@ -20,10 +20,11 @@ from app.server.observable import Notice
 from app.server.part_tasks import PartSource
 from app.server.scene_rows import HELD, Work
 from app.server.scene_state import SceneState
-from app.server.validating import problems_of
+from app.server.validating import problems_of, required_problem, unknown_names
 from app.server.validation_tasks import validate_joints
 from model.io.assets.asset_folder import publish
 from model.validation.low_confidence import with_low_confidence
+from model.validation.naming import with_unknown_names
 from model.validation.report import Severity, ValidationReport
 from sessions import commands as cmd
 from sessions.document import DecisionRecord, Document
@@ -288,12 +289,15 @@ class Accepting:
             if not self._is_current(work, record, doc):
                 return
             report = with_low_confidence(answer, tree, doc.predicted_confidence)
+            settings = scene.services.store.project.settings
+            report = with_unknown_names(report, tree, *unknown_names(doc, settings))
             shown = self._warnings_seen.get(work.id)
             seen = shown is not None and _same(shown, work.document)
-            if report.severity == Severity.ERROR or (
+            required = required_problem(doc, report, settings.required)
+            if required or report.severity == Severity.ERROR or (
                 report.severity == Severity.WARNING and not seen
-            ):
-                self._refuse(work, self._worst(doc, report), report)
+            ):  # fmt: skip
+                self._refuse(work, required or self._worst(doc, report), report)
             else:
                 self._save(work, record, source, report, seen)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Collection, Hashable
 from dataclasses import dataclass
 
 from app.server.display_names import joint_title
@@ -14,8 +14,10 @@ from app.server.validation_tasks import validate_joints
 from model.core.errors import CommandError
 from model.core.tree import KinematicTree
 from model.validation.low_confidence import with_low_confidence
+from model.validation.naming import with_unknown_names
 from model.validation.report import Fix, JointReport, Severity, ValidationReport
 from sessions.document import Document, link_problems
+from sessions.project_settings import ProjectSettings
 
 REPORTS_KEPT = 16
 """Reports kept for undo and redo."""
@@ -23,8 +25,8 @@ REPORTS_KEPT = 16
 Revision = tuple[KinematicTree, str, bool | None]
 """The subject of a report: the tree, the reference of the labels, whether parts are completed."""
 
-Confidences = tuple[tuple[str, float], ...]
-"""Child link and confidence of each joint that no person edited."""
+Context = tuple[tuple[tuple[str, float], ...], tuple[tuple[str, str], ...], str | None]
+"""Child link and confidence of each joint that no person edited; names that aren't allowed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +72,7 @@ class Validation:
     def __init__(self, obj: ObjectContext) -> None:
         self._obj = obj
         self._reports: OrderedDict[Revision, ValidationReport] = OrderedDict()
-        self._complete: dict[tuple[Revision, Confidences], ValidationReport] = {}
+        self._complete: dict[tuple[Revision, Context], ValidationReport] = {}
         self._requested: Revision | None = None
         self._problem: tuple[Revision, str] | None = None
         self._waiting: AcceptanceRequest | None = None
@@ -84,7 +86,7 @@ class Validation:
 
     @property
     def report(self) -> ValidationReport | None:
-        """The report on the present joints and parts, warnings of low confidence included; None
+        """The report on the present joints and parts, with low confidence and unknown names; None
         while there is none. The same object until something changes."""
         document = self._obj.document
         revision = self._revision(document)
@@ -92,10 +94,13 @@ class Validation:
         if revision is None or report is None:
             return None
         confidence = document.predicted_confidence
-        key = revision, tuple(sorted(confidence.items()))
+        names, category = unknown_names(document, self._obj.services.store.project.settings)
+        context = tuple(sorted(confidence.items())), tuple(names.items()), category
+        key = revision, context
         complete = self._complete.get(key)
         if complete is None:  # setdefault: all tabs get the same one, also two at a time
             report = with_low_confidence(report, revision[0], confidence)
+            report = with_unknown_names(report, revision[0], names, category)
             complete = self._complete.setdefault(key, report)
         return complete
 
@@ -194,8 +199,13 @@ class Validation:
             waits = report is None and not self.problem
             self._waiting = request if waits else None
             self._waiting_for = self._revision(self._obj.document)
+        required = self._obj.services.store.project.settings.required
+        if report is None and not waits and required:
+            raise CommandError(f"The project requires the checks, which failed: {self.problem}")
         if report is None:
             return not waits
+        if refusal := required_problem(self._obj.document, report, required):
+            raise CommandError(refusal)
         if report.severity == Severity.ERROR and not request.override.strip():
             raise CommandError(f"{self._summary(report)} Fix it, or give a reason for the override")
         if report.severity == Severity.WARNING and request.seen is not report:
@@ -258,9 +268,38 @@ def alike(
     return list(groups.values())
 
 
+def unknown_names(
+    document: Document, settings: ProjectSettings
+) -> tuple[dict[str, str], str | None]:
+    """Return link → name of the parts whose name a strict project doesn't have, and the category
+    where it hasn't that either, else None."""
+    category = document.category
+    parts = {
+        p.link: p.name
+        for p in document.parts
+        if p.name and p.id and not settings.knows_part(p.name, category)
+    }
+    known = category is None or settings.knows_category(category)
+    return parts, None if known else category
+
+
+def required_problem(
+    document: Document, report: ValidationReport, required: Collection[str]
+) -> str:
+    """Return what a project's required checks found, which nobody can override, or ""."""
+    for joint in report.joints:
+        for finding in joint.findings:
+            if finding.severity != Severity.OK and finding.kind in required:
+                title = joint_title(document, joint.child)
+                return f"The project requires this check. {title}: {finding.message}"
+    return ""
+
+
 def problems_of(report: ValidationReport) -> tuple[str, ...]:
     """Return a line for each joint that isn't free of warnings and errors."""
-    return tuple(f"{j.joint}: {j.message}" for j in report.joints if j.severity != Severity.OK)
+    return tuple(
+        f"{j.joint or j.child}: {j.message}" for j in report.joints if j.severity != Severity.OK
+    )
 
 
 def collisions_of(report: ValidationReport) -> list[JointCollision]:

@@ -79,7 +79,9 @@ class ClientApp:
         self._sheet = KeySheet(tab)
         self._presses = Presses(tab)
         self._bar = StepBar(tab, self._presses, app_state.bulk, self.commands.cancel)
-        self._exporting = Exporting(tab, app_state.bulk, app_state.workspace)
+        self._exporting = Exporting(
+            tab, app_state.bulk, app_state.workspace, app_state.store.project
+        )
         rejecting = self.commands.rejecting
         self.views = Views(
             tab, self.picture, self._presses, self.commands.number, lambda: rejecting.asking
@@ -161,6 +163,7 @@ class ClientApp:
                 self._navigation.open,
                 self.prepare,
                 self._presses,
+                app_state.store.project,
             )
         with self._folders["Joints"]:
             self.joints = JointsStep(
@@ -170,6 +173,7 @@ class ClientApp:
                 self._presses,
                 app_state.workers.prediction,
                 app_state.queue.records,
+                app_state.store.project,
             )
         with self._folders["Review"]:
             review = ReviewActions(

@@ -281,6 +281,7 @@ def bindings(
     yield Binding(words.REJECT, "X", commands.reject)  # which asks; the answer decides
     yield Binding(words.NEXT, "N", _with(commands.step, 1))
     yield Binding(words.PREVIOUS, "B", _with(commands.step, -1))
+    yield Binding(words.INSTRUCTIONS, "I", annotate.instructions.toggle, "shift")
     yield Binding(words.FRAME, "C", _framing(tab, scene, picture))
     enter = words.PREPARE if scene is None else words.EDIT_IN_SCENE
     yield Binding(enter, "enter", by_step(prepare.apply, commands.enter))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from markdown_it import MarkdownIt
+
 _KEEP = set(" -.,:;()/+%°·→×²³µ'")
 
 
@@ -13,6 +15,27 @@ def plain(text: str, limit: int = 120) -> str:
     """
     short = text if len(text) <= limit else text[: limit - 1] + "…"
     return "".join(c if c.isalnum() or c in _KEEP else f"&#{ord(c)};" for c in short)
+
+
+def markdown_html(text: str) -> str:
+    """Markdown from people as HTML: HTML in it is shown as text, and nothing is loaded.
+
+    Links lead to http, https and mailto only, in a tab of their own; images are shown as links.
+    """
+    reader = MarkdownIt("commonmark", {"html": False}).enable("table")
+    tokens = reader.parse(text)
+    for token in tokens:
+        for child in token.children or ():
+            if child.type == "image":
+                child.type, child.tag = "text", ""
+                child.content = f"[{child.content}] ({child.attrs.get('src', '')})"
+                child.children = None
+            elif child.type == "link_open":
+                link = str(child.attrs.get("href", ""))
+                if not link.lower().startswith(("https://", "http://", "mailto:")):
+                    child.attrs.pop("href", None)
+                child.attrs.update(target="_blank", rel="noopener noreferrer nofollow")
+    return reader.renderer.render(tokens, reader.options, {})
 
 
 def path_with_tooltip(path: str, limit: int = 44) -> str:

@@ -10,6 +10,8 @@ from model.core.joint import Joint, value_text
 # Findings
 MOVES_FREELY = "Moves freely over its range."
 LOW_CONFIDENCE = "Low confidence ({percent} %)."
+PART_NAME = "The name “{name}” isn't in the project's labels."
+CATEGORY_NAME = "The category “{name}” isn't in the project's labels."
 NO_GEOMETRY = "The part has no face and no point."
 SINGLE_POINT = "The part is a single point."
 OF_PART = "{part}: {message}"

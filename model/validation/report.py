@@ -29,7 +29,7 @@ _RANKS = {severity: k for k, severity in enumerate(Severity)}
 
 Kind = Literal[
     "geometry", "jammed", "floating", "limits", "collision", "detached", "physics", "combination",
-    "unsure",
+    "unsure", "name",
 ]  # fmt: skip
 """What is checked, in the order of equally bad findings; "unsure" is the written name of a low
 confidence."""

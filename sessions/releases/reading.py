@@ -15,7 +15,8 @@ from model.core.files import file_sha256, read_json, written_to
 from model.core.progress import Progress, no_progress, scaled_progress
 from model.io.assets.reader import PROVENANCE, URDF
 from sessions.releases.contents import FORMAT, NAME, Release, ReleasedAsset
-from sessions.releases.writing import ABOUT, ASSETS, FORMS, MANIFEST, SHARDS
+from sessions.releases.forms import FORMS
+from sessions.releases.writing import ABOUT, ASSETS, MANIFEST, SHARDS
 from sessions.store import ObjectRecord, Store
 
 UPLOADS: Final = "uploads"

@@ -15,7 +15,7 @@ import tarfile
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Final, Literal, get_args
+from typing import Final
 
 from model.core.errors import ConfigurationError, InputFileError
 from model.core.files import file_sha256, written_to
@@ -33,8 +33,6 @@ from sessions.releases.contents import (
     pseudonyms,
 )
 
-Form = Literal["folder", "webdataset", "huggingface"]
-FORMS: Final[tuple[str, ...]] = get_args(Form)
 ASSETS, SHARDS, ROWS = "assets", "shards", "metadata.jsonl"
 ABOUT, MANIFEST, CARD = "release.json", "manifest.sha256", "README.md"
 NOT_FOR_OTHERS: Final = 0o444

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from sessions.commands import SetJoint
+from sessions.commands import NamePart, SetJoint
 from sessions.store import Store
 from tests.browser.browsing import COARSE, FEWER_FRAMES, PAGE_TIMEOUT, Tab
 from tests.builders import wait_until, write_cupboard
@@ -131,3 +131,49 @@ def accept(rob: PersonTab) -> None:
     rob.wait_seen()
     rob.page.get_by_role("button", name="Accept").first.click()
     wait_until(lambda: rob.document.review.state == "accepted", "accepted")
+
+
+def test_a_manager_sets_instructions_and_labels_which_an_annotator_works_by(
+    start: Any, come: Callable[..., PersonTab], tmp_path: Path
+) -> None:
+    store = Store(tmp_path / "workspace")
+    add_people(store)
+    store.close()
+    server = start(write_cupboard(tmp_path / "cupboard"), predictor="geometric")
+    ann, mia = come(server, "ann"), come(server, "mia")
+    assert not ann.button("Instructions (Shift+I)").is_visible()
+    mia.page.get_by_role("button", name="Project", exact=True).click()
+    mia.page.locator(".aw-project ul, .aw-project p").first.wait_for()
+    mia.button("Instructions and labels").click()
+    mia.field("Name").fill("Kitchens")
+    mia.field("Instructions").fill("# Doors\nClick the *front*, never the frame.")
+    mia.field("Labels").fill("Oven: door, knob\nCupboard: door, shelf")
+    mia.page.get_by_label("Only these names").check()
+    mia.button("Save").click()
+    mia.says("The settings are saved")
+    settings = server.app_state.store.project.settings
+    assert (settings.name, settings.strict) == ("Kitchens", True)
+    assert settings.part_names("Oven") == ("door", "knob")
+
+    # Ann reads them beside the picture, and is offered the names.
+    wait_until(lambda: ann.document.segmentation_current and ann.object.asset, "parts")
+    ann.step("Annotate")
+    ann.button("Instructions (Shift+I)").wait_for()
+    ann.wait_for_keyboard()
+    ann.key("Shift+I")
+    ann.page.locator(".aw-instructions em", has_text="front").wait_for()
+    ann.choose("Category", "Cupboard")
+    wait_until(lambda: ann.document.category == "Cupboard", "the category")
+    ann.key("Shift+I")
+    ann.page.locator(".aw-instructions").wait_for(state="hidden")
+    ann.key("1")
+    ann.key("p")
+    wait_until(lambda: ann.document.tree is not None, "joints")
+    ann.app.tab.act(lambda: ann.app.tab.do(NamePart(1, "wing")))
+    ann.step("Review")
+    ann.says("isn't in the project's labels")
+    ann.step("Annotate")
+    ann.key("Shift+Digit2")
+    wait_until(lambda: ann.document.part_names.get(1) == "shelf", "the second name of the list")
+    ann.step("Review")
+    ann.page.get_by_text("isn't in the project's labels").first.wait_for(state="detached")

@@ -13,6 +13,7 @@ from app.viewer.tab import Tab
 from app.viewer.words import annotate as words
 from model.core.motion_lexicon import CATEGORY_ALIASES
 from model.scenes.finders import read_lexicon
+from sessions.project_settings import Project
 from sessions.records import ObjectRecord
 
 _LISTED: Final = {c.lower(): c for c in CATEGORIES}
@@ -108,14 +109,17 @@ class CategoryGuess:
         tab: Tab,
         records: Callable[[], Sequence[ObjectRecord]],
         words_of: Callable[[str], None],
+        project: Project,
     ) -> None:
         """Put the row where the panel is.
 
         Args:
             records: the queue.
-            said: gets the category.
+            words_of: gets the category.
+            project: whose labels count where it is strict.
         """
         self._tab, self._records, self._chosen = tab, records, words_of
+        self._project = project
         self._shown: tuple[str, ...] = ()
         self._row = tab.client.gui.add_button_group(
             words.SUGGESTIONS,
@@ -136,6 +140,7 @@ class CategoryGuess:
         self._shown = (
             () if record is None else category_guesses(record, self._records(), self._tab.user)
         )
+        self._shown = tuple(filter(self._project.settings.knows_category, self._shown))
         if self._shown:
             put(self._row, "options", tuple(g + _MARK for g in self._shown))
         put(self._row, "visible", bool(self._shown))

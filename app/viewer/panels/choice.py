@@ -51,6 +51,12 @@ class Choice:
         said = value.replace(" ", "").lower()
         return next((k for k in self._known if k.lower() == said), OTHER)
 
+    def offer(self, known: tuple[str, ...]) -> None:
+        """Have other entries in the list."""
+        if known != self._known:
+            self._known = known
+            self._list.options = (NONE, *known, OTHER)
+
     def show(self, value: str | None, visible: bool) -> None:
         """Show ``value`` in the list, or in the box where the list hasn't got it."""
         option = self._option(value)
@@ -61,3 +67,8 @@ class Choice:
         if other:
             put(self._box, "value", value)
         put(self._list, "visible", visible)
+
+
+def offered(own: tuple[str, ...], usual: tuple[str, ...], strict: bool) -> tuple[str, ...]:
+    """A project's own names before the usual ones; those alone where no others are allowed."""
+    return own if strict and own else tuple(dict.fromkeys((*own, *usual)))

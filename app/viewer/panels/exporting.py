@@ -22,6 +22,7 @@ from model.io.export.registry import exporter_names, load_exporter
 from model.io.export.simready import AboutPackage, remember, remembered
 from model.physics.collision.build import CollisionSettings, Method
 from model.physics.simulation_values import PhysicsSettings
+from sessions.project_settings import Project
 
 DOWNLOAD_BYTES = 400_000_000
 """Largest download: it passes through the memory of server and browser."""
@@ -32,10 +33,11 @@ class Exporting:
 
     Args:
         workspace: gets the exported files, in its folder ``exports``.
+        project: whose settings the dialog begins with.
     """
 
-    def __init__(self, tab: Tab, bulk: BulkWork, workspace: Path) -> None:
-        self._tab, self._bulk = tab, bulk
+    def __init__(self, tab: Tab, bulk: BulkWork, workspace: Path, project: Project) -> None:
+        self._tab, self._bulk, self._project = tab, bulk, project
         self._workspace = workspace
         self._exports, self._store = workspace / "exports", workspace / "collision"
         self._modal: Any = None
@@ -44,14 +46,21 @@ class Exporting:
         """Show the dialog for objects."""
         gui, tab = self._tab.client.gui, self._tab
         author, license = remembered(self._workspace)
+        settings = self._project.settings
+        author, license = settings.author or author, settings.license or license
+        collision = next(k for k, v in words.COLLISIONS.items() if v == settings.collision)
         self.close()
         self._modal = gui.add_modal(words.title(len(ids)))
         with self._modal:
             self._formats = {
-                name: gui.add_checkbox(name, name == "urdf", hint=load_exporter(name).description)
+                name: gui.add_checkbox(
+                    name, name in settings.formats, hint=load_exporter(name).description
+                )
                 for name in exporter_names()
             }
-            self._collision = gui.add_dropdown(words.COLLISION, tuple(words.COLLISIONS))
+            self._collision = gui.add_dropdown(
+                words.COLLISION, tuple(words.COLLISIONS), initial_value=collision
+            )
             self._check = gui.add_checkbox(words.CHECK, True, hint=words.CHECK_HINT)
             self._package = gui.add_checkbox(words.PACKAGE, False, hint=words.PACKAGE_HINT)
             self._author = gui.add_text(words.AUTHOR, author or tab.user, visible=False)

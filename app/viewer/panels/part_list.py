@@ -8,7 +8,7 @@ from html import escape
 import viser
 
 from app.viewer.input.pointing import Pointing
-from app.viewer.panels.choice import Choice
+from app.viewer.panels.choice import Choice, offered
 from app.viewer.panels.markup import Presses, button, icon
 from app.viewer.panels.quick_names import QuickNames
 from app.viewer.panels.widgets import put
@@ -19,6 +19,7 @@ from app.viewer.words import annotate as words
 from model.segmentation.prompts import BASE
 from sessions import commands as cmd
 from sessions.document import Document
+from sessions.project_settings import Project
 
 PARTS_SHOWN = 200
 
@@ -26,8 +27,8 @@ PARTS_SHOWN = 200
 class PartList:
     """Chooses, names, hides and deletes parts."""
 
-    def __init__(self, tab: Tab, pointing: Pointing, presses: Presses) -> None:
-        self._tab, self._pointing = tab, pointing
+    def __init__(self, tab: Tab, pointing: Pointing, presses: Presses, project: Project) -> None:
+        self._tab, self._pointing, self._project = tab, pointing, project
         gui = tab.client.gui
         with gui.add_folder(words.PARTS):
             self._rows = gui.add_html("")
@@ -108,8 +109,11 @@ class PartList:
         add = button("part add", "", words.ADD_PART, style="aw-small")
         put(self._rows, "content", f'<div class="aw-parts">{"".join(rows)}{add}</div>')
         name, picking = _part_name(doc, selection.part), selection.picking
+        settings = self._project.settings
+        own = settings.part_names(doc.category)
+        self._name.offer(offered(own, palette.PART_NAMES, settings.strict))
         self._name.show(name, not picking)
-        self._quick.show(selection.part != BASE and not picking, category, name)
+        self._quick.show(selection.part != BASE and not picking, category, name, own)
 
     def _row(self, part: int, name: str, share: str) -> str:
         """A part with its color; the selected one with what can be done to it."""

@@ -15,7 +15,9 @@ import viser.uplot
 from app.server.app_state import AppState
 from app.server.job import Job
 from app.viewer.panels.markup import Presses, button
+from app.viewer.panels.project_settings import ProjectDialogs
 from app.viewer.tab import Tab
+from app.viewer.text import plain
 from app.viewer.words import common
 from app.viewer.words import project as words
 from app.viewer.words.queue import STATE_ORDER
@@ -46,12 +48,15 @@ class ProjectPage:
         presses.on("project_object", self._chosen)
         presses.on("project_close", lambda _: self._close_clicked(), at_once=True)
         presses.on("project_csv", lambda _: self._send())
+        self.dialogs = ProjectDialogs(tab, app_state.store.project, app_state.queue.changed)
+        presses.on("project_settings", self._change)
 
     def show(self) -> None:
         """Show the page; a worker adds up the figures, as the log may be long."""
         self.close()
         gui, config = self._tab.client.gui, self._app_state.config
-        self._modal = modal = gui.add_modal(words.TITLE)
+        title = plain(self._app_state.store.project.settings.name) or words.TITLE
+        self._modal = modal = gui.add_modal(title)
         with modal:
             said = gui.add_html(f'<p class="aw-project">{words.READING}</p>')
         job = self._app_state.workers.readers[-1].submit(
@@ -59,6 +64,16 @@ class ProjectPage:
             self._only(), most_seconds=_SECONDS,
         )  # fmt: skip
         job.add_done_callback(lambda job: self._tab.act(lambda: self._read(job, modal, said)))
+
+    @property
+    def _may_change(self) -> bool:
+        """Whether this person may change the project's settings."""
+        account = self._tab.account
+        return account is None or account.role == ROLES[-1]
+
+    def _change(self, which: str) -> None:
+        self.close()
+        self.dialogs.show(which)
 
     def _only(self) -> str | None:
         """Whose figures are shown: who annotates sees nobody else's."""
@@ -81,7 +96,7 @@ class ProjectPage:
     def _fill(self, found: Overview) -> None:
         gui, now = self._tab.client.gui, time.time()
         gui.add_html(
-            f'<div class="aw-project">{progress_html(found)}'
+            f'<div class="aw-project">{progress_html(found, self._may_change)}'
             f'<h3 title="{escape(words.ACTIVE_HINT)}">{words.TODAY}</h3>{today_html(found)}'
             f"<h3>{words.LAST_DAYS}</h3></div>"
         )
@@ -104,11 +119,12 @@ class ProjectPage:
         self.close()
 
     def close(self) -> bool:
-        """Close the page; whether it was there."""
+        """Close the page and its dialogs; whether any was there."""
+        dialog = self.dialogs.close()
         modal, self._modal = self._modal, None
         if modal is not None:
             modal.close()
-        return modal is not None
+        return dialog or modal is not None
 
 
 def _add_plot(gui: Any, found: Overview, now: float) -> None:
@@ -148,7 +164,7 @@ def _range(most: float) -> tuple[float, float]:
     return 0.0, 1.15 * float(most) if most else 1.0
 
 
-def progress_html(found: Overview) -> str:
+def progress_html(found: Overview, may_change: bool = False) -> str:
     """A bar with a stretch for each state, and the numbers below it."""
     total = sum(found.states.values())
     accepted = found.states.get("accepted", 0)
@@ -165,6 +181,11 @@ def progress_html(found: Overview) -> str:
     share = round(100 * accepted / total) if total else 0
     head = f"<b>{words.accepted_of(accepted, total, share)}</b>"
     csv = button("project_csv", "", words.DOWNLOAD, tip=words.DOWNLOAD_HINT, style="aw-small")
+    if may_change:
+        csv = "".join(
+            button("project_settings", which, label, tip=tip, style="aw-small")
+            for which, label, tip in words.DIALOGS
+        ) + csv  # fmt: skip
     close = button("project_close", "", words.CLOSE, style="aw-small")
     return (
         f'<header>{head}{csv}{close}</header><div class="aw-states">{bar}</div>'

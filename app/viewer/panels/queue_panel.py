@@ -13,6 +13,7 @@ import viser
 from app.server.app_state import AppState
 from app.server.pointer_messages import call_page
 from app.server.queue_names import clipped
+from app.viewer.panels.choice import offered
 from app.viewer.panels.markup import Presses, icon
 from app.viewer.panels.project_page import ProjectPage
 from app.viewer.panels.user_name import UserName
@@ -92,7 +93,9 @@ class QueuePanel:
         presses.on("bulk", self._bulk)
         presses.on("people", lambda _: call_page(tab.client, "Queue.people", self._people()))
         self.project = ProjectPage(tab, app_state, presses, open_object)
-        call_page(tab.client, "Queue.start", _page_words())
+        settings = app_state.store.project.settings
+        names = offered(settings.categories, palette.CATEGORIES, settings.strict)
+        call_page(tab.client, "Queue.start", _page_words() | {"categories": list(names)})
 
     def _uploaded(self, file: Any) -> None:
         add = self._app_state.add_upload
@@ -192,7 +195,6 @@ def _page_words() -> dict[str, Any]:
         "states": [[s, common.STATES[s]] for s in words.STATE_ORDER],
         "sorts": list(words.SORTS.items()),
         "shown": words.SHOWN,
-        "categories": list(palette.CATEGORIES),
         "icon": icon(viser.Icon.LAYOUT_GRID),
         "projectIcon": icon(viser.Icon.CHART_BAR),
     }

@@ -47,10 +47,18 @@ class QuickNames:
         """The name of a digit, None where it has none."""
         return self._names[number - 1] if 1 <= number <= len(self._names) else None
 
-    def show(self, visible: bool, category: str | None, chosen: str | None = None) -> None:
-        """Show or hide those of a category; the ``chosen`` name is marked."""
-        self._names = names_for(category)
+    def show(
+        self,
+        visible: bool,
+        category: str | None,
+        chosen: str | None = None,
+        names: tuple[str, ...] = (),
+    ) -> None:
+        """Show or hide those of a category, or a project's ``names``; the chosen one is marked."""
+        self._names = names[:SHOWN] or names_for(category)
         for k, row in zip(range(0, SHOWN, ROW), self._rows, strict=True):
-            put(row, "visible", visible)
             names = self._names[k : k + ROW]
+            put(row, "visible", visible and bool(names))
+            if not names:
+                continue
             put(row, "options", tuple(CHOSEN * (name == chosen) + name for name in names))

@@ -11,7 +11,8 @@ from app.server.like_tasks import object_name
 from app.server.open_object import OpenObject
 from app.viewer.input.pointing import Pointing
 from app.viewer.panels.category_guess import CategoryGuess
-from app.viewer.panels.choice import Choice
+from app.viewer.panels.choice import Choice, offered
+from app.viewer.panels.instructions import Instructions
 from app.viewer.panels.markup import Presses
 from app.viewer.panels.part_list import PartList
 from app.viewer.panels.predict_buttons import PredictButtons
@@ -27,6 +28,7 @@ from app.viewer.words.prepare import PREPARE
 from model.segmentation.prompts import BASE, Click
 from sessions import commands as cmd
 from sessions.document import Document
+from sessions.project_settings import Project
 from sessions.records import ObjectRecord
 
 
@@ -40,6 +42,7 @@ class AnnotateStep:
         presses: of the controls of our own.
 
     Attributes:
+        instructions: of the project.
         parts: the list of parts.
         source: how the source is read, and what of it is left out.
     """
@@ -52,12 +55,15 @@ class AnnotateStep:
         open_object: Callable[[int], None],
         prepare: PrepareStep,
         presses: Presses,
+        project: Project,
     ) -> None:
         self._tab, self._pointing, self._prepare = tab, pointing, prepare
+        self._project = project
         self._drawn: Any = None
         gui = tab.client.gui
         # Above what comes and goes, so that it keeps its place.
         self._predict = PredictButtons(tab)
+        self.instructions = Instructions(tab, project)
         self._hint = gui.add_markdown("")
         self._alike = gui.add_button("", icon=viser.Icon.COPY, color="blue", visible=False)
         self._to_prepare = gui.add_button(PREPARE, color="blue", visible=False)
@@ -68,9 +74,9 @@ class AnnotateStep:
             lambda category: tab.do(cmd.SetCategory(category)),
         )  # fmt: skip
         self._guess = CategoryGuess(
-            tab, records, lambda category: tab.do(cmd.SetCategory(category))
+            tab, records, lambda category: tab.do(cmd.SetCategory(category)), project
         )
-        self.parts = PartList(tab, pointing, presses)
+        self.parts = PartList(tab, pointing, presses, project)
         self._prompts = PromptList(tab)
         self.source = SourcePanel(tab, open_object)
         self._alike.on_click(lambda _: tab.act(self.take_alike))
@@ -138,9 +144,13 @@ class AnnotateStep:
             doc.segmentation is None,
             id(obj.preparing.current),
             id(obj.likeness.offer),
+            self._project.settings,
         )
         if now != self._drawn:
             self._drawn = now
+            settings = self._project.settings
+            self.instructions.draw()
+            self._category.offer(offered(settings.categories, palette.CATEGORIES, settings.strict))
             self._draw_hint(obj, doc)
             ready = doc.segmentation is not None and not self._room.visible
             self._predict.show(not selection.picking, "blue" if ready else "gray")

@@ -11,6 +11,7 @@ from app.server.jobs import WorkerProcess
 from app.server.open_object import OpenObject
 from app.viewer.input.pointing import Pointing
 from app.viewer.panels.category_guess import CategoryGuess
+from app.viewer.panels.choice import offered
 from app.viewer.panels.joint_editor import JointEditor
 from app.viewer.panels.joint_text import shown
 from app.viewer.panels.joint_tree import JointTree
@@ -28,6 +29,7 @@ from model.core.joint import Joint
 from model.core.tree import KinematicTree
 from sessions import commands as cmd
 from sessions.document import Document, PartInfo
+from sessions.project_settings import Project
 from sessions.records import ObjectRecord
 
 
@@ -47,14 +49,17 @@ class JointsStep:
         presses: Presses,
         worker: WorkerProcess,
         records: Callable[[], Sequence[ObjectRecord]],
+        project: Project,
     ) -> None:
         """Make the widgets.
 
         Args:
             worker: snaps joints to the geometry.
             records: the queue.
+            project: whose names are offered first.
         """
         self._tab, self._motion, self._pointing = tab, motion, pointing
+        self._project = project
         self._drawn: Any = None
         self._sliders: dict[str, Any] = {}
         self._motion_key: Any = None
@@ -69,7 +74,7 @@ class JointsStep:
         self._what = gui.add_markdown("")
         self._quick = QuickNames(tab, self._named)
         self._name = gui.add_dropdown(words.PART_NAME, (NONE, *PART_NAMES), initial_value=NONE)
-        self._guess = CategoryGuess(tab, records, self._set_category)
+        self._guess = CategoryGuess(tab, records, self._set_category, project)
         self._category = gui.add_dropdown(words.CATEGORY, (NONE, *CATEGORIES), initial_value=NONE)
         self._folder = gui.add_folder(words.FOLDER)
         with self._folder:
@@ -124,6 +129,7 @@ class JointsStep:
             doc.category,
             doc.review.state,
             self._pointing.armed,
+            self._project.settings,
         )
         if now == self._drawn:
             return
@@ -173,7 +179,13 @@ class JointsStep:
         put(self._category, "visible", uncategorised)
         self._guess.show(uncategorised)
         put(self._category, "value", NONE)
-        self._quick.show(bool(unnamed), doc.category or self._guess.first)
+        settings = self._project.settings
+        own = settings.part_names(doc.category)
+        names = offered(own, PART_NAMES, settings.strict)
+        put(self._name, "options", (NONE, *names))
+        names = offered(settings.categories, CATEGORIES, settings.strict)
+        put(self._category, "options", (NONE, *names))
+        self._quick.show(bool(unnamed), doc.category or self._guess.first, names=own)
         put(self._name, "visible", bool(unnamed))
         put(self._name, "value", NONE)  # the next one has none yet
         what = words.ASK_CATEGORY

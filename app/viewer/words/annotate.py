@@ -32,6 +32,9 @@ extracting = Message(
     "**Part {part}** will be extracted. To separate neighbors with one common front, "
     "press **K** and click above and below the border."
 )
+INSTRUCTIONS: Final = "Instructions (Shift+I)"
+NO_INSTRUCTIONS: Final = "The project has no instructions"
+
 # --- category and parts
 
 CATEGORY: Final = ("Category", "Other category")

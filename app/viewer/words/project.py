@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from app.viewer.words.message import Message
+from model.validation.report import Kind
 
 TITLE: Final = "Project"
 TODAY: Final = "Today"
@@ -24,6 +25,46 @@ ACCEPTED: Final = "accepted"
 DAY: Final = "day (UTC)"
 HOURS, MINUTES = "active hours", "active minutes"
 ACTIVE_HINT: Final = "Times between actions; pauses of more than 30 s left out. Days of UTC."
+DIALOGS: Final = (
+    ("labels", "Instructions and labels", "What people read beside the picture, and which names"),
+    ("checks", "Checks and export", "Which checks must pass, and how assets are written"),
+)
+NAME: Final = "Name"
+INSTRUCTIONS: Final = "Instructions"
+MARKDOWN: Final = "Markdown; images are shown as links"
+LABELS: Final = "Labels"
+LABELS_HINT: Final = "A line for each category, then its parts: Oven: door, knob"
+STRICT: Final = "Only these names"
+STRICT_HINT: Final = "Other names are errors of the checks"
+SAVE, CANCEL = "Save", "Cancel"
+SAVED: Final = "The settings are saved; all screens use them"
+REQUIRED: Final = "**Required checks:** what they find prevents acceptance, with no override."
+EXPORT: Final = "**Export and releases** begin with:"
+KINDS: Final[dict[Kind, str]] = {
+    "geometry": "Parts without geometry",
+    "jammed": "Joints blocked at rest",
+    "floating": "Parts that touch nothing",
+    "limits": "Implausible limits",
+    "collision": "Collisions along the motion",
+    "detached": "Parts that come off",
+    "physics": "Problems in simulation",
+    "combination": "Collisions of two joints",
+    "unsure": "Low confidence",
+    "name": "Names that aren't in the labels",
+}
+FORM: Final = "Release as"
+FORMS: Final[dict[str, str]] = {
+    "Folder": "folder",
+    "WebDataset": "webdataset",
+    "Hugging Face": "huggingface",
+}
+
+
+def form_label(form: str) -> str:
+    """The label of a release's form."""
+    return next((k for k, v in FORMS.items() if v == form), "Folder")
+
+
 accepted_of = Message("{accepted} of {total} accepted ({share} %)")
 
 
