@@ -103,7 +103,7 @@ class Similarity:
         """Transform an object: geometry, axes, origins and limits."""
         matrix = affine(self.scale * self.rotation, self.shift)
         parts = tuple(self._part(p, matrix) for p in obj.parts)
-        return replace(obj, parts=parts, tree=self.tree(obj.tree))
+        return replace(obj, parts=parts, tree=self.tree(obj.tree), affordances=())
 
     def tree(self, tree: KinematicTree) -> KinematicTree:
         """Transform a tree."""

@@ -127,7 +127,7 @@ def _object(config: AssetsConfig, name: str) -> ArticulatedObject:
     found = load_predictor(DEFAULT).predict(truth.segmented(names=True), seed=0)
     if found.tree is None:
         raise ValueError("; ".join(found.problems) or "there is no tree")
-    return replace(truth.object, tree=found.tree)
+    return replace(truth.object, tree=found.tree, affordances=())
 
 
 def _lost(config: AssetsConfig, name: str, why: str) -> AssetScore:

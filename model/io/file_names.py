@@ -98,12 +98,17 @@ class FileNames:
 
     def object(self, obj: ArticulatedObject) -> ArticulatedObject:
         """The object with the names that files use."""
+        links = self.links
         return replace(
             obj,
             parts=tuple(replace(p, link=self.links.get(p.link, p.link)) for p in obj.parts),
             tree=self.tree(obj.tree),
             inertials=self.by_link(obj.inertials),
             shapes=self.by_link(obj.shapes),
+            affordances=tuple(
+                replace(a, joint=self.joints.get(a.joint, a.joint), link=links.get(a.link, a.link))
+                for a in obj.affordances
+            ),
         )
 
     def physics(self, physics: Physics) -> Physics:

@@ -2,21 +2,23 @@
 
 ``{"part": "base", "children": [{"part": "link_0", "joint_type": "revolute",
 "joint_name": "hinge", "children": []}]}``. The root has no joint, hence no ``joint_type``;
-``"fixed"``, ``"root"`` and null are read there too.
+``"fixed"``, ``"root"`` and null are read there too. Saved assets have ``affordances`` beside a
+joint, the only numbers; see :mod:`model.core.affordance`.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from model.core.errors import KinematicsError
+from model.core.affordance import Affordance
+from model.core.errors import GeometryError, KinematicsError
 from model.core.joint import JOINT_TYPES
 from model.core.tree import KinematicTree
 
-_KEYS = {"part", "joint_type", "joint_name", "children"}
+_KEYS = {"part", "joint_type", "joint_name", "children", "affordances"}
 _ROOT_TYPES = (None, "fixed", "root")
 MAX_DEPTH = 200
 
@@ -44,7 +46,7 @@ class TreeNode:
         return out
 
 
-def tree_to_json(tree: KinematicTree) -> dict[str, Any]:
+def tree_to_json(tree: KinematicTree, affordances: Sequence[Affordance] = ()) -> dict[str, Any]:
     """The nested dictionary of ``tree``, children in the joints' order."""
 
     def node(link: str) -> dict[str, Any]:
@@ -52,6 +54,8 @@ def tree_to_json(tree: KinematicTree) -> dict[str, Any]:
         joint = tree.joint_of.get(link)
         if joint is not None:
             out |= {"joint_type": joint.type, "joint_name": joint.name}
+            if here := [a.to_json() for a in affordances if a.joint == joint.name]:
+                out["affordances"] = here
         out["children"] = [node(child) for child in tree.children(link)]
         return out
 
@@ -80,6 +84,29 @@ def tree_from_json(data: str | Mapping[str, Any]) -> TreeNode:
     if problems or root is None:
         raise KinematicsError(problems)
     return root
+
+
+def affordances_in(data: Any) -> tuple[Affordance, ...]:
+    """Those of a nested dictionary that :func:`tree_from_json` reads.
+
+    Raises:
+        GeometryError: where one is wrong.
+    """
+    out: list[Affordance] = []
+    stack = [data]
+    while stack:
+        node = stack.pop()
+        if not isinstance(node, Mapping):
+            continue
+        listed = node.get("affordances", [])
+        if not isinstance(listed, list) or not all(isinstance(a, Mapping) for a in listed):
+            part = node.get("part")
+            raise GeometryError(f"part {part!r}: 'affordances' must be a list of objects")
+        joint, link = str(node.get("joint_name")), str(node.get("part"))
+        out += [Affordance.from_json(joint, link, a) for a in listed]
+        children = node.get("children", [])
+        stack += reversed(children) if isinstance(children, list) else []
+    return tuple(out)
 
 
 def tree_json_problems(data: str | Mapping[str, Any], tree: KinematicTree) -> list[str]:

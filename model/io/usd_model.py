@@ -18,14 +18,15 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
+from model.core.affordance import Affordance
 from model.core.composite_joints import Composite, composite_joints, free_helpers
-from model.core.errors import InputFileError, KinematicsError
+from model.core.errors import GeometryError, InputFileError, KinematicsError
 from model.core.files import free_name
 from model.core.inertial import Inertial, inertial_problems
 from model.core.installing import require
 from model.core.joint import DeclaredDynamics, Joint, JointType, Mimic
 from model.core.tree import KinematicTree
-from model.io.export.usd import FRICTION, NAME_KEY
+from model.io.export.usd import AFFORDANCE, FRICTION, NAME_KEY
 from model.io.formats.loaded import DEFAULT_MAX_BYTES, size_of
 from model.io.formats.usd import SHAPES, UsdStage, sound_stage
 from model.io.source_checks import cleaned, to_mesh
@@ -266,6 +267,7 @@ class _Reader:
         declared = DeclaredPhysics(
             self._inertials(bodies, renamed), {n: d for n, d in said if d is not None}, (),
             {link: DeclaredCollision(tuple(held)) for link, held in felt.items()},
+            tuple(self._affordances(tree)),
         )  # fmt: skip
         labels = {renamed.get(link, link): text for link, text in self._labels(bodies)}
         top = self.stage.stage.GetDefaultPrim()
@@ -412,6 +414,29 @@ class _Reader:
                 continue
             out[link] = found
         return out
+
+    def _affordances(self, tree: KinematicTree) -> Iterator[Affordance]:
+        """Lines that say where a robot takes hold, as our exporter writes them."""
+        for prim in self.stage.stage.Traverse():
+            kind = prim.GetAttribute(f"{AFFORDANCE}:kind").Get()
+            if kind is None:
+                continue
+            said = {k: prim.GetAttribute(f"{AFFORDANCE}:{k}").Get()
+                    for k in ("joint", "center", "normal", "closing", "width")}  # fmt: skip
+            joint = tree.by_name.get(str(said["joint"]))
+            if joint is None:
+                continue
+            matrix = self.stage.world(prim) @ self.into
+            try:
+                center = matrix[:3, :3] @ np.asarray(said["center"], np.float64) + matrix[:3, 3]
+                turned = [matrix[:3, :3] @ np.asarray(said[k], np.float64)
+                          for k in ("normal", "closing")]  # fmt: skip
+                unit = [tuple((v / np.linalg.norm(v)).tolist()) for v in turned]
+                width = float(said["width"] or 0.0) * float(np.cbrt(np.linalg.det(matrix[:3, :3])))
+                at = tuple((center - np.asarray(joint.origin)).tolist())
+                yield Affordance(joint.name, joint.child, str(kind), at, *unit, width)  # type: ignore[arg-type]
+            except (GeometryError, TypeError, ValueError) as error:
+                self.notes.append(f"{prim.GetName()}: {error}; it is left out")
 
     def _labels(self, bodies: list[Any]) -> Iterator[tuple[str, str]]:
         for body in bodies:

@@ -64,6 +64,7 @@ from model.io.export.part_files import PartFile, write_parts
 from model.io.export.urdf import write_urdf_of
 from model.io.file_names import FileNames
 from model.io.tree_json import tree_to_json
+from model.physics.affordances import find_affordances
 from model.physics.simulation_values import Physics
 
 __all__ = [
@@ -245,7 +246,8 @@ def _write_texts(
     names: FileNames,
 ) -> None:
     write_urdf_of(obj, parts, folder / URDF, physics)
-    _write_json(folder / TREE, tree_to_json(obj.tree))
+    affordances = find_affordances(obj, {} if physics is None else physics.collision)
+    _write_json(folder / TREE, tree_to_json(obj.tree, affordances))
     files = sorted(p for p in folder.rglob("*") if p.is_file())
     entry = {
         "format": FORMAT,

@@ -8,8 +8,9 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, Literal
 
+from model.core.affordance import Affordance
 from model.core.articulated_object import ArticulatedObject, Part, remarks_of
-from model.core.errors import InputFileError
+from model.core.errors import GeometryError, InputFileError
 from model.core.files import read_json
 from model.core.joint import DeclaredDynamics
 from model.core.progress import Progress, no_progress
@@ -17,6 +18,7 @@ from model.core.textures import one_reading
 from model.io.geometry_files import SUFFIXES, read_geometry_file
 from model.io.model_files import articulated_stage, read_model
 from model.io.part_folder import remarks_in
+from model.io.tree_json import affordances_in
 from model.io.urdf.declared_physics import DeclaredPhysics
 
 FORMAT = 1
@@ -107,7 +109,18 @@ def load_object(asset: str | Path, progress: Progress = no_progress) -> Articula
     joints = tuple(replace(j, give_way=j.name in names) for j in obj.tree.joints)
     tree = replace(obj.tree, joints=joints)
     obj = replace(obj, parts=tuple(parts), tree=tree, category=kept.get("category"))
-    return _listed(declared, kept.get(DECLARED)).of(obj)
+    declared = _listed(declared, kept.get(DECLARED))
+    return replace(declared, affordances=_affordances(path / TREE)).of(obj)
+
+
+def _affordances(path: Path) -> tuple[Affordance, ...]:
+    """Those of a saved tree; none in one of an earlier version."""
+    if not path.is_file():
+        return ()
+    try:
+        return affordances_in(read_json(path, "save the asset again"))
+    except GeometryError as error:
+        raise InputFileError(path, str(error), "save the asset again") from None
 
 
 def _read(path: Path, progress: Progress) -> tuple[ArticulatedObject, DeclaredPhysics]:

@@ -30,9 +30,11 @@ from model.io.assets.reader import MESHES
 from model.io.export.collision_files import write_collision
 from model.io.export.part_files import file_stems
 from model.io.formats.srgb import to_linear
+from model.io.mjcf.affordance_sites import write_sites
 from model.io.mjcf.source import PART_NAME
 from model.io.urdf.writer import link_origins, number, vector, xml_name
 from model.io.write.meshes import write_mesh
+from model.physics.affordances import find_affordances
 from model.physics.part_mesh import part_mesh
 from model.physics.simulation_values import Physics, plain_physics
 
@@ -87,6 +89,7 @@ class _Writer:
         shapes = write_collision(
             self.physics.collision, self.obj.parts, self.folder, capsules=True, concave=False
         )
+        affordances = find_affordances(self.obj, self.physics.collision)
         bodies = {tree.root: ET.SubElement(world, "body", name=xml_name(tree.root))}
         if not self.physics.fixed_base:
             ET.SubElement(bodies[tree.root], "freejoint")
@@ -102,6 +105,7 @@ class _Writer:
                 self._geoms(body, part_mesh(parts[link]), link, stems[link])
             for shape in shapes.get(link, []):
                 self._collision(body, shape, link)
+            write_sites(body, [a for a in affordances if a.link == link])
         self._mimics(tree)
         self._names()
         self._excludes()

@@ -3,7 +3,8 @@
 Links are prims beside each other below the default prim, each where its URDF link frame sits
 (``model.io.urdf.writer``). Joints hold an axis that is x of both their frames. Angles are degrees,
 as the schema has it. What the schema lacks (joint friction, mimic joints) is written as PhysX's
-applied schemas, which other programs ignore.
+applied schemas, which other programs ignore. Affordances are lines below their links, which
+SimReady calls grasp vectors where a gripper pinches (requirement GSP.001).
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
+from model.core.affordance import Affordance
 from model.core.articulated_object import ArticulatedObject
 from model.core.files import free_name
 from model.core.inertial import Inertial
@@ -30,6 +32,7 @@ from model.core.surface_maps import ImageFile, SurfaceMaps
 from model.core.textures import encode
 from model.geometry.shading import corner_normals
 from model.io.urdf.writer import direct_mimics, link_origins
+from model.physics.affordances import find_affordances
 from model.physics.materials import read_materials
 from model.physics.part_mesh import part_mesh
 from model.physics.simulation_values import Physics, plain_physics
@@ -39,6 +42,11 @@ TEXTURES = "textures"
 FRICTION = "physxJoint:jointFriction"
 NAME_KEY = "artiworld:name"
 """Custom data of links and joints: their own names, which USD's identifiers may not hold."""
+
+AFFORDANCE = "artiworld:affordance"
+"""Begins the attributes of an affordance: kind, joint, center, normal, closing, width."""
+GRASP_VECTOR = "grasp_identifier"
+"""Begins the names of SimReady's grasp vectors."""
 
 FloatArray = npt.NDArray[np.float64]
 _ROUGHNESS = 0.6  # default of materials without a value
@@ -117,6 +125,8 @@ class _Writer:
                 self._visual(prim, part_mesh(part), link, made_of)
             for number, shape in enumerate(self.physics.collision.get(link, ())):
                 self._collision(prim, shape, number, link)
+        for number, affordance in enumerate(find_affordances(self.obj, self.physics.collision), 1):
+            self._affordance(affordance, number)
         self._joints()
         stage.GetRootLayer().Export(str(self.path))
         progress(1.0, "written")
@@ -345,6 +355,38 @@ class _Writer:
             made.CreateHeightAttr(shape.sizes[1])
             made.CreateAxisAttr(self.UsdGeom.Tokens.z)
         return made
+
+    # Affordances
+
+    def _affordance(self, affordance: Affordance, number: int) -> None:
+        """A line across what is pinched, or along the approach to what is pushed or hooked."""
+        pinch = affordance.kind in ("grasp", "turn")
+        name = f"{GRASP_VECTOR if pinch else 'affordance'}_{number:02}"
+        made = self.UsdGeom.BasisCurves.Define(
+            self.stage, f"{self.links[affordance.link].GetPath()}/{name}"
+        )
+        center = np.asarray(affordance.center)
+        along = np.asarray(affordance.closing if pinch else affordance.normal)
+        half = (affordance.width / 2 + 0.01) * along
+        points = np.stack([center - half, center + half]).astype(np.float32)
+        made.CreatePointsAttr(self.Vt.Vec3fArray.FromNumpy(points))
+        made.CreateCurveVertexCountsAttr(self.Vt.IntArray([2]))
+        made.CreateTypeAttr(self.UsdGeom.Tokens.linear)
+        made.CreateWidthsAttr(self.Vt.FloatArray([0.002]))
+        made.SetWidthsInterpolation(self.UsdGeom.Tokens.constant)
+        extent = np.stack([points.min(axis=0), points.max(axis=0)])
+        made.CreateExtentAttr(self.Vt.Vec3fArray.FromNumpy(extent))
+        made.CreatePurposeAttr(self.UsdGeom.Tokens.guide)
+        types = self.Sdf.ValueTypeNames
+        for key, kind, value in (
+            ("kind", types.Token, affordance.kind),
+            ("joint", types.String, affordance.joint),
+            ("center", types.Point3f, self._vec3f(affordance.center)),
+            ("normal", types.Vector3f, self._vec3f(affordance.normal)),
+            ("closing", types.Vector3f, self._vec3f(affordance.closing)),
+            ("width", types.Float, affordance.width),
+        ):
+            made.GetPrim().CreateAttribute(f"{AFFORDANCE}:{key}", kind, True).Set(value)
 
     # Joints
 

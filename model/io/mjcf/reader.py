@@ -24,6 +24,7 @@ from model.core.rotations import affine
 from model.core.tree import KinematicTree
 from model.io.formats.loaded import DEFAULT_MAX_BYTES
 from model.io.geometry_files import SUFFIXES
+from model.io.mjcf.affordance_sites import sites_of
 from model.io.mjcf.appearance import Looks, compiled_mesh, ellipsoid
 from model.io.mjcf.source import MjcfSource, read_source
 from model.io.urdf.collision import DeclaredCollision, repeats
@@ -144,10 +145,11 @@ class _Reader:
             )
             for link, held in felt.items()
         }
+        affordances = tuple(replace(a, link=now(a.link)) for a in sites_of(self.model, self.links))
         notes = tuple(dict.fromkeys([*self.notes, *renotes]))
         return UrdfModel(
             self.path, self.source.name, tree, visuals, notes, renamed=tuple(renotes),
-            declared=DeclaredPhysics(inertials, dynamics, (), collision),
+            declared=DeclaredPhysics(inertials, dynamics, (), collision, affordances),
             files=(*self.source.files, *dict.fromkeys(self.looks.used)),
             part_names=self.source.part_names,
         )  # fmt: skip

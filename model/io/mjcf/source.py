@@ -19,6 +19,7 @@ from model.core.errors import InputFileError
 from model.core.joint import Mimic
 from model.io.formats.loaded import DEFAULT_MAX_BYTES, read_bytes
 from model.io.formats.references import ReferenceRefused, resolve
+from model.io.mjcf.affordance_sites import is_affordance
 from model.io.mjcf.schema import ASSETS, DEFAULTS, KEPT, LOST, MJCF, ROOTS, WORLD
 from model.io.xml_file import MAX_BYTES, parse
 
@@ -386,9 +387,12 @@ def _without_frames(top: Element) -> str:
 
 
 def _prune(top: Element, allowed: tuple[str, ...]) -> None:
-    """Leave out all children whose tags aren't ``allowed``; materials keep their layers."""
+    """Leave out all children whose tags aren't ``allowed``; materials keep their layers, and
+    bodies the sites that are affordances."""
 
     def keeps(parent: Element, child: Element) -> bool:
+        if child.tag == "site":
+            return allowed == WORLD and is_affordance(child.get("name"))
         return child.tag in allowed or (parent.tag == "material" and child.tag == "layer")
 
     for parent in list(top.iter()):

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from model.core.affordance import Affordance, belongs
 from model.core.articulated_object import ArticulatedObject
 from model.core.inertial import Inertial, inertial_problems
 from model.core.joint import DeclaredDynamics
@@ -41,12 +42,14 @@ class DeclaredPhysics:
         dynamics: by joint.
         notes: what was passed over, for people.
         collision: by link; its meshes aren't loaded.
+        affordances: where a robot takes hold.
     """
 
     inertials: Mapping[str, Inertial] = field(default_factory=dict)
     dynamics: Mapping[str, DeclaredDynamics] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     collision: Mapping[str, DeclaredCollision] = field(default_factory=dict)
+    affordances: tuple[Affordance, ...] = ()
 
     def of(self, obj: ArticulatedObject) -> ArticulatedObject:
         """``obj`` with what is told of its links and joints, collision meshes loaded; what can't be
@@ -62,7 +65,8 @@ class DeclaredPhysics:
             if held:
                 shapes[link] = held
         parts = tuple(replace(p, remarks=(*p.remarks, *remarks[p.link])) for p in obj.parts)
-        return replace(obj, parts=parts, shapes=shapes)
+        kept = tuple(a for a in self.affordances if belongs(a, obj.tree))
+        return replace(obj, parts=parts, shapes=shapes, affordances=kept)
 
 
 def read_declared_physics(
