@@ -136,6 +136,29 @@ class Client:
         body = {"reason": reason, "comment": comment, "joint": joint, "place": place}
         return self.call("POST", f"/objects/{object_id}/reject", body)
 
+    def comment(
+        self,
+        object_id: int,
+        text: str,
+        *,
+        joint: str = "",
+        place: Sequence[float] | None = None,
+    ) -> dict[str, Any]:
+        """Pin a comment to a joint or a place (3,) in metres."""
+        body = {"text": text, "joint": joint, "place": place}
+        return self.call("POST", f"/objects/{object_id}/comments", body)
+
+    def resolve(self, object_id: int, number: int, done: bool = True) -> dict[str, Any]:
+        """Mark a comment as done."""
+        return self.call("PUT", f"/objects/{object_id}/comments/{number}", {"done": done})
+
+    def add_region(
+        self, object_id: int, part: int, elements: Sequence[int], positive: bool = True
+    ) -> dict[str, Any]:
+        """Say that elements (faces or points, from 0) belong to a part, or that they don't."""
+        body = {"part": part, "elements": list(elements), "positive": positive}
+        return self.call("POST", f"/objects/{object_id}/regions", body)
+
     def next(self) -> int | None:
         """Lease the next object to work on; None where nothing waits."""
         return self.call("POST", "/next", {})["id"]

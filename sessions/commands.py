@@ -343,6 +343,36 @@ class Reject:
 
 
 @dataclass(frozen=True)
+class AddComment:
+    """A comment of a reviewer, for the annotator to deal with.
+
+    Attributes:
+        text: for people.
+        joint, place: what it is about; see :class:`Reject`.
+    """
+
+    text: str
+    joint: str = ""
+    place: tuple[float, float, float] | None = None
+
+    def __post_init__(self) -> None:
+        text = clean_text(self.text, COMMENT_LIMIT, "the comment", lines=True)
+        if not text:
+            raise CommandError("the comment is empty; say what should change")
+        put_field(self, "text", text)
+        put_field(self, "joint", clean_text(self.joint, NAME_LIMIT, "the joint"))
+        check_finite(self.place or (), "place")
+
+
+@dataclass(frozen=True)
+class ResolveComment:
+    """Mark a comment, by its number from 1, as done or as open again."""
+
+    number: int
+    done: bool = True
+
+
+@dataclass(frozen=True)
 class Reopen:
     """Reopen an accepted or rejected object."""
 
@@ -401,6 +431,8 @@ Command = (
     | Submit
     | Accept
     | Reject
+    | AddComment
+    | ResolveComment
     | Reopen
     | Saved
     | Undo
@@ -437,6 +469,8 @@ KINDS: Mapping[str, type[Command]] = {
     "submit": Submit,
     "accept": Accept,
     "reject": Reject,
+    "add_comment": AddComment,
+    "resolve_comment": ResolveComment,
     "reopen": Reopen,
     "saved": Saved,
     "undo": Undo,

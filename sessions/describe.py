@@ -5,6 +5,7 @@ from __future__ import annotations
 from sessions.commands import (
     Accept,
     AddClick,
+    AddComment,
     AddPart,
     AddRegion,
     ClearPrompts,
@@ -20,6 +21,7 @@ from sessions.commands import (
     RemovePrompt,
     Reopen,
     ResetJoint,
+    ResolveComment,
     Saved,
     SetCategory,
     SetCompletion,
@@ -90,6 +92,10 @@ def describe(command: Command) -> str:
             return "segmentation"
         case Reject(reason=reason):
             return f"reject ({reason.replace('_', ' ')})"
+        case AddComment(text=text):
+            return f"comment: {text.splitlines()[0][:60]}"
+        case ResolveComment(number=number, done=done):
+            return f"comment {number} is {'done' if done else 'open'}"
         case ClearPrompts(part=part):
             return "clear all prompts" if part is None else f"clear the prompts of part {part}"
         case RemovePrompt() | Submit() | Accept() | Reopen() | Saved() | Undo() | Redo():

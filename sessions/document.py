@@ -163,6 +163,27 @@ class DecisionRecord:
 
 
 @dataclass(frozen=True)
+class CommentRecord:
+    """A reviewer's comment.
+
+    Attributes:
+        number: from 1, in the order in which they were given.
+        text: for people.
+        joint, place: what it is about; see :class:`~sessions.commands.Reject`.
+        by, at: author and time (ISO 8601, UTC).
+        done: whether the annotator dealt with it.
+    """
+
+    number: int
+    text: str
+    joint: str
+    place: tuple[float, float, float] | None
+    by: str
+    at: str
+    done: bool = False
+
+
+@dataclass(frozen=True)
 class Document:
     """Everything decided about one object.
 
@@ -192,6 +213,7 @@ class Document:
         decided: of a scene: the decisions about its objects, in order.
         picked: of a scene: objects that were picked out of others, in order.
         complete: whether what a scan doesn't show is made up in the asset; None: it isn't.
+        comments: of reviewers, in order.
     """
 
     prompts: tuple[Click | RegionRef, ...] = ()
@@ -219,6 +241,7 @@ class Document:
     picked: tuple[PickOut, ...] = ()
     frame: ObjectFrame = SOURCE_FRAME
     complete: bool | None = None
+    comments: tuple[CommentRecord, ...] = ()
 
     @cached_property
     def key(self) -> str:

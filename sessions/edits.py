@@ -12,6 +12,7 @@ from model.segmentation.prompts import BASE, Click
 from sessions.commands import (
     Accept,
     AddClick,
+    AddComment,
     AddPart,
     AddRegion,
     ClearPrompts,
@@ -27,6 +28,7 @@ from sessions.commands import (
     RemovePrompt,
     Reopen,
     ResetJoint,
+    ResolveComment,
     Saved,
     SetCategory,
     SetCompletion,
@@ -39,6 +41,7 @@ from sessions.commands import (
 )
 from sessions.describe import describe
 from sessions.document import (
+    CommentRecord,
     CropRecord,
     DecisionRecord,
     Document,
@@ -197,10 +200,16 @@ def _changed(document: Document, command: Command, context: Context) -> tuple[Do
             if problems:
                 raise CommandError("can't submit: " + "; ".join(problems))
             return replace(document), "submit"
-        case Reject(joint=joint):
-            if joint and (document.tree is None or joint not in document.tree.joint_of):
-                raise CommandError(f"the comment is about {joint}, which has no joint here")
+        case Reject():
+            about = command.joint or command.place is not None
+            if command.comment or about:
+                text = command.comment or command.reason.replace("_", " ")
+                return _commented(document, text, command, context), "reject"
             return replace(document), "reject"
+        case AddComment(text=text):
+            return _commented(document, text, command, context), "comment"
+        case ResolveComment(number=number, done=done):
+            return _resolved(document, number, done), "resolve"
         case Reopen():
             return replace(document), "reopen"
         case RecordSegmentation() | Saved() | Placed() | Undo() | Redo():
@@ -242,6 +251,27 @@ def _reviewed(
         joint_edits=joint_edits,
         label=describe(command),
     )
+
+
+def _commented(
+    document: Document, text: str, command: Reject | AddComment, context: Context
+) -> Document:
+    joint = command.joint
+    if joint and (document.tree is None or joint not in document.tree.joint_of):
+        raise CommandError(f"the comment is about {joint}, which has no joint here")
+    number = len(document.comments) + 1
+    comment = CommentRecord(number, text, joint, command.place, context.who, context.at)
+    return replace(document, comments=(*document.comments, comment))
+
+
+def _resolved(document: Document, number: int, done: bool) -> Document:
+    comments = document.comments
+    if not 1 <= number <= len(comments):
+        raise CommandError(f"there is no comment {number}; there are {len(comments)}")
+    if comments[number - 1].done is done:
+        return document
+    changed = replace(comments[number - 1], done=done)
+    return replace(document, comments=(*comments[: number - 1], changed, *comments[number:]))
 
 
 def _with_part(document: Document, part: PartInfo) -> Document:

@@ -10,7 +10,9 @@ from model.core.errors import CommandError
 ReviewState = Literal["todo", "in_progress", "predicted", "submitted", "accepted", "rejected"]
 RejectReason = Literal["range", "axis", "type", "parts", "not_articulated", "other"]
 Role = Literal["annotator", "reviewer", "manager"]
-Action = Literal["annotate", "adjust", "predict", "submit", "accept", "reject", "reopen"]
+Action = Literal[
+    "annotate", "adjust", "predict", "submit", "accept", "reject", "reopen", "comment", "resolve"
+]  # fmt: skip
 
 
 class NotPermittedError(CommandError):
@@ -67,11 +69,13 @@ TRANSITIONS: Mapping[Action, Mapping[ReviewState, ReviewState]] = {
         "submitted": "in_progress",
         "rejected": "in_progress",
     },
+    "comment": {state: state for state in REVIEW_STATES},
+    "resolve": {state: state for state in REVIEW_STATES if state != "accepted"},
 }
 """Action → state before → state after. All else is refused."""
 
 PERMITTED: Mapping[Role, frozenset[Action]] = {
-    "annotator": frozenset({"annotate", "adjust", "predict", "submit"}),
+    "annotator": frozenset({"annotate", "adjust", "predict", "submit", "resolve"}),
     "reviewer": frozenset(ACTIONS),
     "manager": frozenset(ACTIONS),
 }

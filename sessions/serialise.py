@@ -25,7 +25,8 @@ from sessions.document import (
 )
 from sessions.state import SessionState
 
-VERSION = 1
+VERSION = 2
+"""Snapshots of version 1 lack the comments; those are replayed from the commands."""
 
 _VALUES: Mapping[str, type[Any]] = {
     "click": Click,

@@ -145,3 +145,5 @@ def _check_review_kept(before: Document, after: Document, context: Context) -> N
         and decided & {before.review.state, after.review.state}
     ):
         raise CommandError("only a reviewer may undo or redo a review")
+    if context.role == "annotator" and len(before.comments) != len(after.comments):
+        raise CommandError("only a reviewer may undo or redo a comment")

@@ -50,7 +50,8 @@ _STEP_OF: Final[Mapping[str, str]] = {
          "lock_joint"), "Joints",
     ),
     **dict.fromkeys(
-        ("set_completion", "submit", "accept", "reject", "reopen", "saved", "decide_objects"),
+        ("set_completion", "submit", "accept", "reject", "reopen", "saved", "decide_objects",
+         "add_comment", "resolve_comment"),
         "Review",
     ),
 }  # fmt: skip

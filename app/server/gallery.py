@@ -99,6 +99,7 @@ class Gallery:
 
     def _key(self, sort: str, names: dict[int, str]) -> Callable[[ObjectRecord], Any] | None:
         return {
+            "order": lambda r: r.state != "rejected",  # what came back comes first
             "name": lambda r: names.get(r.id, "").lower(),
             "category": lambda r: (r.category is None, r.category or ""),
             "state": lambda r: _STATES.index(r.state),

@@ -16,6 +16,7 @@ from app.viewer.input.pointing import PointerActions, Pointing
 from app.viewer.input.queries import Point, PointerQueries
 from app.viewer.input.views import Views
 from app.viewer.navigation import Memory, Navigation
+from app.viewer.panels.comments import Comments
 from app.viewer.panels.exporting import Exporting
 from app.viewer.panels.history import History
 from app.viewer.panels.markup import Presses
@@ -54,6 +55,7 @@ class ClientApp:
         scene: the scene, or None where single objects are open.
         queue: their queue, or None.
         guard: lets decisions through about what was seen.
+        comments: of reviewers, with their markers.
         light: of the picture.
         theme: light or dark, as the browser has it.
         rail: the icons beside the picture.
@@ -90,7 +92,7 @@ class ClientApp:
         self.rail = ToolRail(tab, self._presses, self.pointing, self._rail_actions())
         self._build()
         steps = (self.prepare, self.annotate, self.joints, self.review)
-        self.commands.connect(steps, self.scene)
+        self.commands.connect(steps, self.scene, self.comments)
         view = (self.pointing, self.motion, self.picture, self._sheet, self.rail, self.views)
         add_keys(tab, bindings(tab, self.commands, steps, self.scene, view), self.guard.decide)
         self.pointing.listen(self._pointer_actions())
@@ -150,6 +152,7 @@ class ClientApp:
             self._navigation.remove,
             lambda: tab.do(cmd.Reopen(self.review.comment_text)),
         )
+        self.comments = Comments(tab, self._presses, lambda: self.picture.comments)
         self._folders = {s: gui.add_folder(None, visible=s == "Annotate") for s in STEPS}
         with self._folders["Prepare"]:
             self.prepare = PrepareStep(
@@ -183,6 +186,7 @@ class ClientApp:
                 name_of=app_state.display_name,
                 drawn=lambda: self.drawing.drawn,
                 export=lambda: self._exporting.ask([tab.selection.need_object().record.id]),
+                ask_place=self._ask_place,
             )
             self.review = ReviewStep(tab, self.motion, self.commands.rejecting, review)
 
@@ -193,6 +197,10 @@ class ClientApp:
 
     def _accept_seen(self) -> None:
         self.guard.decide(self.commands.accept)
+
+    def _ask_place(self) -> None:
+        self.motion.reset()  # what is picked is at rest, and so is what is seen then
+        self.pointing.arm("comment")
 
     def _reject_seen(self) -> None:
         self.tab.act(self.commands.reject)
@@ -214,6 +222,8 @@ class ClientApp:
             click_scene=self._click_scene,
             places_chosen=self.prepare.places_chosen,
             parent_chosen=self.joints.tree.hang,
+            click_comment=self.comments.click,
+            comment_placed=self.review.pin,
         )
 
     def _show_session(self, session: int | None, review: bool) -> None:
@@ -322,6 +332,7 @@ class ClientApp:
         self.rail.draw(obj)
         self._follow_prediction(obj)
         self.drawing.draw(obj, touch=self.rail.touch)
+        self.comments.draw(obj)
         self.prepare.draw(obj)
         self.annotate.draw(obj)
         self.pointing.set_page_state()

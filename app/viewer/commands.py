@@ -10,6 +10,7 @@ from app.viewer.input.keys import Binding, KeySheet
 from app.viewer.input.pointing import Pointing
 from app.viewer.input.views import VIEWS, Views
 from app.viewer.navigation import Navigation
+from app.viewer.panels.comments import Comments
 from app.viewer.panels.predict_buttons import predict
 from app.viewer.panels.quick_names import SHOWN
 from app.viewer.panels.rejecting import Rejecting
@@ -56,10 +57,11 @@ class Commands:
         self,
         steps: tuple[PrepareStep, AnnotateStep, JointsStep, ReviewStep],
         scene: SceneStep | None,
+        comments: Comments,
     ) -> None:
         """Set what the commands are for; widgets that give them are made before."""
         self.prepare, self._annotate, self._joints, self._review = steps
-        self._scene = scene
+        self._scene, self._comments = scene, comments
 
     @property
     def _overview(self) -> SceneStep | None:
@@ -211,6 +213,10 @@ class Commands:
         else:
             self._joints.choose_next()
 
+    def next_comment(self) -> None:
+        """Choose the next comment that is open (Shift+C)."""
+        self._comments.next()
+
     def choice_before(self) -> None:
         """Show the previous mask (Shift+Tab)."""
         step = self._tab.selection.step
@@ -282,6 +288,7 @@ def bindings(
     yield Binding(words.NEXT, "N", _with(commands.step, 1))
     yield Binding(words.PREVIOUS, "B", _with(commands.step, -1))
     yield Binding(words.INSTRUCTIONS, "I", annotate.instructions.toggle, "shift")
+    yield Binding(words.NEXT_COMMENT, "C", commands.next_comment, "shift")
     yield Binding(words.FRAME, "C", _framing(tab, scene, picture))
     enter = words.PREPARE if scene is None else words.EDIT_IN_SCENE
     yield Binding(enter, "enter", by_step(prepare.apply, commands.enter))

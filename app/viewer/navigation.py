@@ -15,6 +15,7 @@ from app.viewer.words.queue import ALL_ACCEPTED, EMPTY
 from app.viewer.words.review import about
 from model.core.errors import ArtiworldError
 from sessions import commands as cmd
+from sessions.records import ObjectRecord
 
 log = logging.getLogger(__name__)
 _STORED = "artiworld"
@@ -159,8 +160,9 @@ class Navigation:
         stop = obj.watch(changed, tell)
 
     def step(self, by: int) -> None:
-        """Open the next object of the queue that isn't accepted, or with -1 the one before,
-        whatever its state; passing one skips it."""
+        """Open the next object: first what came back to this person, then the next one of the
+        queue that isn't accepted. With -1 the one before, whatever its state. Passing one skips
+        it."""
         records = self._app_state.queue.records()
         obj = self._tab.selection.object
         if obj is None or not records:
@@ -172,11 +174,22 @@ class Navigation:
             return
         self._skipped.add(current)
         ahead = [*records[at + 1 :], *records[: max(at, 0)]]
-        following = next((r.id for r in ahead if r.state != "accepted"), None)
+        following = next((r.id for r in self._returned(ahead)), None)
+        if following is None:
+            following = next((r.id for r in ahead if r.state != "accepted"), None)
         if following is None:
             self._tab.say(ALL_ACCEPTED)
         else:
             self.open(following)
+
+    def _returned(self, records: list[ObjectRecord]) -> list[ObjectRecord]:
+        """Those that came back to this person, and that weren't passed since."""
+        assigned = self._app_state.store.people.work.assigned()
+        return [
+            r for r in records
+            if r.state == "rejected" and r.id not in self._skipped
+            and assigned.get(r.id, r.assigned_to) == self._tab.user
+        ]  # fmt: skip
 
     def remove(self) -> None:
         """Remove what can't be read from the queue, and go on with the next object."""

@@ -33,6 +33,18 @@ class PersonTab(Tab):
         """Wait until the page shows a text."""
         self.page.get_by_text(text).first.wait_for()
 
+    def marked(self, text: str) -> None:
+        """Wait until the marker of a comment says its text, which only the chosen one does."""
+        name = f"/comment/{text.partition(':')[0]}/label"
+        handle = self.app.tab.client.scene.get_handle_by_name
+
+        def shown() -> bool:
+            label = handle(name)
+            return label is not None and label.text == text
+
+        wait_until(shown, f"the marker says {text}", 60)
+        self.wait_node(name)
+
 
 @pytest.fixture
 def come(browser: Any) -> Iterator[Callable[..., PersonTab]]:
@@ -177,3 +189,62 @@ def test_a_manager_sets_instructions_and_labels_which_an_annotator_works_by(
     wait_until(lambda: ann.document.part_names.get(1) == "shelf", "the second name of the list")
     ann.step("Review")
     ann.page.get_by_text("isn't in the project's labels").first.wait_for(state="detached")
+
+
+def test_a_reviewer_pins_a_comment_which_the_annotator_finds_in_3d(
+    start: Any, come: Callable[..., PersonTab], tmp_path: Path
+) -> None:
+    store = Store(tmp_path / "workspace")
+    add_people(store)
+    store.close()
+    server = start(write_cupboard(tmp_path / "cupboard"), predictor="geometric")
+    rob = come(server, "rob")
+    wait_until(lambda: rob.document.segmentation_current and rob.object.asset, "parts")
+    rob.key("p")
+    wait_until(lambda: rob.document.tree is not None, "joints")
+    rob.step("Review")
+    wait_until(lambda: rob.object.validation.report is not None, "checks")
+    rob.button("Pin in 3D").click()
+    rob.says("write the comment first")
+    rob.field("Comment").fill("a scratch")
+    rob.drawn()
+    rob.button("Pin in 3D").click()
+    wait_until(lambda: rob.app.pointing.armed == "comment", "the place is asked for")
+    rob.camera_at_rest()
+    bounds = rob.object.asset.bounds
+    aim = bounds.mean(axis=0)
+    rob.click3d(aim)
+    wait_until(lambda: rob.document.comments, "the comment is pinned")
+    (comment,) = rob.document.comments
+    assert (comment.text, comment.by, comment.done) == ("a scratch", "rob", False)
+    assert all(bounds[0] - 0.01 <= comment.place) and all(comment.place <= bounds[1] + 0.01)
+    rob.choose("The comment is about", "part 1")
+    rob.field("Comment").fill("too far")
+    rob.drawn()
+    rob.wait_seen()
+    rob.key("Escape")
+    rob.button("Reject (X)").click()
+    rob.page.get_by_text("1 range", exact=True).click()
+    wait_until(lambda: rob.document.review.state == "rejected", "sent back")
+
+    # The annotator sees numbers in the picture, and steps through them.
+    ann = come(server, "ann")
+    ann.says("Comments: 2 of 2 open")
+    for number in (1, 2):
+        ann.wait_node(f"/comment/{number}/label")
+    ann.key("Shift+C")
+    ann.marked("1: a scratch")
+    ann.button("Comment 1 is done").click()
+    wait_until(lambda: ann.document.comments[0].done, "it is done")
+    ann.says("Comments: 1 of 2 open")
+    ann.marked("2: too far")
+    assert ann.selection.child == "link_1", "the next one is about a joint, which is chosen"
+    # A click on a marker shows what it says, and is no prompt.
+    ann.step("Annotate")
+    ann.button("Comment 1: a scratch").click()
+    ann.marked("1: a scratch")
+    prompts = len(ann.document.prompts)
+    ann.camera_at_rest()
+    ann.click3d(ann.document.tree.joint_of["link_1"].origin)
+    ann.marked("2: too far")
+    assert len(ann.document.prompts) == prompts

@@ -171,6 +171,8 @@ VERSION_1 = [
     {"kind": "submit", "comment": "done"},
     {"kind": "accept", "comment": "fine\nreally", "note_problems": ["touches at 0.2 rad"]},
     {"kind": "reject", "reason": "not_articulated", "comment": ""},
+    {"kind": "add_comment", "text": "too far", "joint": "link_1", "place": [0.1, 0.2, 0.3]},
+    {"kind": "resolve_comment", "number": 1, "done": False},
     {"kind": "reopen", "comment": "again"},
     {"kind": "saved", "folder": "out/oven"},
     {"kind": "undo"},

@@ -137,6 +137,7 @@ def document_json(state: SessionState) -> dict[str, Any]:
         "joints": joints_json(doc),
         "prediction_stale": doc.prediction_stale,
         "review": codec.write(review),
+        "comments": [codec.write(c) for c in doc.comments],
         "saved": doc.saved is not None,
     }
 

@@ -12,7 +12,7 @@ from app.server.accepting import accept, acceptance_over, withdraw
 from app.server.api.guard import Annotator, Reader, Reviewer, State
 from app.server.api.objects import decide, document_json, opened, wait
 from model.core.errors import CommandError
-from sessions.commands import Reject, Reopen, Submit
+from sessions.commands import AddComment, Reject, Reopen, ResolveComment, Submit
 from sessions.review import RejectReason
 
 router = APIRouter(tags=["reviews"])
@@ -47,6 +47,36 @@ class RejectBody(CommentBody):
     reason: RejectReason
     joint: str = ""
     place: tuple[float, float, float] | None = None
+
+
+class NewCommentBody(BaseModel):
+    """A comment, and what it is about: a joint by its child link, or a place as of a rejection."""
+
+    text: str
+    joint: str = ""
+    place: tuple[float, float, float] | None = None
+
+
+class DoneBody(BaseModel):
+    """Whether a comment is done."""
+
+    done: bool = True
+
+
+@router.post("/objects/{object_id}/comments", status_code=201)
+def add_comment(
+    object_id: int, body: NewCommentBody, person: Reviewer, state: State
+) -> dict[str, Any]:
+    """Pin a comment to an object; it stays in its state."""
+    return decide(state, object_id, AddComment(body.text, body.joint, body.place), person)
+
+
+@router.put("/objects/{object_id}/comments/{number}")
+def resolve_comment(
+    object_id: int, number: int, body: DoneBody, person: Annotator, state: State
+) -> dict[str, Any]:
+    """Mark a comment as done, or as open again."""
+    return decide(state, object_id, ResolveComment(number, body.done), person)
 
 
 @router.get("/objects/{object_id}/checks")

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 from fastapi import APIRouter, HTTPException
-from pydantic import BaseModel
+from pydantic import BaseModel, Field
 
 from app.server.api.guard import Annotator, Reader, State
 from app.server.api.objects import decide, joints_json, opened, record_of, wait
 from app.server.app_state import AppState
-from sessions.commands import Redo, Undo, from_json, to_json
+from sessions.commands import AddRegion, Redo, Undo, from_json, to_json
 from sessions.describe import describe
 
 router = APIRouter(tags=["sessions"])
@@ -55,6 +56,36 @@ def give(object_id: int, body: CommandBody, person: Annotator, state: State) -> 
         raise HTTPException(422, f"command.kind: one of {', '.join(sorted(KINDS))}")
     _check_seq(state, object_id, body.expected_seq)
     return decide(state, object_id, from_json(body.command), person)
+
+
+class RegionBody(BaseModel):
+    """Elements (faces, of a cloud points) that belong to a part, or that don't.
+
+    Attributes:
+        part: its number.
+        elements: numbers from 0, as the object has them now.
+        positive: whether they belong to it.
+        expected_seq: as of a command.
+    """
+
+    part: int
+    elements: list[int] = Field(min_length=1, max_length=200_000)
+    positive: bool = True
+    expected_seq: int | None = None
+
+
+@router.post("/objects/{object_id}/regions", status_code=201)
+def add_region(object_id: int, body: RegionBody, person: Annotator, state: State) -> dict[str, Any]:
+    """Mark a region of an object as part of something; the answer is the object after it."""
+    count = opened(state, object_id).need_asset().element_count
+    elements = np.unique(np.asarray(body.elements, np.int64))
+    if elements[0] < 0 or elements[-1] >= count:
+        raise HTTPException(422, f"elements: the object has those from 0 to {count - 1}")
+    _check_seq(state, object_id, body.expected_seq)
+    state.store.people.role_for(object_id, Undo(), person.name, person.role)  # before it is stored
+    ref = state.store.put_array(elements)
+    command = AddRegion(body.part, ref, body.positive, len(elements), "script")
+    return decide(state, object_id, command, person)
 
 
 @router.post("/objects/{object_id}/undo")

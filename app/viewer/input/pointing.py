@@ -30,15 +30,18 @@ from app.viewer.words import annotate as words
 from app.viewer.words import joints as joint_words
 from app.viewer.words import prepare as prepare_words
 from app.viewer.words.common import NO_JOINTS
+from app.viewer.words.review import HINT_PIN
 from model.geometry.picking import Camera
 from model.geometry.strokes import Stroke
 from model.segmentation.prompts import Click
 from sessions import commands as cmd
 
-Armed = Literal["", "cut", "rectangle", "merge", "measure", "parent", "floor", "edge", "length"]
+Armed = Literal[
+    "", "cut", "rectangle", "merge", "measure", "parent", "comment", "floor", "edge", "length"
+]  # fmt: skip
 Tool = Literal["click", "lasso", "brush"]
 _CUTS = {"cut": words.CUT, "rectangle": words.CUT_RECTANGLE}
-_EVERYWHERE: Final = ("measure", "parent")
+_EVERYWHERE: Final = ("measure", "parent", "comment")
 """What may be asked for in steps in which parts move, too."""
 _PLACES: Final = {"floor": 3, "edge": 2, "length": 2}
 """What the prepare step asks for → its number of places."""
@@ -75,6 +78,8 @@ class PointerActions:
         withdraw: takes back an acceptance that waits.
         parent_chosen: gets the child link of a joint, and the link that is to carry it.
         places_chosen: gets what was asked for in the prepare step, and its places.
+        click_comment: gets a ray; whether it hit the marker of a comment.
+        comment_placed: gets the place that a comment is about.
         click_scene: gets a ray's origin and direction while the whole scene is shown; else False.
     """
 
@@ -85,6 +90,8 @@ class PointerActions:
     click_scene: Callable[[Point, Point], bool]
     places_chosen: Callable[[str, tuple[Point, ...]], None]
     parent_chosen: Callable[[str, str], None]
+    click_comment: Callable[[Point, Point], bool]
+    comment_placed: Callable[[Point], None]
 
 
 class Pointing:
@@ -93,7 +100,8 @@ class Pointing:
     Attributes:
         armed: "cut" waits for places along a cut, "rectangle" for two corners, "merge" for a part,
             "measure" for the ends of a distance, "parent" for the part that carries the selected
-            joint, "floor", "edge" and "length" for places of those; "" for nothing.
+            joint, "comment" for the place of a comment, "floor", "edge" and "length" for places of
+            those; "" for nothing.
         tool: what a drag draws.
         hover: the preview of a click.
         tools: that change the selected part.
@@ -198,6 +206,8 @@ class Pointing:
             return self._measuring.hint
         if self.armed == "parent":
             return joint_words.HINT_PARENT
+        if self.armed == "comment":
+            return HINT_PIN
         if self._selection.step == "Prepare":
             return prepare_words.HINTS.get(self.armed) or prepare_words.HINT_STROKES.get(
                 self.tool, ""
@@ -295,6 +305,9 @@ class Pointing:
         obj = selection.need_object()
         if obj.asset is None:
             return
+        asked = self._actions
+        if not self.armed and asked is not None and asked.click_comment(origin, direction):
+            return
         if self.armed == "measure":
             if not self._measuring.click(origin, direction):
                 self._tab.say(words.NOTHING_THERE)
@@ -337,6 +350,10 @@ class Pointing:
             return
         elif hit is None:
             self._tab.say(words.NOTHING_THERE)
+        elif armed == "comment":
+            self.disarm()
+            assert self._actions is not None
+            self._actions.comment_placed(tuple(float(v) for v in hit.position))  # type: ignore[arg-type]
         elif step not in AT_REST:
             self._choose_joint_at(hit.element)
         else:

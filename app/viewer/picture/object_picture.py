@@ -16,6 +16,7 @@ from viser import transforms as vtf
 
 from app.server.display_tasks import OpenedAsset, PartPayload, front_direction
 from app.viewer.picture import palette
+from app.viewer.picture.comment_marks import CommentMarks
 from app.viewer.picture.joint_marks import JointMarks
 from app.viewer.picture.label_overlay import LabelOverlay
 from app.viewer.picture.moving_parts import MovingParts
@@ -75,6 +76,7 @@ class ObjectPicture:
         self.parts = MovingParts(self._client)
         self.marks = JointMarks(self._client)
         self.overlays = Overlays(self._client)
+        self.comments = CommentMarks(self._client)
         self.touch: Any = None
 
     # --- the object
@@ -111,6 +113,7 @@ class ObjectPicture:
         self.parts = MovingParts(self._client, size)
         self.marks = JointMarks(self._client, asset.diagonal)
         self.overlays = Overlays(self._client, asset.diagonal)
+        self.comments = CommentMarks(self._client, asset.diagonal)
         if not keep_view:
             self.frame_camera()
 

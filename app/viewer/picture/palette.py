@@ -22,6 +22,7 @@ _LIGHTER, _DARKER, _TURN = 0.66, 0.52, 0.14
 SELECTED: Final[Rgb] = (236, 0, 140)
 GHOST: Final[Rgb] = (150, 150, 160)
 CONTACT: Final[Rgb] = (220, 20, 40)
+COMMENT: Final[Rgb] = (214, 108, 0)
 DIRECTIONS: Final[tuple[Rgb, Rgb, Rgb]] = ((204, 51, 51), (60, 150, 60), (51, 90, 204))
 """Of X, Y and Z, as everywhere in 3D."""
 MARKED: Final[Rgb] = (176, 182, 190)

@@ -46,6 +46,7 @@ class ReviewActions:
         name_of: an object's name on the screens.
         drawn: whether the open object's picture was sent.
         export: asks how to export the object.
+        ask_place: has the next click be the place of a comment.
     """
 
     accept: Callable[[], None]
@@ -54,6 +55,7 @@ class ReviewActions:
     name_of: Callable[[ObjectRecord], str]
     drawn: Callable[[], bool]
     export: Callable[[], None]
+    ask_place: Callable[[], None]
 
 
 class ReviewStep:
@@ -84,6 +86,12 @@ class ReviewStep:
         self._summary = gui.add_markdown("")
         self._comment = gui.add_text(words.COMMENT, "", multiline=True)
         self._about = gui.add_dropdown(words.ABOUT, (NONE,), visible=not tab.submits)
+        self._comment_buttons = gui.add_button_group(
+            "", (words.PIN, words.ADD_COMMENT), visible=not tab.submits, hint=words.PIN_HINT
+        )
+        self._comment_buttons.on_click(
+            lambda e: tab.act(lambda: self._add_comment(e.target.value == words.PIN))
+        )
         self._about_joints: dict[str, str] = {}
         self._auto_advance = gui.add_checkbox(
             words.AUTO_ADVANCE, True, hint=words.AUTO_ADVANCE_HINT
@@ -181,6 +189,23 @@ class ReviewStep:
         self._clear()
         # The next object is shown by now.
         tab.notify(words.REJECTED, words.sent_back(name), "orange")
+
+    def _add_comment(self, pinned: bool) -> None:
+        """Add the typed comment, once its place is clicked where it is to be pinned."""
+        self._tab.selection.need_object()
+        if not self.comment_text.strip():
+            raise CommandError(words.NEED_COMMENT)
+        if pinned:
+            self._actions.ask_place()
+        else:
+            self.pin(None)
+
+    def pin(self, place: tuple[float, float, float] | None) -> None:
+        """Add the typed comment about a place (3,), metres, or about the chosen joint."""
+        joint = self._about_joints.get(self._about.value, "")
+        self._tab.do(cmd.AddComment(self.comment_text, joint, place))
+        self._comment.value, self._about.value = "", NONE
+        self._tab.say(words.COMMENTED)
 
     @contextmanager
     def _deciding(self) -> Iterator[None]:

@@ -36,7 +36,7 @@ SHEET: Final[tuple[tuple[str, str], ...]] = (
     ("/; Shift+M", "isolate the part; measure between two clicks"),
     ("Y", "accept; again: accept anyway"),
     ("X, then 1 … 6", "reject, with a reason"),
-    ("N, B; Shift+I", "next, previous object; instructions"),
+    ("N, B; Shift+I, C", "next, previous object; instructions, comment"),
     ("Enter, Backspace", "scene: edit the object, go back"),
     ("Enter", "prepare a scan; apply what is shown"),
     ("Prepare: Tab; 1, 3, 7", "other up direction; front, side, top"),
@@ -65,6 +65,7 @@ ACCEPT, REJECT = "Accept", "Reject"
 NEXT, PREVIOUS = "Next object", "Previous object"
 FRAME: Final = "Frame object"
 INSTRUCTIONS: Final = "Instructions"
+NEXT_COMMENT: Final = "Next open comment"
 PREPARE: Final = "Prepare, or apply what is proposed"
 EDIT_IN_SCENE, BACK = "Edit the selected object", "Back to the scene"
 

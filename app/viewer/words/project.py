@@ -41,16 +41,16 @@ SAVED: Final = "The settings are saved; all screens use them"
 REQUIRED: Final = "**Required checks:** what they find prevents acceptance, with no override."
 EXPORT: Final = "**Export and releases** begin with:"
 KINDS: Final[dict[Kind, str]] = {
-    "geometry": "Parts without geometry",
-    "jammed": "Joints blocked at rest",
-    "floating": "Parts that touch nothing",
-    "limits": "Implausible limits",
-    "collision": "Collisions along the motion",
-    "detached": "Parts that come off",
-    "physics": "Problems in simulation",
-    "combination": "Collisions of two joints",
+    "geometry": "Empty parts",
+    "jammed": "Blocked at rest",
+    "floating": "Not attached",
+    "limits": "Limits",
+    "collision": "Collisions",
+    "detached": "Comes off",
+    "physics": "Simulation",
+    "combination": "Two joints",
     "unsure": "Low confidence",
-    "name": "Names that aren't in the labels",
+    "name": "Other names",
 }
 FORM: Final = "Release as"
 FORMS: Final[dict[str, str]] = {

@@ -39,6 +39,26 @@ ASSET_MISSING: Final = "the asset isn't on this server's disk: accept again"
 SUBMIT: Final = "Submit (Y)"
 SUBMITTED: Final = "Submitted"
 ABOUT: Final = "The comment is about"
+NO_COMMENTS: Final = "No comment is open"
+NEXT_COMMENT: Final = "Next (Shift+C)"
+PIN, ADD_COMMENT = "Pin in 3D", "Add comment"
+PIN_HINT: Final = "Pin the comment to the place that is clicked next"
+HINT_PIN: Final = "Click the place that the comment is about"
+NEED_COMMENT: Final = "write the comment first"
+COMMENTED: Final = "Comment added"
+comment_button = Message("Comment {number}: {text}")
+
+
+def comments_left(left: int, total: int) -> str:
+    """How many comments are open."""
+    return f"Comments: {left} of {total} open"
+
+
+def done_button(number: int, done: bool) -> str:
+    """Marks a comment as done, or opens it again."""
+    return f"Open comment {number} again" if done else f"Comment {number} is done"
+
+
 to_reviewer = Message("{name}: waits for a reviewer")
 about_joint = Message("About the joint of {part}")
 about_place = Message("About the place {place} m")

@@ -1,0 +1,131 @@
+"""The comments of reviewers: a list, their markers in the picture, and what is done."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from html import escape
+from typing import Any
+
+import numpy as np
+import viser
+
+from app.server.display_names import joint_title
+from app.server.open_object import OpenObject
+from app.viewer.panels.markup import Presses, button, icon
+from app.viewer.panels.widgets import put
+from app.viewer.picture.comment_marks import CommentMark, CommentMarks, Point
+from app.viewer.picture.stage import aim
+from app.viewer.tab import Tab
+from app.viewer.words import review as words
+from sessions import commands as cmd
+from sessions.document import CommentRecord, Document
+
+
+class Comments:
+    """Steps through the comments of the open object and marks them as done.
+
+    Args:
+        marks: gives the markers of the picture that is shown now.
+    """
+
+    def __init__(self, tab: Tab, presses: Presses, marks: Callable[[], CommentMarks]) -> None:
+        self._tab, self._marks = tab, marks
+        self._chosen: int | None = None
+        self._list = tab.client.gui.add_html("", visible=False)
+        presses.on("comment", lambda number: self.choose(int(number)))
+        presses.on("comment done", lambda number: self._toggle(int(number)))
+        presses.on("comment next", lambda _: self.next())
+        tab.selection.on_open(self._forget)
+
+    def _forget(self) -> None:
+        self._chosen = None
+
+    def next(self) -> None:
+        """Choose the next comment that is open (Shift+C)."""
+        comments = self._tab.selection.need_object().document.comments
+        open_ones = [c.number for c in comments if not c.done]
+        if not open_ones:
+            self._tab.say(words.NO_COMMENTS)
+            return
+        later = [n for n in open_ones if self._chosen is None or n > self._chosen]
+        self.choose((later or open_ones)[0])
+
+    def choose(self, number: int) -> None:
+        """Show a comment: its text beside its marker, which comes to the middle."""
+        selection = self._tab.selection
+        doc = selection.need_object().document
+        comment = next((c for c in doc.comments if c.number == number), None)
+        if comment is None:
+            return
+        self._chosen = number
+        if comment.joint and doc.tree is not None and comment.joint in doc.tree.joint_of:
+            selection.choose_joint(comment.joint)
+        place = place_of(doc, comment)
+        if place is not None:
+            camera = self._tab.client.camera
+            at = np.asarray(place, np.float64)
+            aim(self._tab.client, at + (camera.position - camera.look_at), at, least_near=1e-4)
+        self._tab.invalidate()
+
+    def click(self, origin: Point, direction: Point) -> bool:
+        """Choose the comment whose marker a ray hits; False where it hits none."""
+        number = self._marks().hit(origin, direction)
+        if number is not None:
+            self.choose(number)
+        return number is not None
+
+    def _toggle(self, number: int) -> None:
+        comments = self._tab.selection.need_object().document.comments
+        if not 1 <= number <= len(comments):
+            return
+        done = not comments[number - 1].done
+        self._tab.do(cmd.ResolveComment(number, done))
+        if done and any(not c.done for c in self._tab.selection.need_object().document.comments):
+            self.next()
+
+    def draw(self, obj: OpenObject) -> None:
+        """Bring list and markers up to date."""
+        doc = obj.document
+        put(self._list, "visible", bool(doc.comments))
+        rows = "".join(self._row(doc, c) for c in doc.comments)
+        left = sum(not c.done for c in doc.comments)
+        head = f"<b>{words.comments_left(left, len(doc.comments))}</b>"
+        head += button("comment next", "", words.NEXT_COMMENT, style="aw-small")
+        html = f'<div class="aw-comments"><header>{head}</header><ul>{rows}</ul></div>'
+        put(self._list, "content", html if doc.comments else "")
+        self._marks().show(self._wanted(doc))
+
+    def _wanted(self, doc: Document) -> list[CommentMark]:
+        marks = []
+        for comment in doc.comments:
+            place, chosen = place_of(doc, comment), comment.number == self._chosen
+            if place is not None and (chosen or not comment.done):
+                text = f"{comment.number}: {comment.text[:80]}" if chosen else f"{comment.number}"
+                marks.append(CommentMark(comment.number, place, text, chosen))
+        return marks
+
+    def _row(self, doc: Document, comment: CommentRecord) -> str:
+        about = escape(joint_title(doc, comment.joint)) if comment.joint else ""
+        small = " · ".join(filter(None, (about, escape(comment.by))))
+        text = escape(comment.text).replace("\n", "<br>")
+        content = f"<b>{comment.number}</b><span>{text}<small>{small}</small></span>"
+        chosen = comment.number == self._chosen
+        label = words.comment_button(comment.number, comment.text[:200])
+        row = button(
+            "comment", str(comment.number), label, content=content, pressed=chosen,
+            style="aw-off" if comment.done else "",
+        )  # fmt: skip
+        check: Any = viser.Icon.ARROW_BACK_UP if comment.done else viser.Icon.CHECK
+        row += button(
+            "comment done", str(comment.number), words.done_button(comment.number, comment.done),
+            content=icon(check), style="aw-icon",
+        )  # fmt: skip
+        return f"<li>{row}</li>"
+
+
+def place_of(doc: Document, comment: CommentRecord) -> Point | None:
+    """(3,) where a comment is shown, at rest: its place, or that of its joint."""
+    if comment.place is not None:
+        return comment.place
+    joint = None if doc.tree is None else doc.tree.joint_of.get(comment.joint)
+    return None if joint is None else joint.origin
