@@ -64,6 +64,25 @@ tokens = Table(
     Column("expires", _TIME, nullable=False),
 )
 
+identities = Table(
+    "identities",
+    metadata,
+    Column("issuer", String(255), primary_key=True),
+    Column("subject", String(255), primary_key=True),
+    _account(index=True),
+    Column("since", _TIME, nullable=False),
+)
+
+logins = Table(
+    "logins",
+    metadata,
+    Column("state", String(64), primary_key=True),
+    Column("browser", String(64), nullable=False),
+    Column("nonce", String(64), nullable=False),
+    Column("verifier", String(128), nullable=False),
+    Column("expires", _TIME, nullable=False),
+)
+
 assignments = Table(
     "assignments",
     metadata,

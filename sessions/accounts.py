@@ -92,7 +92,7 @@ class Accounts:
         check_password(password, name)
         hashed = hash_password(password)
         with self._database.writing() as connection:
-            account = _enter(connection, name, role, "active", hashed)
+            account = enter_account(connection, name, role, "active", hashed)
             record(connection, "account_added", by, account.name, role)
         return account
 
@@ -108,7 +108,7 @@ class Accounts:
         name = _usable(name, role)
         secret = new_secret()
         with self._database.writing() as connection:
-            account = _enter(connection, name, role, "invited", None)
+            account = enter_account(connection, name, role, "invited", None)
             mine = invitations.c.account_id == account.id
             connection.execute(delete(invitations).where(mine))
             values = {"hash": digest(secret), "expires": now(INVITATION_SECONDS)}
@@ -177,7 +177,7 @@ class Accounts:
         with self._database.writing() as connection:
             account = _account(_need(connection, name))
             if role != "manager":
-                _keep_a_manager(connection, account)
+                keep_a_manager(connection, account)
             _set(connection, account, role=role)
             record(connection, "role_changed", by, account.name, f"{account.role} → {role}")
         return Account(account.id, account.name, role, account.status)
@@ -190,7 +190,7 @@ class Accounts:
         """
         with self._database.writing() as connection:
             account = _account(_need(connection, name))
-            _keep_a_manager(connection, account)
+            keep_a_manager(connection, account)
             _set(connection, account, status="disabled")
             mine = invitations.c.account_id == account.id
             connection.execute(delete(invitations).where(mine))
@@ -221,6 +221,15 @@ def end_credentials(connection: Connection, account_id: int, keep: str | None = 
 def _usable(name: str, role: str) -> str:
     if role not in ROLES:
         raise ConfigurationError(f"there is no role {role[:40]!r}; choose {', '.join(ROLES)}")
+    return usable_name(name)
+
+
+def usable_name(name: str) -> str:
+    """Return a person's name as accounts have it.
+
+    Raises:
+        ConfigurationError: where it is too short, has odd characters, or stands for a program.
+    """
     clean = clean_text(name, NAME_LIMIT, "the name")
     if len(clean) < 2 or clean != " ".join(clean.split()):
         raise ConfigurationError(f"the name {name[:80]!r} needs two characters, and single blanks")
@@ -229,7 +238,7 @@ def _usable(name: str, role: str) -> str:
     return clean
 
 
-def _enter(
+def enter_account(
     connection: Connection, name: str, role: Role, status: Status, password: str | None
 ) -> Account:
     """Add the account, or take one that nobody has claimed yet."""
@@ -257,7 +266,12 @@ def _invitation(secret: str) -> Any:
     )
 
 
-def _keep_a_manager(connection: Connection, account: Account) -> None:
+def keep_a_manager(connection: Connection, account: Account) -> None:
+    """Refuse to take the last manager's role.
+
+    Raises:
+        ConfigurationError: where there is no other one.
+    """
     other = (
         (accounts.c.role == "manager")
         & (accounts.c.status == "active")

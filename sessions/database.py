@@ -30,7 +30,7 @@ from sqlalchemy.engine import URL, make_url
 
 from model.core.errors import StoreError
 
-FORMAT = "0003"
+FORMAT = "0004"
 """Newest migration; the format that this version reads and writes."""
 
 _MIGRATION_LOCK = 0x41525449

@@ -12,6 +12,7 @@ from sessions.audit import AuditLog
 from sessions.commands import Command, Placed, RecordSegmentation, Saved
 from sessions.credentials import Credentials
 from sessions.database import Database
+from sessions.identities import Identities
 from sessions.review import ROLES, NotPermittedError, Role
 from sessions.webhooks import Webhooks, enqueue
 from sessions.work import Work, check_owner, end_lease, renew_lease
@@ -29,6 +30,7 @@ class People:
     Attributes:
         accounts: names, roles and passwords.
         credentials: browser sessions and tokens.
+        identities: whom an OpenID Connect provider knows.
         work: assignments, leases and presence.
         audit: what happened to accounts.
         webhooks: addresses that hear of decisions.
@@ -38,6 +40,7 @@ class People:
         self._database = database
         self.accounts = Accounts(database)
         self.credentials = Credentials(database)
+        self.identities = Identities(database)
         self.work = Work(database)
         self.audit = AuditLog(database)
         self.webhooks = Webhooks(database)

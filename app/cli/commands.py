@@ -17,6 +17,7 @@ from app.cli.options import (
     ENGINE_HELP,
     MASKS_HELP,
     SEGMENTER_HELP,
+    OidcOptions,
     PhysicsOptions,
     PredictorOptions,
     ReadingOptions,
@@ -83,6 +84,7 @@ class ServeCommand(Command):
     masks: Path | None = option(f"{MASKS_HELP}; of the one PATH", "FILE")
     segmenter: str = segmenter_option()
     prediction: PredictorOptions = group(PredictorOptions)
+    oidc: OidcOptions = group(OidcOptions)
     open: bool = flag("open a browser", negatable=True)
 
     def run(self) -> int:

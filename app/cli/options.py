@@ -86,6 +86,24 @@ class ReadingOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
+class OidcOptions:
+    """Login with an organisation's OpenID Connect provider."""
+
+    oidc_issuer: str | None = option("OpenID Connect provider with which people log in", "URL")
+    oidc_client: str = option("id under which this server is registered there", "ID", "artiworld")
+    oidc_secret: str | None = option("its secret; or set ARTIWORLD_OIDC_SECRET", "SECRET")
+    oidc_name_claim: str = option(
+        "claim that names a person at the first login", "NAME", "preferred_username"
+    )
+    oidc_role_claim: str | None = option(
+        "claim that holds the role: annotator, reviewer or manager (default: roles are set here)",
+        "NAME",
+    )
+    oidc_anybody: bool = flag("give people without an invitation an account, as annotators")
+    oidc_label: str = option("label of the button", "TEXT", "Log in with your organisation")
+
+
+@dataclass(frozen=True, kw_only=True)
 class PredictorOptions:
     """The predictor, or an ArtiWorld backend that has one."""
 

@@ -8,10 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 from app.cli.backend_client import check_backend, chosen_predictor
 from app.cli.commands import ServeCommand
+from app.cli.options import OidcOptions
 from app.server.config import TOKEN_VARIABLE, ServeConfig
 from app.server.ending import EndSignals
 from app.server.login import Login, new_token
 from app.server.network import check_address, free_port, is_loopback
+from app.server.oidc import SECRET_VARIABLE, OidcSettings
 from model.core.errors import ConfigurationError, InputFileError
 from model.io.find_assets import find_assets
 from model.io.geometry_files import STAGES, SUFFIXES
@@ -94,9 +96,22 @@ def make_config(options: ServeCommand) -> ServeConfig:
         predictor=predictor,
         allowed_origins=options.allow_origin,
         scene=scene,
+        oidc=oidc_settings(options.oidc),
         assets=options.assets or (() if scene is None else (scene.parent,)),
         **settings,
     )
+
+
+def oidc_settings(options: OidcOptions) -> OidcSettings | None:
+    """Settings of the provider, where there is one."""
+    if options.oidc_issuer is None:
+        return None
+    return OidcSettings(
+        options.oidc_issuer, options.oidc_client,
+        options.oidc_secret or os.environ.get(SECRET_VARIABLE) or None,
+        options.oidc_name_claim, options.oidc_role_claim, options.oidc_anybody,
+        options.oidc_label,
+    )  # fmt: skip
 
 
 def scene_to_open(options: ServeCommand) -> Path | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import json
 import secrets
 
@@ -15,7 +16,7 @@ _PAGE = """<!doctype html>
 <form hidden id="login"><h1>ArtiWorld</h1>
 <label>Name<input name="name" autocomplete="username" required autofocus></label>
 <label>Password<input type="password" name="password" autocomplete="current-password" required>
-</label><button>Log in</button><p role="alert"></p></form>
+</label><button>Log in</button><p role="alert"></p>{provider}</form>
 <form hidden id="invitation"><h1>Welcome, <span></span></h1>
 <label>Choose a password<input type="password" name="password" autocomplete="new-password"
  minlength="10" required></label><button>Begin</button><p role="alert"></p></form>
@@ -56,14 +57,44 @@ document.getElementById("logout").addEventListener("click", async () => {{
 </script></body></html>
 """
 
+_ANSWER = """<!doctype html>
+<html lang="en"><head><meta charset="utf-8"><title>ArtiWorld: log in</title>
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<style nonce="{nonce}">{style}</style></head><body>
+<form><h1>ArtiWorld</h1><p role="alert">{problem}</p><a class="button" href="{target}">Go on</a>
+</form><script nonce="{nonce}">{wait}</script></body></html>
+"""
 
-def account_page(name: str) -> tuple[bytes, str]:
+
+def answer_page(problem: str = "") -> tuple[bytes, str]:
+    """Return the page after a login with the provider, and its policy: it goes on by itself.
+
+    A redirect wouldn't do: browsers keep strict cookies to themselves until a page of the same
+    site leads on.
+
+    Args:
+        problem: why nobody is logged in, or "".
+    """
+    nonce = secrets.token_urlsafe(16)
+    page = _ANSWER.format(
+        nonce=nonce, style=page_style(), problem=html.escape(problem),
+        target="/login" if problem else "/", wait="" if problem else "location.replace('/');",
+    )  # fmt: skip
+    return page.encode(), page_policy(nonce)
+
+
+def account_page(name: str, provider: str = "") -> tuple[bytes, str]:
     """Return the page and its content security policy.
 
     Args:
         name: who is logged in, or "".
+        provider: label of the button to the organisation's provider; "" for none.
     """
     nonce = secrets.token_urlsafe(16)
     person = json.dumps(name).replace("<", "\\u003c")
-    page = _PAGE.format(nonce=nonce, style=page_style(), api=json.dumps(API), person=person)
+    link = f'<a class="button" href="{API}/oidc/login">{html.escape(provider)}</a>'
+    page = _PAGE.format(
+        nonce=nonce, style=page_style(), api=json.dumps(API), person=person,
+        provider=link if provider else "",
+    )  # fmt: skip
     return page.encode(), page_policy(nonce)

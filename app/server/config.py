@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from model.prediction import DEFAULT as DEFAULT_PREDICTOR
 
 if TYPE_CHECKING:
+    from app.server.oidc import OidcSettings
     from model.core.asset import UpAxis  # imports numpy, which a help page doesn't need
 
 TOKEN_VARIABLE = "ARTIWORLD_TOKEN"
@@ -43,6 +44,7 @@ class ServeConfig:
         scene: a scene to open instead of single objects.
         assets: folders of its assets.
         masks: masks of another system, from which the one path starts.
+        oidc: how people log in with an organisation's provider; None: they don't.
         finder, finder_url: name of the finder of articulable objects, and its server.
     """
 
@@ -64,3 +66,4 @@ class ServeConfig:
     masks: Path | None = None
     finder: str = "lexicon"
     finder_url: str | None = None
+    oidc: OidcSettings | None = None

@@ -10,6 +10,7 @@ import time
 from typing import Any
 
 from app.server.login import Attempts, Login, cookie_name
+from app.server.oidc import OidcLogin
 from model.core.errors import ConfigurationError
 from sessions.accounts import Account
 from sessions.credentials import SCOPES, SESSION_SECONDS, Person
@@ -30,17 +31,25 @@ class Entrance:
         people: accounts of the workspace; None: there are none.
         login: the token, which counts while there are no accounts.
         user: name of everybody then.
+        oidc: logs people in with an organisation's provider; everybody has to log in then.
 
     Attributes:
+        oidc: as given.
         tabs: id of a connected browser tab → whose it is.
     """
 
-    def __init__(self, people: People | None, login: Login, user: str = "") -> None:
-        self._people, self._login, self._user = people, login, user
+    def __init__(
+        self,
+        people: People | None,
+        login: Login,
+        user: str = "",
+        oidc: OidcLogin | None = None,
+    ) -> None:
+        self._people, self._login, self._user, self.oidc = people, login, user, oidc
         self.tabs: dict[int, Person] = {}
         self._attempts = Attempts()
         self._lock = threading.Lock()
-        self._with_accounts, self._checked = False, -CHECK_SECONDS
+        self._with_accounts, self._checked = oidc is not None, -CHECK_SECONDS
 
     @property
     def with_accounts(self) -> bool:

@@ -287,7 +287,9 @@ class _Guard:
                 return _text(HTTPStatus.FORBIDDEN, problem)
             if path == "/login":
                 if self.entrance.with_accounts:
-                    return _page(accounts=True, person=person)
+                    oidc = self.entrance.oidc
+                    label = "" if oidc is None else oidc.settings.label
+                    return _page(accounts=True, person=person, provider=label)
                 return self._answer_login(connection, request)
             if person is None:
                 return self._not_logged_in(request, path)
@@ -366,10 +368,10 @@ def _text(status: HTTPStatus, text: str, kind: str = "text/plain; charset=utf-8"
 
 def _page(
     status: HTTPStatus = HTTPStatus.OK, problem: str = "", *, accounts: bool = False,
-    person: Person | None = None,
+    person: Person | None = None, provider: str = "",
 ) -> Response:  # fmt: skip
     if accounts:
-        body, policy = account_page("" if person is None else person.name)
+        body, policy = account_page("" if person is None else person.name, provider)
     else:
         body, policy = login_page(problem)
     response = _response(RouteAnswer(body, "text/html; charset=utf-8", status))

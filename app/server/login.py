@@ -29,6 +29,8 @@ h1 { font-size: 1.3rem; margin: 0 0 1rem; }
 input, button { font: inherit; width: 100%; box-sizing: border-box; padding: .5rem .7rem;
   border-radius: 6px; border: 1px solid #b9c0cb; margin-top: .4rem; }
 button { background: #2b59c3; color: #fff; border: 0; margin-top: 1rem; cursor: pointer; }
+a.button { display: block; text-align: center; padding: .5rem .7rem; border-radius: 6px;
+  border: 1px solid #2b59c3; color: #2b59c3; text-decoration: none; margin-top: 1rem; }
 p { color: #b3261e; min-height: 1.5em; margin: .5rem 0 0; }
 """
 

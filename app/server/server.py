@@ -24,6 +24,7 @@ from app.server.gallery import Gallery, whole_number
 from app.server.guard import Route, RouteAnswer, RouteRequest, guarded_server
 from app.server.login import Login
 from app.server.network import url
+from app.server.oidc import OidcLogin
 from app.server.webhook_sender import WebhookSender
 from model.core.errors import InputFileError
 from model.core.resources import static_assets
@@ -72,7 +73,10 @@ class Server:
         if config.scene is not None:
             self.app_state.open_scene(config.scene, config.assets)
         people = self.app_state.store.people
-        self.entrance = Entrance(people, Login(config.token), config.user)
+        self.entrance = Entrance(
+            people, Login(config.token), config.user,
+            None if config.oidc is None else OidcLogin(config.oidc, people),
+        )  # fmt: skip
         self._webhooks = WebhookSender(people.webhooks)
         self.viser: viser.ViserServer = guarded_server(
             config.host,

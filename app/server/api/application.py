@@ -15,6 +15,7 @@ from app.server.api import (
     assets,
     entry,
     objects,
+    oidc,
     people,
     project,
     reviews,
@@ -66,7 +67,10 @@ def make_application(app_state: AppState, entrance: Entrance, origins: Origins) 
         openapi_url=None,
     )
     app.state.app_state, app.state.entrance, app.state.origins = app_state, entrance, origins
-    parts = (entry, objects, sessions, reviews, work, assets, statistics, people, webhooks, project)
+    parts = (
+        entry, oidc, objects, sessions, reviews, work, assets, statistics, people, project,
+        webhooks,
+    )  # fmt: skip
     for part in parts:
         app.include_router(part.router, prefix=API)
     app.add_api_route(f"{API}/openapi.json", _description, include_in_schema=False)
