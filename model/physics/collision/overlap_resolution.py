@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from model.core.joint import Joint
-from model.core.shapes import Hull
+from model.core.shapes import Hull, simplified
 from model.core.tree import KinematicTree
 from model.kinematics.joint_path import joint_poses
 from model.physics.collision.hulls import clipped
@@ -39,6 +39,9 @@ FIRST_STEP, WIDENING, LONGEST_STEP = 2e-4, 1.05, 1e-3
 others and the longest. Handles pass each other within a few millimetres."""
 MOST_STEPS = 1000
 ROUNDS = 4
+MOST_CORNERS, CORNERS = 128, 64
+"""A cut body with more vertices than the first is simplified to the second: hundreds of tangential
+cuts round what turns, and each hull costs more. The final shapes have fewer."""
 LEAST = 0.3
 """Smallest share of a body's volume that a cut may leave."""
 
@@ -259,7 +262,8 @@ def _cut_all(
             if made is None:
                 gone.add((link, i))
             elif made is not was:  # what wasn't cut stays the same object
-                bodies[link][i] = made if link == touch.a else made.moved(back)
+                few = made if len(made.vertices) <= MOST_CORNERS else simplified(made, CORNERS)
+                bodies[link][i] = few if link == touch.a else few.moved(back)
     for link in {link for link, _ in gone}:
         lost = {i for name, i in gone if name == link}
         bodies[link] = [h for i, h in enumerate(bodies[link]) if i not in lost]

@@ -16,7 +16,7 @@ from model.core.errors import GeometryError
 from model.core.joint import Joint
 from model.core.mesh import Mesh
 from model.core.point_cloud import PointCloud
-from model.core.shapes import Primitive, hull_of, hull_of_shape
+from model.core.shapes import Hull, Primitive, hull_of, hull_of_shape
 from model.core.tree import KinematicTree
 from model.geometry import reconstruct
 from model.geometry.sampling import sample_surface
@@ -27,6 +27,7 @@ from model.physics.collision.coacd_process import coacd_hulls
 from model.physics.collision.measure import free_volume, overlaps_of
 from model.physics.collision.narrow_phase import PosePath, overlaps
 from model.physics.collision.overlap import overlap
+from model.physics.collision.overlap_resolution import MOST_CORNERS, resolve_overlaps
 from model.physics.part_mesh import part_mesh
 from model.physics.simulation_values import physics_of
 from model.validation.physics import run_physics
@@ -199,6 +200,31 @@ def test_a_drawer_that_shares_faces_with_its_chest_slides_in_the_simulator():
     obj = chest(0.0)
     said = run_physics(obj, physics_of(obj))
     assert said.ran and said.shapes and not said.missed
+
+
+def test_what_is_cut_at_many_angles_stays_a_body_with_few_corners():
+    """A square peg is rounded until it turns in a narrow frame; each cut adds corners."""
+    bars = [box_hull((-0.2, -0.2), (-0.055, 0.2)), box_hull((0.055, -0.2), (0.2, 0.2))]
+    peg = box_hull((-0.05, -0.05), (0.05, 0.05))
+    joint = Joint("turn", "revolute", "link_0", "link_1", (0, 0, 1), (0, 0, 0), 0.0, 3.0)
+    tree = KinematicTree(("link_0", "link_1"), (joint,))
+    bodies = {"link_0": bars, "link_1": [peg]}
+    after = resolve_overlaps(bodies, tree, 0.5, lambda _: (-np.inf, np.inf), frozenset({"link_0"}))
+    [rounded] = after["link_1"]
+    assert len(rounded.vertices) <= MOST_CORNERS
+    assert 0.75 * peg.volume < rounded.volume < 0.95 * peg.volume
+    for q in np.linspace(0, 3, 31):
+        turned = rounded.moved(tree.pose({"turn": float(q)})["link_1"])
+        for bar in bars:
+            met = overlap(bar, turned)
+            assert met is None or met.depth < 2e-4
+
+
+def box_hull(low: tuple[float, float], high: tuple[float, float]) -> Hull:
+    corners = [(x, y, z) for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (0, 0.1)]
+    found = hull_of(np.array(corners, float))
+    assert found is not None
+    return found
 
 
 def telescope(reach: float, give_way: bool = False) -> ArticulatedObject:
