@@ -15,6 +15,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 SLOW = (
     "tests/browser/test_main_job.py",
+    "tests/model/training/test_experience.py",
     "tests/browser/test_review_gate.py",
     "tests/browser/test_tools.py",
     "tests/browser/test_room.py",

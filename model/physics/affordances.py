@@ -24,7 +24,18 @@ from model.core.mesh import Mesh
 from model.core.shapes import Hull, Shape, hull_of_shape
 from model.core.tree import KinematicTree
 from model.geometry.sampling import sample_surface
-from model.physics.hand import FINGER, OPENING, PALM, SPARE, finger_spheres, palm_spheres, tip_of
+from model.physics.hand import (
+    ARM,
+    FINGER,
+    OFF,
+    OPENING,
+    PALM,
+    ROWS,
+    SPARE,
+    finger_spheres,
+    palm_spheres,
+    tip_of,
+)
 
 BACK = (0.0, 0.006)
 """Metres that a pinch is tried further out, for what stands out little."""
@@ -157,6 +168,11 @@ class _Surface:
         link = np.repeat(which, [len(p) for p in points]).astype(np.int64)
         return cls(np.concatenate(points), np.concatenate(normals), link, number, spacing, hulls)
 
+    @cached_property
+    def tree(self) -> KDTree:
+        """Of all points."""
+        return KDTree(self.points)
+
     def of_links(self, links: Sequence[str] | frozenset[str]) -> npt.NDArray[np.bool_]:
         """(N,) mask."""
         return np.isin(self.link, [self.number[k] for k in links])
@@ -214,11 +230,19 @@ class _Search:
         if self.empty:
             return
         self.tree = KDTree(self.points)
-        self.moving = KDTree(surface.points[moves])
-        static = surface.points[~moves]
-        self.shapes = [(k in moving, h) for k, each in surface.hulls.items() for h in each]
+        static = surface.points[~moves & self._near(surface.points)]
         self.static = KDTree(static) if len(static) else None
+        self.shapes = [(k in moving, h) for k, each in surface.hulls.items() for h in each]
+        self.bounds = np.array([h.bounds for _, h in self.shapes]).reshape(-1, 2, 3)
         self.speed = np.linalg.norm(self._velocity(self.points), axis=1).max()
+
+    def _near(self, points: Array) -> npt.NDArray[np.bool_]:
+        """(N,) whether a hand at the link may come to (N, 3) points along the motion."""
+        poses = [motion(self.joint, share * self.end) for share in EXACTLY]
+        moved = np.concatenate([self.points @ m[:3, :3].T + m[:3, 3] for m in poses])
+        room = FINGER[2] + PALM[2] + ARM + 0.05
+        inside = (points > moved.min(axis=0) - room) & (points < moved.max(axis=0) + room)
+        return inside.all(axis=1)
 
     def best(self, most: int) -> Iterator[Affordance]:
         """The best free candidates that differ from each other."""
@@ -382,10 +406,9 @@ class _Search:
             exact: of all shapes, which takes longer; else of their samples.
         """
         self.exact = exact
-        rows = tuple(-np.arange(0.002, FINGER[2], 0.006))
-        poses = poses.take(self._fingers_free(poses, rows[:2]))
+        poses = poses.take(self._fingers_free(poses, ROWS[:2]))
         for share in shares:
-            poses = poses.take(self._fingers_free(poses, rows[1:], share))
+            poses = poses.take(self._fingers_free(poses, ROWS[1:], share))
             poses = poses.take(self._palm_free(poses, share))
         return poses.take(self._reached(poses))
 
@@ -416,7 +439,7 @@ class _Search:
         if not len(poses):
             return np.zeros(0, bool)
         tips = np.stack([
-            tip_of(_KINDS[k], c, a, x, SPARE / 2)
+            tip_of(_KINDS[k], c, a, x, OFF)
             for k, c, a, x in zip(poses.kind, poses.center, poses.approach, poses.closing,
                                   strict=True)
         ])  # fmt: skip
@@ -428,14 +451,19 @@ class _Search:
         matrix = motion(self.joint, share * self.end)
         posed = flat @ matrix[:3, :3].T + matrix[:3, 3]
         if self.exact:
-            for moves, hull in self.shapes:
+            room = float(least.max())
+            low, high = (np.stack([end(flat, 0), end(posed, 0)]).T for end in (np.min, np.max))
+            meets = (self.bounds[:, 0] < high.max(axis=1) + room) & (
+                self.bounds[:, 1] > low.min(axis=1) - room
+            )
+            for k in np.flatnonzero(meets.all(axis=1)):
+                moves, hull = self.shapes[k]
                 if not (moves and share):
                     free &= _apart(hull, flat if moves else posed, least)
             return np.asarray(free.reshape(len(poses), -1).all(axis=1))
-        if share == 0.0:
-            free &= self.moving.query(flat, distance_upper_bound=float(least.max()))[0] > least
-        if self.static is not None:
-            free &= self.static.query(posed, distance_upper_bound=float(least.max()))[0] > least
+        tree = self.surface.tree if share == 0.0 else self.static
+        if tree is not None:
+            free &= tree.query(posed, distance_upper_bound=float(least.max()))[0] > least
         return np.asarray(free.reshape(len(poses), -1).all(axis=1))
 
 

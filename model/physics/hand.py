@@ -11,14 +11,18 @@ from model.core.affordance import Affordance, AffordanceKind
 
 OPENING = 0.085
 """Metres between the pads at most, as of common two-finger grippers."""
-FINGER = (0.005, 0.012, 0.06)
+FINGER = (0.004, 0.01, 0.06)
 """Metres of a finger: thickness, width, length."""
 PALM = (0.08, 0.04, 0.06)
 """Metres of the palm behind the fingers: along the closing axis, across, along the approach."""
 DEPTH = 0.008
 """Metres that the pads reach beyond the middle of what they hold."""
 SPARE = 0.004
-"""Metres between a pad and the surface before the fingers close; half of it beside a hook."""
+"""Metres between a pad and the surface before the fingers close."""
+OFF = 0.003
+"""Metres between the fingers and the surface before they push or hook it."""
+ROWS = tuple((-np.arange(0.003, FINGER[2], 0.006)).tolist())
+"""Metres of the spheres of :func:`finger_spheres` along a finger, from the tips."""
 ARM = 0.15
 """Metres behind the palm that stay free for the wrist; the hand comes straight from outside."""
 
@@ -57,7 +61,7 @@ def tip_of(
 def finger_spheres(rows: Sequence[float], opening: Array) -> tuple[Array, Array]:
     """(P, S, 3) centres in tool frames, for (P,) openings, and (S,) radii of both fingers."""
     thick, wide, _ = FINGER
-    radius = 0.0035
+    radius = 0.003
     at = np.array([(s, y, z) for s in (-1, 1) for y in (-wide / 2 + 0.002, 0, wide / 2 - 0.002)
                    for z in rows])  # fmt: skip
     out = np.repeat(at[None], len(opening), axis=0)

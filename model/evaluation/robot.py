@@ -1,0 +1,270 @@
+"""``artiworld bench robot``: whether a gripper can open what is exported.
+
+Each object is exported as MJCF and opened again by MuJoCo with a free-flying parallel gripper
+(:mod:`model.evaluation.gripper`), which reads where to take hold from the file. A joint counts as
+opened once its measured position has covered 60 % of the way from rest to its farther limit.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Literal
+
+import numpy as np
+
+from model.core.articulated_object import ArticulatedObject
+from model.core.errors import InputFileError
+from model.core.joint import Joint
+from model.core.progress import Progress, no_progress
+from model.data.registry import DatasetOptions, open_dataset
+from model.evaluation.alignment import Similarity
+from model.evaluation.gripper import GripperBench, Try
+from model.evaluation.pool import OutOfTimeError, robust_map, time_limit
+from model.evaluation.report import finite
+from model.evaluation.robot_pictures import Film
+from model.evaluation.scans import Half, half_of
+from model.geometry.units import unusual_height
+from model.io.export.mjcf import FILE, MjcfExporter
+from model.physics.simulation_values import physics_of
+from model.prediction.registry import DEFAULT, load_predictor
+
+Joints = Literal["true", "predicted"]
+JointKind = Literal["hinge", "slide", "knob or wheel", "button"]
+KINDS: tuple[JointKind, ...] = ("hinge", "slide", "knob or wheel", "button")
+BUTTON = 0.015
+"""Metres of travel up to which a slide counts as a button."""
+SECONDS = 600.0
+"""Time limit of an object."""
+
+
+@dataclass(frozen=True)
+class RobotConfig:
+    """What is measured.
+
+    Attributes:
+        data: the objects. half: see :func:`~model.evaluation.scans.half_of`. limit: of them; 0 for
+            all.
+        joints: the true ones, or predicted ones with names given.
+        most: joints of an object, spread over all of them.
+        usual: whether objects of unusual height get the height that the app proposes.
+        seed: of the shuffle. jobs: processes. pictures: folder of one GIF an object, or None.
+    """
+
+    data: DatasetOptions
+    half: Half = "table"
+    limit: int = 0
+    joints: Joints = "true"
+    most: int = 6
+    usual: bool = True
+    seed: int = 0
+    jobs: int = 2
+    pictures: Path | None = None
+
+    @property
+    def label(self) -> str:
+        """Of its row."""
+        return f"{self.data.name}, {self.joints} joints"
+
+
+@dataclass(frozen=True)
+class JointScore:
+    """What came of one joint.
+
+    Attributes:
+        joint: name. kind: for the table. tries: of its affordances, best first, until one opens it.
+    """
+
+    joint: str
+    kind: JointKind
+    tries: tuple[Try, ...] = ()
+
+    @property
+    def opened(self) -> bool:
+        """Whether one of the tries opened it."""
+        return bool(self.tries) and not self.tries[-1].why
+
+    @property
+    def why(self) -> str:
+        """Why the last try failed, or ""."""
+        return self.tries[-1].why if self.tries else "no affordance"
+
+
+@dataclass(frozen=True)
+class RobotScore:
+    """What came of one object.
+
+    Attributes:
+        id: of the object. joints: those that were tried. seconds: of shapes and affordances, and
+            of the robot, by the clock. problem: why nothing was tried, or "".
+    """
+
+    id: str
+    joints: tuple[JointScore, ...] = ()
+    seconds: tuple[float, float] = (0.0, 0.0)
+    problem: str = ""
+
+
+def run(config: RobotConfig, progress: Progress = no_progress) -> list[RobotScore]:
+    """Measure; an object whose process dies is a problem."""
+    ids = half_of(open_dataset(config.data).ids(), config.half, config.seed, config.limit)
+    found: dict[str, RobotScore] = {}
+    for name, score in robust_map(partial(score_object, config), ids, config.jobs):
+        found[name] = score or RobotScore(name, problem="its process died")
+        progress(len(found) / len(ids), f"{config.label}: {name}")
+    return [found[i] for i in ids]
+
+
+def score_object(config: RobotConfig, name: str) -> RobotScore:
+    """Let the robot open one object; never raises but for a lack of memory."""
+    obj: ArticulatedObject | None = None
+    try:
+        with time_limit(SECONDS):
+            obj = object_of(config, name)
+            return _scored(config, name, obj)
+    except (Exception, OutOfTimeError) as error:  # the boundary: any geometry may come here
+        joints = () if obj is None else tuple(_spread(_moving(obj), config.most))
+        lost = tuple(JointScore(j.name, kind_of(j)) for j in joints)
+        return RobotScore(name, lost, problem=f"{type(error).__name__}: {error}"[:300])
+
+
+def object_of(config: RobotConfig, name: str) -> ArticulatedObject:
+    """The object with its true or predicted joints, at a usual height."""
+    truth = open_dataset(config.data).load(name)
+    obj = truth.object
+    bounds = np.stack([p.bounds for p in obj.parts])
+    height = float(bounds[:, 1, 2].max() - bounds[:, 0, 2].min())
+    odd = unusual_height(obj.category, height) if config.usual else None
+    scale = Similarity(np.eye(3), 1.0 if odd is None else odd.proposed / height, np.zeros(3))
+    if config.joints == "predicted":
+        found = load_predictor(DEFAULT).predict(truth.segmented(names=True), seed=0)
+        if found.tree is None:
+            raise ValueError("; ".join(found.problems) or "there is no tree")
+        obj = replace(obj, tree=found.tree)
+    return obj if odd is None and config.joints == "true" else scale.object(obj)
+
+
+def _scored(config: RobotConfig, name: str, obj: ArticulatedObject) -> RobotScore:
+    start = time.perf_counter()
+    with TemporaryDirectory(prefix="artiworld-") as folder:
+        MjcfExporter().export(obj, Path(folder), physics=physics_of(obj))
+        bench = GripperBench(Path(folder, FILE))
+    ready = time.perf_counter()
+    film = None if config.pictures is None else Film(obj, bench)
+    chosen = {j.name for j in _spread(_moving(obj), config.most)}
+    scores = [s for s in open_all(bench, [n for n in bench.joints() if n in chosen], film)]
+    kinds = {j.name: kind_of(j) for j in obj.tree.joints}
+    done = time.perf_counter()
+    if film is not None and config.pictures is not None:
+        film.save(config.pictures / f"{name}_{config.joints}.gif")
+    scores = [replace(s, kind=kinds[s.joint]) for s in scores]
+    return RobotScore(name, tuple(scores), (round(ready - start, 2), round(done - ready, 2)))
+
+
+def open_all(
+    bench: GripperBench, joints: Sequence[str], film: Film | None = None
+) -> list[JointScore]:
+    """Try each joint, each from the object at rest, with its affordances until one opens it."""
+    out: list[JointScore] = []
+    for joint in joints:
+        tries: list[Try] = []
+        for affordance in (a for a in bench.affordances if a.joint == joint):
+            watch = None if film is None else film.watch
+            tries.append(bench.open(affordance, watch))
+            if film is not None:
+                film.keep(not tries[-1].why)
+            if not tries[-1].why:
+                break
+        out.append(JointScore(joint, _kind_in(bench, joint), tuple(tries)))
+    return out
+
+
+def open_scene(path: Path, most: int, progress: Progress = no_progress) -> RobotScore:
+    """Let the robot open joints of a scene in MJCF, spread over those that say where to take hold.
+
+    Raises:
+        InputFileError: where MuJoCo refuses the file, or it has no affordances.
+    """
+    start = time.perf_counter()
+    bench = GripperBench(path)
+    progress(0.2, f"opening joints of {path.name}")
+    able = {a.joint for a in bench.affordances}
+    if not able:
+        raise InputFileError(
+            path, "says of no joint where to take hold", "write it by scene convert --collision"
+        )
+    ready = time.perf_counter()
+    scores = open_all(bench, _spread([n for n in bench.joints() if n in able], most))
+    seconds = (round(ready - start, 2), round(time.perf_counter() - ready, 2))
+    return RobotScore(path.name, tuple(scores), seconds)
+
+
+def _moving(obj: ArticulatedObject) -> list[Joint]:
+    own = [j for j in obj.tree.joints if j.moves and j.mimic is None]
+    return [j for j in own if np.ptp(j.motion_range) > 1e-6]
+
+
+def _spread(items: Sequence[Any], most: int) -> list[Any]:
+    if not most or len(items) <= most:
+        return list(items)
+    return [items[int(k)] for k in np.linspace(0, len(items) - 1, most)]
+
+
+def kind_of(joint: Joint) -> JointKind:
+    """The row of a joint."""
+    if joint.type == "prismatic":
+        return "button" if np.ptp(joint.motion_range) <= BUTTON else "slide"
+    return "hinge" if joint.limited else "knob or wheel"
+
+
+def _kind_in(bench: GripperBench, joint: str) -> JointKind:
+    found = bench.model.joint(joint)
+    if int(found.type[0]) == 2:  # mjJNT_SLIDE
+        return "button" if np.ptp(found.range) <= BUTTON else "slide"
+    return "hinge" if bench.model.jnt_limited[found.id] else "knob or wheel"
+
+
+def row(label: str, scores: Sequence[RobotScore]) -> dict[str, float | str]:
+    """Shares of joints in 0..1; NaN where there is none."""
+    joints = [j for s in scores for j in s.joints]
+    out: dict[str, float | str] = {"objects": label, "n": len(scores), "joints": len(joints)}
+    out["opened"] = _mean([j.opened for j in joints])
+    out["at first"] = _mean([j.opened and len(j.tries) == 1 for j in joints])
+    for kind in KINDS:
+        of = [j.opened for j in joints if j.kind == kind]
+        out[f"{kind} ({len(of)})"] = _mean(of)
+    out["whole objects"] = _mean([all(j.opened for j in s.joints) for s in scores if s.joints])
+    for k, what in enumerate(("export s", "robot s")):
+        out[what] = float(np.median([s.seconds[k] for s in scores] or [float("nan")]))
+    return out
+
+
+def reasons(scores: Sequence[RobotScore]) -> dict[str, int]:
+    """Why joints were not opened, most frequent first."""
+    return dict(Counter(j.why for s in scores for j in s.joints if not j.opened).most_common())
+
+
+def _mean(values: Sequence[bool]) -> float:
+    return float(np.mean(values)) if values else float("nan")
+
+
+def to_json(runs: Sequence[tuple[str, Sequence[RobotScore]]]) -> dict[str, Any]:
+    """The table, the reasons of failure and all scores; ``NaN`` is null."""
+    return {
+        "table": finite([row(label, scores) for label, scores in runs]),
+        "reasons": {label: reasons(scores) for label, scores in runs},
+        "objects": {label: [asdict(s) for s in scores] for label, scores in runs},
+    }
+
+
+def folder_runs(data: DatasetOptions | None, **settings: Any) -> list[RobotConfig]:
+    """Truth and predictions of a data set, then the bundled objects."""
+    bundled = RobotConfig(DatasetOptions("bundled"), **{**settings, "half": "all"})
+    sets = [] if data is None else [data]
+    runs = [RobotConfig(s, joints=j, **settings) for s in sets for j in ("true", "predicted")]
+    return [*runs, bundled, replace(bundled, joints="predicted")]
