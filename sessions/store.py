@@ -21,6 +21,7 @@ from sqlalchemy import Connection, Row, delete, exc, insert, select, update
 from model.core import codec
 from model.core.errors import CommandError, StoreError
 from sessions.arrays import ArrayFiles
+from sessions.asset_storage import STORAGE_VARIABLE, AssetStorage
 from sessions.commands import NAME_LIMIT, Command, from_json, kind_of, to_json
 from sessions.database import Database, commands, meta, objects, snapshots, sqlite_file
 from sessions.people import People
@@ -64,8 +65,11 @@ class Store:
         workspace: folder for the arrays and, by default, the database; made where it is missing.
         database_url: any SQLAlchemy URL; None is SQLite at ``workspace/artiworld.db``.
         busy_timeout: seconds to wait for another process that is writing.
+        storage: address of the storage of assets and releases; None is that of the environment
+            variable :data:`~sessions.asset_storage.STORAGE_VARIABLE`, else the workspace.
 
     Attributes:
+        assets: accepted assets and releases.
         people: accounts, what they may do, and who works on what.
         project: settings of the project.
 
@@ -74,7 +78,11 @@ class Store:
     """
 
     def __init__(
-        self, workspace: Path, database_url: str | None = None, busy_timeout: float = 10.0
+        self,
+        workspace: Path,
+        database_url: str | None = None,
+        busy_timeout: float = 10.0,
+        storage: str | None = None,
     ) -> None:
         self.workspace = Path(os.path.abspath(workspace))
         try:
@@ -84,6 +92,9 @@ class Store:
                 f"{workspace}: can't be the workspace ({error.strerror or error}); "
                 "choose a folder that you may write to"
             ) from error
+        self.assets = AssetStorage(
+            self.workspace, storage or os.environ.get(STORAGE_VARIABLE) or None
+        )
         url = database_url or sqlite_file(self.workspace / "artiworld.db")
         self._database = Database(url, busy_timeout)
         self._arrays = ArrayFiles(self.workspace / "arrays")

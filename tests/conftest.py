@@ -68,6 +68,7 @@ SLOW = (
     "tests/app/test_saving_tasks.py",
     "tests/app/test_scene_reading.py",
     "tests/app/test_serve_command.py",
+    "tests/app/test_storage.py",
     "tests/app/test_tool_tasks.py",
     "tests/app/test_up_axis.py",
     "tests/model/data/test_partnet_mobility.py::test_real_objects",

@@ -84,6 +84,10 @@ class ServeCommand(Command):
     masks: Path | None = option(f"{MASKS_HELP}; of the one PATH", "FILE")
     segmenter: str = segmenter_option()
     prediction: PredictorOptions = group(PredictorOptions)
+    storage: str | None = option(
+        "where accepted assets are kept, such as s3://bucket/prefix; or set ARTIWORLD_STORAGE "
+        "(default: the workspace)", "URL",
+    )  # fmt: skip
     oidc: OidcOptions = group(OidcOptions)
     open: bool = flag("open a browser", negatable=True)
 

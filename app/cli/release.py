@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 from app.cli import printing
@@ -42,16 +41,19 @@ def create(options: ReleaseCreateCommand) -> int:
                 options.license or wanted.license or license,
                 options.author or wanted.author or author, summaries(pairs)["all"]["all"],
             )  # fmt: skip
+            store.assets.check_release(out.name)
             found = accepted_assets(store, {second.object for second in again})
             assets = _wanted(found, options.category)
             release = write_release(
                 release, assets, out, shard_bytes=options.shard_mb * 1_000_000,
                 progress=show.progress,
             )  # fmt: skip
+            place = store.assets.keep_release(out)
     finally:
         store.close()
         database.close()
-    show.result(release.to_json() | {"folder": str(out)}, lambda: _print_release(release, out))
+    report = release.to_json() | {"folder": str(out)} | ({"storage": place} if place else {})
+    show.result(report, lambda: _print_release(release, place or str(out)))
     return 0
 
 
@@ -70,7 +72,7 @@ def _wanted(assets: list[AcceptedAsset], categories: tuple[str, ...]) -> list[Ac
     return found
 
 
-def _print_release(release: Release, out: Path) -> None:
+def _print_release(release: Release, out: str) -> None:
     rows = [(name, str(count)) for name, count in sorted(release.count("category").items())]
     title = f"{release.name} {release.version}: {len(release.assets)} assets"
     printing.console().print(printing.table_of(title, ("category", "assets"), rows, ("assets",)))

@@ -18,7 +18,6 @@ from app.server.part_tasks import PartSource
 from app.server.validating import AcceptanceRequest
 from model.core.asset import Source
 from model.core.errors import CommandError
-from model.io.assets.asset_folder import publish
 from model.validation.report import ValidationReport
 from sessions import commands as cmd
 from sessions.document import Document
@@ -104,7 +103,7 @@ def accept(
             _refuse(obj, error, refused)
             return
         # Only now: until here the asset that was accepted before stays.
-        written = str(publish(draft, folder, record).folder)
+        written = str(services.store.assets.publish(draft, folder, record))
         obj.record_job(ACCEPT, begun, time.time() - begun)
         obj.do(command, who)
         obj.do(cmd.Saved(written), who)

@@ -107,11 +107,12 @@ class BulkWork:
 
         def one(id: int) -> None:
             saved = self._services.hub.session(id).document.saved
-            if saved is None or not Path(saved.folder).is_dir():
+            folder = self._services.store.assets.folder(saved)
+            if folder is None:
                 raise CommandError("not accepted: it has no asset yet")
             job = self._services.workers.saving.submit(
                 export_one,
-                task_of(Path(saved.folder)),
+                task_of(folder),
                 on_progress=self._within,
                 priority=-1,  # what somebody accepts meanwhile is saved first
             )

@@ -44,6 +44,7 @@ class ServeConfig:
         scene: a scene to open instead of single objects.
         assets: folders of its assets.
         masks: masks of another system, from which the one path starts.
+        storage: address of the storage of assets; None is the workspace.
         oidc: how people log in with an organisation's provider; None: they don't.
         finder, finder_url: name of the finder of articulable objects, and its server.
     """
@@ -66,4 +67,5 @@ class ServeConfig:
     masks: Path | None = None
     finder: str = "lexicon"
     finder_url: str | None = None
+    storage: str | None = None
     oidc: OidcSettings | None = None

@@ -22,7 +22,6 @@ from app.server.scene_rows import HELD, Work
 from app.server.scene_state import SceneState
 from app.server.validating import problems_of, required_problem, unknown_names
 from app.server.validation_tasks import validate_joints
-from model.io.assets.asset_folder import publish
 from model.validation.low_confidence import with_low_confidence
 from model.validation.naming import with_unknown_names
 from model.validation.report import Severity, ValidationReport
@@ -326,7 +325,7 @@ class Accepting:
         def keep(draft: Path) -> None:
             if not self._is_current(work, record, doc):
                 return
-            written = str(publish(draft, folder, written_record).folder)
+            written = str(store.assets.publish(draft, folder, written_record))
             self._ineffective.discard((work.id, record))
             work.live.do(command, record.by)
             work.live.do(cmd.Saved(written), record.by)

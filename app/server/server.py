@@ -26,7 +26,7 @@ from app.server.login import Login
 from app.server.network import url
 from app.server.oidc import OidcLogin
 from app.server.webhook_sender import WebhookSender
-from model.core.errors import InputFileError
+from model.core.errors import InputFileError, StoreError
 from model.core.resources import static_assets
 from model.io.find_assets import find_assets, refusal
 from sessions.credentials import Person
@@ -69,7 +69,7 @@ class Server:
         self.config = config
         self._open_tab = open_tab
         paths = paths_to_open(config)
-        self.app_state = AppState(config, Store(Path(config.workspace), config.database), paths)
+        self.app_state = AppState(config, opened_store(config), paths)
         if config.scene is not None:
             self.app_state.open_scene(config.scene, config.assets)
         people = self.app_state.store.people
@@ -122,6 +122,21 @@ class Server:
             self.viser.stop()
         self._webhooks.close()
         self.app_state.close()
+
+
+def opened_store(config: ServeConfig) -> Store:
+    """Open the workspace, and ask its storage for something.
+
+    Raises:
+        StoreError: where one of them can't be used.
+    """
+    store = Store(Path(config.workspace), config.database, storage=config.storage)
+    try:
+        store.assets.check()
+    except StoreError:
+        store.close()
+        raise
+    return store
 
 
 def paths_to_open(config: ServeConfig) -> list[Path]:

@@ -135,11 +135,7 @@ def accepted_assets(store: Store, without: Container[int] = ()) -> list[Accepted
 
 def saved_folder(store: Store, object_id: int) -> Path | None:
     """The asset's folder of an object, also in a workspace that was moved; None without one."""
-    saved = store.load(object_id).present.saved
-    if saved is None:
-        return None
-    moved = store.workspace / "assets" / Path(saved.folder).name
-    return moved if not Path(saved.folder).is_dir() and moved.is_dir() else Path(saved.folder)
+    return store.assets.folder(store.load(object_id).present.saved)
 
 
 def keys_of(assets: Iterable[AcceptedAsset]) -> dict[str, AcceptedAsset]:

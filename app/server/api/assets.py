@@ -30,7 +30,7 @@ def list_assets(person: Reader, state: State) -> dict[str, Any]:
     for record in state.queue.records():
         if record.state == "accepted":
             saved = state.session(record.id).document.saved
-            if saved is not None and Path(saved.folder).is_dir():
+            if saved is not None and state.store.assets.has(saved):
                 found.append({
                     "id": record.id, "name": record.name, "category": record.category,
                     "accepted_by": saved.by, "at": saved.at,
@@ -44,10 +44,9 @@ def download(object_id: int, person: Reader, state: State, format: str = "asset"
     name = record_of(state, object_id).name
     if format not in ("asset", *exporter_names()):
         raise HTTPException(422, f"format: one of asset, {', '.join(exporter_names())}")
-    saved = state.session(object_id).document.saved
-    if saved is None or not Path(saved.folder).is_dir():
+    folder = state.store.assets.folder(state.session(object_id).document.saved)
+    if folder is None:
         raise HTTPException(404, "the object has no asset: it wasn't accepted yet")
-    folder = Path(saved.folder)
     if format == "asset":
         return _zipped(folder, name)
     out = state.workspace / "exports" / f".{secrets.token_hex(8)}"

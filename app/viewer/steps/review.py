@@ -6,7 +6,6 @@ import datetime
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import viser
@@ -239,10 +238,10 @@ class ReviewStep:
             self._override.value = pending_acceptance.override
 
     def _send(self) -> None:
-        saved = self._tab.selection.need_object().document.saved
-        if saved is None or not Path(saved.folder).is_dir():
+        obj = self._tab.selection.need_object()
+        folder = obj.services.store.assets.folder(obj.document.saved)
+        if folder is None:
             raise CommandError(words.ASSET_MISSING)
-        folder = Path(saved.folder)
         send_folder(self._tab, folder, folder.name)
 
     def draw(self, obj: OpenObject) -> None:

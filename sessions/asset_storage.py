@@ -1,0 +1,218 @@
+"""Where accepted assets and releases lie: folders of the workspace, or object storage beside them.
+
+On object storage an asset is a folder of files below ``assets/NAME/VERSION``; the small object
+``assets/NAME/current`` names the version that counts, so that nobody reads half an asset. The
+folder in the workspace is a copy then, which is fetched where it is missing or old.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import secrets
+import shutil
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from datetime import timedelta
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from model.core.errors import ConfigurationError, StoreError
+from model.core.files import file_sha256
+from model.core.installing import install_command
+from model.io.assets.asset_folder import publish
+from sessions.document import SavedRecord
+
+STORAGE_VARIABLE = "ARTIWORLD_STORAGE"
+"""Environment variable with the address of the storage, for all commands."""
+_CURRENT = "current"
+_SECONDS = 30
+"""Longest request, and longest time of trying again."""
+
+
+class AssetStorage:
+    """Assets and releases of one workspace. Methods may be called from any thread.
+
+    Args:
+        workspace: whose folder ``assets`` holds them, or copies of them.
+        url: of a place that fsspec knows, such as ``s3://bucket/prefix``; None: only the folder.
+
+    Raises:
+        ConfigurationError: where the address can't be used.
+    """
+
+    def __init__(self, workspace: Path, url: str | None = None) -> None:
+        self._local = workspace / "assets"
+        self.url = (url or "").rstrip("/")
+        self._files: Any = None  # fsspec's file systems have no types
+        self._root = ""
+        if self.url:
+            self._files, self._root = _file_system(self.url)
+
+    def check(self) -> None:
+        """Ask the storage for something.
+
+        Raises:
+            StoreError: where it doesn't answer, or refuses.
+        """
+        if self._files is not None:
+            with self._translated():
+                self._files.find(f"{self._root}/assets/.check")
+
+    def publish(self, draft: Path, folder: Path, provenance: Mapping[str, Any]) -> Path:
+        """Put a draft in the place of the asset ``folder``; returns where it lies.
+
+        Raises:
+            StoreError: where the storage doesn't take it.
+        """
+        written = Path(publish(draft, folder, provenance).folder)
+        if self._files is not None:
+            self._put(written, f"assets/{written.name}")
+        return written
+
+    def folder(self, saved: SavedRecord | None) -> Path | None:
+        """Return the folder of an asset as it counts now, also in a workspace that was moved.
+
+        Raises:
+            StoreError: where the storage has it and it can't be read.
+        """
+        if saved is None:
+            return None
+        local = self._local / Path(saved.folder).name
+        if self._files is not None and (version := self._current(local.name)) is not None:
+            if not local.is_dir() or self._copied(local.name) != version:
+                self._fetch(local, version)
+            return local
+        here = [f for f in (Path(saved.folder), local) if f.is_dir()]
+        return here[0] if here else None
+
+    def has(self, saved: SavedRecord | None) -> bool:
+        """Whether an asset is likely there, without asking the storage."""
+        return saved is not None and (
+            self._files is not None
+            or Path(saved.folder).is_dir()
+            or (self._local / Path(saved.folder).name).is_dir()
+        )
+
+    def check_release(self, name: str) -> None:
+        """Refuse a release that the storage has already.
+
+        Raises:
+            ConfigurationError: where it is there: a release never changes.
+        """
+        if self._files is not None and self._read(f"releases/{name}/{_CURRENT}") is not None:
+            raise ConfigurationError(
+                f"{self.url}/releases/{name} is there already; a release never changes: give a "
+                "new --version"
+            )
+
+    def keep_release(self, folder: Path) -> str:
+        """Copy a release to the storage; returns its address there, or "" without one."""
+        if self._files is None:
+            return ""
+        return self._put(folder, f"releases/{folder.name}")
+
+    # --- the storage
+
+    def _put(self, folder: Path, key: str) -> str:
+        files = {p.relative_to(folder).as_posix(): p for p in folder.rglob("*") if p.is_file()}
+        sums = "".join(f"{n} {file_sha256(p)}\n" for n, p in sorted(files.items()))
+        version = hashlib.sha256(sums.encode()).hexdigest()[:32]
+        before = self._read(f"{key}/{_CURRENT}")
+        with self._translated():
+            for name, path in files.items():
+                self._files.put_file(str(path), f"{self._root}/{key}/{version}/{name}")
+            self._files.pipe_file(f"{self._root}/{key}/{_CURRENT}", version.encode())
+        if key.startswith("assets/"):
+            self._mark(folder.name, version)
+        if before not in (None, version):
+            with suppress(Exception):  # what nobody refers to does no harm
+                self._files.rm(self._files.find(f"{self._root}/{key}/{before}"))
+        return f"{self.url}/{key}/{version}"
+
+    def _fetch(self, local: Path, version: str) -> None:
+        """Copy a version from the storage to its place."""
+        prefix = f"{self._root}/assets/{local.name}/{version}/"
+        draft = local.with_name(f".fetched-{secrets.token_hex(6)}")
+        try:
+            with self._translated():
+                for path in self._files.find(prefix):
+                    name = PurePosixPath(path.partition(f"/{local.name}/{version}/")[2])
+                    if name.is_absolute() or ".." in name.parts:
+                        raise StoreError(f"{self.url}: {path} leads out of its folder")
+                    (draft / name).parent.mkdir(parents=True, exist_ok=True)
+                    self._files.get_file(path, str(draft / name))
+            if not draft.is_dir():
+                raise StoreError(
+                    f"{self.url}/assets/{local.name}: version {version} isn't there; it is being "
+                    "replaced, try again"
+                )
+            old = local.with_name(f".fetched-{secrets.token_hex(6)}")
+            with suppress(FileNotFoundError):
+                local.rename(old)
+            draft.rename(local)
+            shutil.rmtree(old, ignore_errors=True)
+            self._mark(local.name, version)
+        finally:
+            shutil.rmtree(draft, ignore_errors=True)
+
+    def _current(self, name: str) -> str | None:
+        version = self._read(f"assets/{name}/{_CURRENT}")
+        if version is not None and not (len(version) == 32 and version.isalnum()):
+            raise StoreError(f"{self.url}/assets/{name}/{_CURRENT} names no version")
+        return version
+
+    def _read(self, key: str) -> str | None:
+        with self._translated():
+            try:
+                return self._files.cat_file(f"{self._root}/{key}").decode()
+            except FileNotFoundError as error:
+                if "NoSuchBucket" in str(error):
+                    raise StoreError(f"{self.url}: there is no such bucket") from error
+                return None
+
+    def _mark(self, name: str, version: str) -> None:
+        (self._local / f".{name}.version").write_text(version)
+
+    def _copied(self, name: str) -> str:
+        try:
+            return (self._local / f".{name}.version").read_text()
+        except OSError:
+            return ""
+
+    @contextmanager
+    def _translated(self) -> Iterator[None]:
+        try:
+            yield
+        except (StoreError, FileNotFoundError):
+            raise
+        except Exception as error:  # each kind of storage has errors of its own
+            first = str(error).splitlines()[0][:200] if str(error) else type(error).__name__
+            raise StoreError(f"{self.url}: the storage fails ({first})") from error
+
+
+def _file_system(url: str) -> tuple[Any, str]:
+    """The file system of an address, and the path below which everything lies."""
+    kind, _, root = url.partition("://")
+    if not kind or not root:
+        raise ConfigurationError(
+            f"the storage {url} is no address; give one like s3://bucket/prefix"
+        )
+    if kind != "s3":
+        import fsspec
+
+        try:
+            return fsspec.filesystem(kind, **({"auto_mkdir": True} if kind == "file" else {})), root
+        except (ValueError, ImportError) as error:
+            raise ConfigurationError(f"the storage {url} can't be used ({error})") from error
+    try:
+        from obstore.fsspec import FsspecStore
+    except ImportError as error:
+        command = install_command("artiworld[s3]")
+        raise ConfigurationError(f"the storage {url} needs a package; run: {command}") from error
+    plain = os.environ.get("AWS_ENDPOINT_URL", "").startswith("http://")
+    return FsspecStore(
+        "s3",
+        client_options={"timeout": f"{_SECONDS}s", "allow_http": plain},
+        retry_config={"max_retries": 3, "retry_timeout": timedelta(seconds=_SECONDS)},
+    ), root
