@@ -45,6 +45,8 @@ AWAY = 0.12
 """Metres before the link where the hand starts."""
 DEEP = 0.005
 """Metres of penetration between hand and object from which a try counts as failed."""
+FAR, LEVER = 1000.0, 0.3
+"""Metres where the hand stays while a motor tries; from the hinge, where nothing says a place."""
 COME, CLOSE, FOLLOW, WAIT = 0.6, 0.3, 3.0, 2.0
 """Seconds: to the link, to close the fingers, to follow the joint, and longer for slow ones."""
 
@@ -119,6 +121,26 @@ class GripperBench:
             watch: told of the data after each step, for pictures.
         """
         return _Run(self, affordance, watch).go()
+
+    def jams(self, joint: str) -> bool:
+        """Whether a motor in the joint, as strong as the hand is there, doesn't move it either."""
+        mujoco, model = self._mujoco, self.model
+        data, found = mujoco.MjData(model), model.joint(joint)
+        data.qpos[self._free.qposadr[0] : self._free.qposadr[0] + 3] = FAR
+        most = FORCE
+        if int(found.type[0]) == int(mujoco.mjtJoint.mjJNT_HINGE):
+            axis = model.jnt_axis[found.id]
+            places = [a for a in self.affordances if a.joint == joint]
+            arms = (np.linalg.norm(np.cross(a.center, axis)) + a.width / 2 for a in places)
+            most *= max(map(float, arms), default=LEVER)
+        end, dof = self.end(joint), int(found.dofadr[0])
+        for _ in range(round((FOLLOW + WAIT) / STEP)):
+            missing = math.copysign(abs(end) / FOLLOW, end) - data.qvel[dof]
+            data.qfrc_applied[dof] = np.clip(most * missing / abs(end) * FOLLOW, -most, most)
+            mujoco.mj_step(model, data)
+            if data.qpos[found.qposadr[0]] / end >= REACHED:
+                return False
+        return True
 
     def bodies_from_world(self) -> dict[int, Array]:
         """Body → (4, 4) ``body_from_world`` at rest."""

@@ -78,11 +78,13 @@ class JointScore:
 
     Attributes:
         joint: name. kind: for the table. tries: of its affordances, best first, until one opens it.
+        jams: whether a motor in the joint fails too, so that the object is to blame.
     """
 
     joint: str
     kind: JointKind
     tries: tuple[Try, ...] = ()
+    jams: bool = False
 
     @property
     def opened(self) -> bool:
@@ -92,6 +94,8 @@ class JointScore:
     @property
     def why(self) -> str:
         """Why the last try failed, or ""."""
+        if self.jams:
+            return "jams under a motor, too"
         return self.tries[-1].why if self.tries else "no affordance"
 
 
@@ -180,7 +184,9 @@ def open_all(
                 film.keep(not tries[-1].why)
             if not tries[-1].why:
                 break
-        out.append(JointScore(joint, _kind_in(bench, joint), tuple(tries)))
+        opened = bool(tries) and not tries[-1].why
+        jams = not opened and bench.jams(joint)
+        out.append(JointScore(joint, _kind_in(bench, joint), tuple(tries), jams))
     return out
 
 
@@ -235,6 +241,7 @@ def row(label: str, scores: Sequence[RobotScore]) -> dict[str, float | str]:
     out: dict[str, float | str] = {"objects": label, "n": len(scores), "joints": len(joints)}
     out["opened"] = _mean([j.opened for j in joints])
     out["at first"] = _mean([j.opened and len(j.tries) == 1 for j in joints])
+    out["of those that a motor moves"] = _mean([j.opened for j in joints if not j.jams])
     for kind in KINDS:
         of = [j.opened for j in joints if j.kind == kind]
         out[f"{kind} ({len(of)})"] = _mean(of)

@@ -48,6 +48,8 @@ def test_bench_predict_prints_a_row_for_each_size(monkeypatch, capfd):
         (["bench", "segment", "--sets", "nothing"], "nothing"),
         (["bench", "segment", "--sets", "partnet"], "--data"),
         (["bench", "segment", "--data", "/no/such/folder"], "--data"),
+        (["bench", "robot", "--scene", "/no/such/scene.xml"], "/no/such/scene.xml"),
+        (["bench", "robot", "--scene", "scene.xml", "--video", "films"], "--video"),
         (["evaluate", "--root", "/no/such/folder"], "/no/such/folder"),
     ],
 )

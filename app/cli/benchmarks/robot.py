@@ -9,6 +9,7 @@ from app.cli.benchmarks.scans import data_in
 from app.cli.output import check_output
 from app.cli.printing import Result, print_records
 from app.cli.research_commands import BenchCommand
+from model.core.errors import ConfigurationError
 from model.core.installing import require
 from model.core.progress import Progress, scaled_progress
 from model.evaluation.robot import folder_runs, open_scene, run, to_json
@@ -18,11 +19,13 @@ def bench(options: BenchCommand, progress: Progress) -> Result:
     """Measure with the options of the command."""
     require("mujoco", "artiworld[physics]", "bench robot")
     if options.scene is not None:
+        if options.video is not None or options.data is not None:
+            raise ConfigurationError("--scene takes neither --data nor --video")
         score = open_scene(options.scene, 3 if options.limit is None else options.limit, progress)
         report = to_json([(options.scene.name, [score])])
         return report, lambda: _print(report)
     if options.video is not None:
-        check_output(options.video)
+        check_output(options.video, option="--video")
     configs = folder_runs(
         None if options.data is None else data_in(options.data), half=options.half or "table",
         limit=options.limit or 0, jobs=options.jobs, pictures=options.video,

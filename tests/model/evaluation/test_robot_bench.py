@@ -12,12 +12,13 @@ from PIL import Image
 
 from model.core.errors import InputFileError
 from model.data.registry import DatasetOptions
-from model.evaluation.gripper import DEEP, GripperBench
+from model.evaluation.gripper import DEEP, GripperBench, Try
 from model.evaluation.robot import (
     JointScore,
     RobotConfig,
     RobotScore,
     kind_of,
+    open_all,
     open_scene,
     reasons,
     row,
@@ -72,6 +73,9 @@ def test_a_welded_drawer_is_not_opened(made):
     bench = GripperBench(welded)
     found = bench.open(first(bench, "drawer"))
     assert found.why in ("stuck", "slipped") and found.moved < 0.2
+    assert bench.jams("drawer") and not bench.jams("door")
+    (score,) = open_all(bench, ["drawer"])
+    assert not score.opened and score.why == "jams under a motor, too"
 
 
 def test_an_affordance_on_the_wrong_side_fails(made):
@@ -141,4 +145,8 @@ def test_what_fails_is_counted():
         "hinge", "slide", "button",
     ]  # fmt: skip
     lost = RobotScore("a", (JointScore("door", "hinge"),), problem="ValueError: no")
+    jammed = replace(lost, joints=(replace(lost.joints[0], jams=True),))
+    opened = JointScore("door", "hinge", (Try("grasp", REACHED, 0.0, 1.0),))
+    both = row("x", [jammed, RobotScore("b", (opened,))])
+    assert both["opened"] == 0.5 and both["of those that a motor moves"] == 1.0
     assert row("x", [lost])["opened"] == 0.0 and reasons([lost]) == {"no affordance": 1}
