@@ -42,7 +42,7 @@ class AssetStorage:
     """
 
     def __init__(self, workspace: Path, url: str | None = None) -> None:
-        self._local = workspace / "assets"
+        self._local, self._copies = workspace / "assets", workspace / "storage"
         self.url = (url or "").rstrip("/")
         self._files: Any = None  # fsspec's file systems have no types
         self._root = ""
@@ -172,11 +172,12 @@ class AssetStorage:
                 return None
 
     def _mark(self, name: str, version: str) -> None:
-        (self._local / f".{name}.version").write_text(version)
+        self._copies.mkdir(exist_ok=True)
+        (self._copies / name).write_text(version)
 
     def _copied(self, name: str) -> str:
         try:
-            return (self._local / f".{name}.version").read_text()
+            return (self._copies / name).read_text()
         except OSError:
             return ""
 

@@ -16,6 +16,7 @@ ROOT = Path(__file__).resolve().parents[1]
 SLOW = (
     "tests/browser/test_main_job.py",
     "tests/model/training/test_experience.py",
+    "tests/app/test_learn_command.py",
     "tests/browser/test_review_gate.py",
     "tests/browser/test_tools.py",
     "tests/browser/test_room.py",
@@ -68,6 +69,7 @@ SLOW = (
     "tests/app/test_saving_tasks.py",
     "tests/app/test_scene_reading.py",
     "tests/app/test_serve_command.py",
+    "tests/app/test_several_servers.py",
     "tests/app/test_storage.py",
     "tests/app/test_tool_tasks.py",
     "tests/app/test_up_axis.py",

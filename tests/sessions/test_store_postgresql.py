@@ -2,13 +2,8 @@
 
 from __future__ import annotations
 
-import os
-import pwd
-import shutil
-import socket
 import subprocess
 import sys
-import tempfile
 from pathlib import Path
 
 import pytest
@@ -19,6 +14,7 @@ from sessions.commands import AddClick, SetCategory, Undo
 from sessions.live import LiveSession
 from sessions.store import ConflictError, Store
 from tests.sessions.people import add_people
+from tests.sessions.postgresql import free_port, postgresql
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -37,50 +33,11 @@ for i in range(15):
 """
 
 
-def _programs() -> Path | None:
-    found = shutil.which("initdb")
-    places = [Path(found).parent] if found else []
-    places += sorted(Path("/usr/lib/postgresql").glob("*/bin"), reverse=True)
-    return next((p for p in places if (p / "initdb").is_file() and (p / "pg_ctl").is_file()), None)
-
-
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
-
-
 @pytest.fixture(scope="module")
 def server():
     """URL of an empty server."""
-    pytest.importorskip("pg8000", reason="the driver pg8000 is not installed")
-    programs = _programs()
-    if programs is None:
-        pytest.skip("PostgreSQL's programs are not installed")
-    # The server refuses to run as the superuser.
-    user = None
-    if os.geteuid() == 0:
-        names = {entry.pw_name for entry in pwd.getpwall()} & {"postgres", "nobody"}
-        if not names:
-            pytest.skip("no user to run PostgreSQL as")
-        user = "postgres" if "postgres" in names else "nobody"
-    folder = Path(tempfile.mkdtemp(prefix="artiworld-pg-", dir="/tmp"))
-    if user is not None:
-        shutil.chown(folder, user)
-    data, port = folder / "data", _free_port()
-
-    def call(*command: str) -> None:
-        subprocess.run(
-            command, user=user, cwd=folder, check=True, timeout=120, stdout=subprocess.DEVNULL
-        )
-
-    call(str(programs / "initdb"), "-D", str(data), "-U", "artiworld", "-A", "trust", "-N")
-    options = f"-p {port} -k {folder} -c listen_addresses=127.0.0.1"
-    control = (str(programs / "pg_ctl"), "-D", str(data), "-w")
-    call(*control, "-l", str(folder / "log"), "-o", options, "start")
-    yield f"postgresql+pg8000://artiworld@127.0.0.1:{port}"
-    call(*control, "-m", "immediate", "stop")
-    shutil.rmtree(folder)
+    with postgresql() as url:
+        yield url
 
 
 @pytest.fixture
@@ -139,7 +96,7 @@ def test_processes_that_write_at_the_same_time_lose_nothing(url, tmp_path):
 
 def test_a_server_that_is_not_there_is_named_without_its_password(tmp_path):
     pytest.importorskip("pg8000", reason="the driver pg8000 is not installed")
-    url = f"postgresql+pg8000://artiworld:secret@127.0.0.1:{_free_port()}/none"
+    url = f"postgresql+pg8000://artiworld:secret@127.0.0.1:{free_port()}/none"
     with pytest.raises(StoreError, match=r"127\.0\.0\.1") as error:
         Store(tmp_path, url)
     assert "secret" not in str(error.value)

@@ -66,7 +66,8 @@ def one_object(object_id: int, person: Reader, state: State) -> dict[str, Any]:
     """What is decided about one object: parts, prompts, joints, review."""
     record = record_of(state, object_id)
     assigned = state.store.people.work.assigned().get(object_id)
-    return {**_line(record, assigned), **document_json(state.session(object_id).state)}
+    now = state.session(object_id).refresh()  # another server may be ahead
+    return {**_line(record, assigned), **document_json(now)}
 
 
 def record_of(state: AppState, object_id: int) -> ObjectRecord:

@@ -102,6 +102,7 @@ def accept_object(
 ) -> dict[str, Any]:
     """Accept an object; its asset is written and read back first."""
     obj = opened(state, object_id)
+    obj.live.refresh()  # it may have been submitted at another server just now
     wait(lambda: obj.validation.report is not None or bool(obj.validation.problem))
     seen = obj.validation.report if body.warnings_seen else None
     refused: list[CommandError] = []
