@@ -124,13 +124,26 @@ class FullModelOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class TrainCommand(Command):
-    """Train Arti4URDF on procedural objects or your own."""
+    """Train Arti4URDF on procedural objects or your own, or learn from accepted objects."""
 
     preset: str = option(
         "configuration: nano, or of the paper-size model qwen3-0.6b, qwen3-1.7b, qwen3-4b, paper "
         "(Qwen3-8B), qwen3 (any size); confidence fits the predictors' confidence", "NAME", "nano",
     )  # fmt: skip
-    out: Path = required("folder of the run; run again to resume", "DIR")
+    out: Path = option("folder of the run; run again to resume", "DIR", Path("training"))
+    workspace: Path | None = option(
+        "learn from this workspace's accepted objects instead; its predictions use what they "
+        "say where that helps", "DIR",
+    )  # fmt: skip
+    without: tuple[str, ...] = repeated("--workspace: object to learn nothing from", "NAME")
+    use: int | None = option(
+        "--workspace: go back to a version that was learned earlier; 0 for none", "VERSION",
+        parse=count,
+    )  # fmt: skip
+    database: str | None = option(
+        "--workspace: its SQLite or PostgreSQL database (default: one in the workspace)", "URL"
+    )
+    json: bool = json_flag()
     samples: int = option("procedural objects to train on, made where missing", "N", 8000)
     data: tuple[Path, ...] = repeated(
         "folder of PartNet-Mobility or PhysXNet to train on as well", "DIR"

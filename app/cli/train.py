@@ -36,6 +36,12 @@ def train(options: TrainCommand) -> int:
     Raises:
         ConfigurationError: for a mistake in the options.
     """
+    if options.workspace is not None:
+        from app.cli.learn import learn  # opens a workspace
+
+        return learn(options, options.workspace)
+    if options.without or options.use is not None or options.database or options.json:
+        raise ConfigurationError("--without, --use, --database and --json belong to --workspace")
     if options.samples < 1 or options.minutes <= 0 or options.jobs < 0:
         raise ConfigurationError("--samples, --minutes and --jobs must be positive")
     if not 0 <= options.test_share < 1:

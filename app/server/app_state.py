@@ -11,6 +11,7 @@ from app.server.bulk import BulkWork
 from app.server.config import ServeConfig
 from app.server.drafts import AssetDrafts
 from app.server.gallery import Gallery
+from app.server.learning import Learning
 from app.server.leftovers import WorkspaceLease
 from app.server.object_queue import ObjectQueue
 from app.server.open_object import OpenObject
@@ -40,6 +41,7 @@ class AppState:
         scene: the open scene; None where single objects are open.
         gallery: what the page shows of the queue.
         bulk: work on many objects.
+        learning: from accepted objects.
         presence: who has which object open.
     """
 
@@ -69,6 +71,7 @@ class AppState:
         self._closed = threading.Event()
         self.gallery = Gallery(self._services, self.review_order.confidence, self.shown_state)
         self.bulk = BulkWork(self._services, self.object)
+        self.learning = Learning(self.workspace, config.database, self.workers.template)
         self.presence = PresenceBoard(store.people.work)
         threading.Thread(target=self._sync_loop, name="sync", daemon=True).start()
 
@@ -201,6 +204,7 @@ class AppState:
         self._closed.set()
         self.workers.closing = True
         self.bulk.cancel()
+        self.learning.close()
         if self.scene is not None:
             self.scene.close()
         self.workers.close()

@@ -288,7 +288,7 @@ class OpenObject(ObjectContext):
         job = self.services.workers.prediction.submit(
             part_tasks.predict,
             source,
-            DEFAULT_PREDICTOR if here else self.services.config.predictor,
+            DEFAULT_PREDICTOR if here else self.services.predictor,
             doc.locked_joints,
             0,
             self.likeness.source_of_joints(doc),

@@ -338,7 +338,7 @@ class SceneWorkspace(SceneState):
         work = next((w for w in waiting if w.id == self._preferred), waiting[0])
         job = self.services.workers.prediction.submit(
             scene_tasks.prepare, work.item, self.services.workspace, self.services.config.segmenter,
-            self.services.config.predictor, priority=-5, preempted_by=0,
+            self.services.predictor, priority=-5, preempted_by=0,
             most_seconds=READ_SECONDS,
         )  # fmt: skip
 

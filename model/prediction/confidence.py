@@ -31,6 +31,8 @@ MAX_LOG_ODDS = 6.0
 """Log-odds of one decision are clipped to this: beyond it they carry no information."""
 MAX_CONFIDENCE = 0.99
 """One joint in a hundred is wrong for a reason that no evidence shows."""
+EXPERIENCE = "experience"
+"""Evidence that is a probability by itself: of joints that are as accepted ones were."""
 DECISIONS = {"parent": "parent", "type": "joint type", "slot": "axis"}
 """First word of an evidence's name → the decision that it concerns."""
 DOUBT = math.log(9)
@@ -60,7 +62,8 @@ class ConfidenceModel:
             self.names, self.mean, self.scale, self.weights, strict=True
         ):
             odds += weight * (evidence.get(name, mean) - mean) / scale
-        return round(min(1 / (1 + math.exp(-odds)), MAX_CONFIDENCE), 4)
+        known = evidence.get(EXPERIENCE, 0.0)
+        return round(min(max(1 / (1 + math.exp(-odds)), known), MAX_CONFIDENCE), 4)
 
 
 def least_certain(evidence: Evidence) -> str:

@@ -65,6 +65,11 @@ FREE_AXIS = "Axis: from the network alone"
 LOCKED = "Locked joint"
 
 
+def as_on(objects: int) -> str:
+    """Where the joints of accepted objects were asked."""
+    return f"Compared with {objects} accepted object{'s' * (objects != 1)}"
+
+
 def explain(title: str, reasons: Iterable[str] = (), *more: str) -> str:
     """As in "Hinge: opposite the handle, at visible barrels. Range: collision-free".
 

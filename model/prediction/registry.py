@@ -20,6 +20,7 @@ PREDICTORS = Registry[Predictor](
     parametrised={
         "hybrid": "model.prediction.arti4urdf.predictor:hybrid",
         "arti4urdf": "model.prediction.arti4urdf.predictor:network_alone",
+        "learned": "model.prediction.arti4urdf.predictor:learned",
         "qwen3": "model.prediction.arti4urdf.full_predictor:with_local_engine",
         "qwen3-vllm": "model.prediction.arti4urdf.full_predictor:with_vllm",
     },
@@ -34,8 +35,9 @@ def predictor_names() -> tuple[str, ...]:
 def load_predictor(name: str = DEFAULT) -> Predictor:
     """The predictor called ``name``.
 
-    The address of a backend is a name too, and so are ``qwen3:FOLDER``, the paper-size model with
-    the weights in that folder, and ``hybrid:FOLDER``, the small one with weights of one's own.
+    The address of a backend is a name too. ``qwen3:FOLDER`` is the paper-size model with the
+    weights in that folder, ``hybrid:FOLDER`` the small one with weights of one's own, and
+    ``learned:FOLDER`` adds what a workspace's accepted objects say.
 
     Raises:
         ConfigurationError: if there is none, naming those that are there, or where a plug-in

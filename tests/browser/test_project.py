@@ -11,6 +11,7 @@ import pytest
 import trimesh
 
 import tests.accepted
+from model.prediction.experience import in_use
 from sessions.store import Store
 from tests.accepted import accept, cupboard
 from tests.browser.browsing import COARSE, FEWER_FRAMES, PAGE_TIMEOUT, Tab, wait_until
@@ -117,3 +118,26 @@ def test_a_manager_assigns_objects_and_an_annotator_sees_only_their_own_figures(
     finally:
         for context in contexts:
             context.close()
+
+
+def test_a_manager_lets_predictions_learn_from_accepted_objects(
+    tmp_path: Path, start: Any, open_tab: Any
+) -> None:
+    box = trimesh.creation.box((0.4, 0.3, 0.2))
+    box.export(tmp_path / "new.ply")
+    store = Store(tmp_path / "workspace")
+    for k in range(3):
+        accept(store, tmp_path / f"oven_{k}.ply", cupboard(upper=0.4))
+    store.close()
+    tab: Tab = open_tab(
+        start(tmp_path / "new.ply", *(tmp_path / f"oven_{k}.ply" for k in range(3)))
+    )
+    page = open_page(tab)
+    page.get_by_role("button", name="Learn", exact=True).click()
+    text = "Predictions follow 3 accepted objects (version 1): of their joints 100 %"
+    tab.page.get_by_text(text, exact=False).wait_for()
+    assert in_use(tmp_path / "workspace") is not None
+    page.get_by_role("button", name="Close", exact=True).click()
+    page.first.wait_for(state="detached")
+    open_page(tab).get_by_text(text, exact=False).wait_for()
+    assert tab.object.services.predictor.startswith("learned:")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from html import escape
 from typing import Any
 
@@ -21,6 +21,7 @@ from app.viewer.text import plain
 from app.viewer.words import common
 from app.viewer.words import project as words
 from app.viewer.words.queue import STATE_ORDER
+from model.prediction.experience import in_use, record_of
 from sessions.project import Overview, read_overview
 from sessions.review import ROLES
 from sessions.statistics import csv_text, duration
@@ -50,6 +51,7 @@ class ProjectPage:
         presses.on("project_csv", lambda _: self._send())
         self.dialogs = ProjectDialogs(tab, app_state.store.project, app_state.queue.changed)
         presses.on("project_settings", self._change)
+        presses.on("project_learn", lambda _: self._learn())
 
     def show(self) -> None:
         """Show the page; a worker adds up the figures, as the log may be long."""
@@ -75,6 +77,16 @@ class ProjectPage:
         self.close()
         self.dialogs.show(which)
 
+    def _learn(self) -> None:
+        """Learn from accepted objects; who asked for it is told what came of it."""
+        tab = self._tab
+
+        def done(job: Job[dict[str, Any]]) -> None:
+            tab.act(lambda: tab.notify(*learned_text(job.result(0)), "green"))
+
+        self._app_state.learning.start(lambda *_: None, done)
+        tab.notify(words.LEARNING, "", "blue")
+
     def _only(self) -> str | None:
         """Whose figures are shown: who annotates sees nobody else's."""
         account = self._tab.account
@@ -97,6 +109,7 @@ class ProjectPage:
         gui, now = self._tab.client.gui, time.time()
         gui.add_html(
             f'<div class="aw-project">{progress_html(found, self._may_change)}'
+            f"{self._learned_html()}"
             f'<h3 title="{escape(words.ACTIVE_HINT)}">{words.TODAY}</h3>{today_html(found)}'
             f"<h3>{words.LAST_DAYS}</h3></div>"
         )
@@ -104,6 +117,11 @@ class ProjectPage:
         gui.add_html(
             f'<div class="aw-project"><h3>{words.RECENT}</h3>{recent_html(found, now)}</div>'
         )
+
+    def _learned_html(self) -> str:
+        folder = in_use(self._app_state.workspace)
+        record = {} if folder is None else record_of(folder)
+        return f"<p>{escape(learned_text(record)[1])}.</p>" if record else ""
 
     def _send(self) -> None:
         if self._found is not None:
@@ -125,6 +143,18 @@ class ProjectPage:
         if modal is not None:
             modal.close()
         return dialog or modal is not None
+
+
+def learned_text(record: Mapping[str, Any]) -> tuple[str, str]:
+    """What came of learning, as a title and a sentence."""
+    after, before = (
+        round(100 * record[side]["usable"] / max(record[side]["joints"], 1))
+        for side in ("after", "before")
+    )
+    objects = len(record["assets"])
+    if not record["taken"]:
+        return words.NOT_BETTER, words.not_better(objects, after, before)
+    return words.LEARNED, words.learned(objects, record["version"], after, before)
 
 
 def _add_plot(gui: Any, found: Overview, now: float) -> None:
@@ -186,6 +216,9 @@ def progress_html(found: Overview, may_change: bool = False) -> str:
             button("project_settings", which, label, tip=tip, style="aw-small")
             for which, label, tip in words.DIALOGS
         ) + csv  # fmt: skip
+        if accepted:
+            learn = button("project_learn", "", words.LEARN, tip=words.LEARN_HINT, style="aw-small")
+            csv = learn + csv
     close = button("project_close", "", words.CLOSE, style="aw-small")
     return (
         f'<header>{head}{csv}{close}</header><div class="aw-states">{bar}</div>'

@@ -29,6 +29,13 @@ DIALOGS: Final = (
     ("labels", "Instructions and labels", "What people read beside the picture, and which names"),
     ("checks", "Checks and export", "Which checks must pass, and how assets are written"),
 )
+LEARN: Final = "Learn"
+LEARN_HINT: Final = (
+    "Let predictions follow the joints of accepted objects of the same category and part names"
+)
+LEARNING: Final = "Learning from accepted objects"
+LEARNED: Final = "Learned"
+NOT_BETTER: Final = "No better"
 NAME: Final = "Name"
 INSTRUCTIONS: Final = "Instructions"
 MARKDOWN: Final = "Markdown; images are shown as links"
@@ -76,3 +83,13 @@ def ago(seconds: float) -> str:
         if seconds >= size:
             return f"{int(seconds // size)} {unit} ago"
     return ""
+
+
+learned = Message(
+    "Predictions follow {objects} accepted objects (version {version}): of their joints "
+    "{after} % come out as accepted, {before} % without"
+)
+not_better = Message(
+    "Predictions stay as they are: following {objects} accepted objects, {after} % of the joints "
+    "come out as accepted, {before} % without"
+)

@@ -185,10 +185,10 @@ class MotionRanker:
         best = int(np.argmax(likely))
         if likely[best] - likely[same[present]].max() < self.margin:
             return present
-        return _best_limits(best, rules, same)
+        return best_limits(best, rules, same)
 
 
-def _best_limits(candidate: int, rules: Array, same: Bools) -> int:
+def best_limits(candidate: int, rules: Array, same: Bools) -> int:
     """Of the candidates with this motion the one whose limits the rules find likeliest."""
     return int(np.argmax(np.where(same[candidate], rules, -np.inf)))
 
@@ -207,7 +207,7 @@ def other_motions(
     slots, odds = answer.motions[part]
     among, own = same[np.ix_(slots, slots)], rules[v.SLOT_IDS][slots]
     for k in np.argsort(-odds, kind="stable"):
-        slot = int(slots[_best_limits(int(k), own, among)])
+        slot = int(slots[best_limits(int(k), own, among)])
         yield with_candidate(structure, part, answer.decisions[part], slot)
 
 

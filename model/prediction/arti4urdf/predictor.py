@@ -22,6 +22,7 @@ from model.prediction.arti4urdf.geometric_prior import geometric_prior
 from model.prediction.arti4urdf.grammar import Lock
 from model.prediction.arti4urdf.motion_ranker import load_motion_ranker, other_motions
 from model.prediction.arti4urdf.network import ArtiModel, Prompt
+from model.prediction.arti4urdf.recall import follows, recall, with_known_range
 from model.prediction.arti4urdf.structure import (
     MECHANISMS,
     RANKS,
@@ -31,8 +32,15 @@ from model.prediction.arti4urdf.structure import (
 )
 from model.prediction.arti4urdf.weights import SHIPPED, load_weights
 from model.prediction.builder import PredictionBuilder, unknown_link
-from model.prediction.confidence import Evidence, load_confidence
-from model.prediction.explanation import COLLISION_FREE, FREE_AXIS, MECHANISM_TITLES, explain
+from model.prediction.confidence import EXPERIENCE, Evidence, load_confidence
+from model.prediction.experience import FILE, Experience, Recalled, load_experience
+from model.prediction.explanation import (
+    COLLISION_FREE,
+    FREE_AXIS,
+    MECHANISM_TITLES,
+    as_on,
+    explain,
+)
 from model.prediction.geometric.mechanisms import SWEPT_LIMITS
 
 ALTERNATIVES = 2
@@ -63,6 +71,7 @@ class Arti4UrdfPredictor:
     Args:
         model: in evaluation mode. name: as registered. version: of the weights.
         hybrid: None for the network alone.
+        experience: of accepted objects; only the hybrid reads it.
     """
 
     def __init__(
@@ -72,11 +81,13 @@ class Arti4UrdfPredictor:
         name: str = "arti4urdf",
         hybrid: HybridSettings | None = None,
         version: str = "",
+        experience: Experience | None = None,
     ) -> None:
         self.name = name
         self.hybrid = hybrid
         self.model = model.eval()
-        self._version = version
+        self.experience = experience
+        self.version = version
 
     def predict(
         self,
@@ -120,9 +131,14 @@ class Arti4UrdfPredictor:
         progress(0.8, "writing the tree")
         answer = self.answer(prompt, structure, locks, rules)
         assembly = None
+        recalled: dict[int, Recalled] = {}
         if self.hybrid is not None:
             rank = load_motion_ranker()
             answer = rank(answer, structure, prompt.arrays, rules, same, frozenset(locks))
+            if self.experience is not None:
+                answer, recalled = recall(
+                    self.experience, answer, structure, rules, same, frozenset(locks)
+                )
             parents = [d.parent for d in answer.decisions]
             assembly = replace(structure.assembly, root=answer.root, parent=parents)
         kept = {j.child for j in locked}
@@ -131,7 +147,13 @@ class Arti4UrdfPredictor:
                 continue
             joints = joints_of_decision(structure, i, answer.decisions[i], assembly)
             evidence = joint_evidence(structure, answer, i, rules, same)
-            builder.add(joints, evidence, _note(structure, answer, i))
+            note = _note(structure, answer, i)
+            if i in recalled:
+                joints = with_known_range(joints, structure, i, recalled[i])
+                note = explain(note, (), as_on(round(recalled[i].objects)))
+                if self.experience is not None and follows(answer, i, recalled[i]):
+                    evidence = {**evidence, EXPERIENCE: self.experience.trust}
+            builder.add(joints, evidence, note)
             if len(joints) == 1 and assembly is not None:
                 others = other_motions(answer, structure, i, rules[i], same[i])
                 made = (joints_of_decision(structure, i, d, assembly) for d in others)
@@ -139,7 +161,7 @@ class Arti4UrdfPredictor:
                     joints[0], made, structure.sampled.frame.diagonal
                 )
         progress(1.0, "done")
-        backend = f"{self.name} {self._version}".strip()
+        backend = f"{self.name} {self.version}".strip()
         made = builder.build(backend, seed, lambda tree: write_answer(tree, segmented))
         return made, builder.evidence
 
@@ -257,6 +279,29 @@ def load_arti4urdf(
 def hybrid(folder: str | None = None) -> Arti4UrdfPredictor:
     """The network with geometry beside it, with the shipped weights or those in ``folder``."""
     return load_arti4urdf(Path(folder) if folder else None, name="hybrid", hybrid=HybridSettings())
+
+
+def learned_hybrid(experience: Experience | None, version: str = "") -> Arti4UrdfPredictor:
+    """The hybrid with the shipped weights and the experience of a workspace.
+
+    Args:
+        version: of the experience, recorded with its predictions.
+    """
+    plain = hybrid()
+    return Arti4UrdfPredictor(
+        plain.model, name="hybrid", hybrid=plain.hybrid,
+        version=f"{plain.version} {version}".rstrip(), experience=experience,
+    )  # fmt: skip
+
+
+def learned(folder: str) -> Arti4UrdfPredictor:
+    """The hybrid with what ``artiworld train --workspace`` keeps in a folder.
+
+    Raises:
+        InputFileError: if the file is absent or damaged.
+    """
+    path = Path(folder)
+    return learned_hybrid(load_experience(path / FILE), f"learned {path.name}")
 
 
 @lru_cache(maxsize=2)
