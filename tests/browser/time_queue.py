@@ -24,10 +24,12 @@ import numpy.typing as npt
 from scipy.spatial import KDTree
 
 from app.viewer.panels.quick_names import names_for
+from app.viewer.picture.palette import PART_NAMES
 from app.viewer.words.annotate import PART_NAME
+from app.viewer.words.common import OTHER
 from model.core.articulated_object import ArticulatedObject
 from model.core.asset import Asset
-from model.core.mesh import Mesh
+from model.core.mesh import Material, Mesh
 from model.core.point_cloud import PointCloud
 from model.core.resources import static_assets
 from model.data.bundled import Bundled
@@ -182,7 +184,8 @@ class QueueAnnotator(Annotator):
         shown = tab.object.asset
         if shown.display_points is None:
             faces = shown.display_faces
-            mesh = Mesh(shown.display_vertices, faces, np.zeros(len(faces), np.int32), ())
+            material = np.zeros(len(faces), np.int32)
+            mesh = Mesh(shown.display_vertices, faces, material, (Material(),))
             self.asset = Asset("shown", mesh=mesh)
         else:
             self.asset = Asset("shown", cloud=PointCloud(shown.display_points))
@@ -269,11 +272,36 @@ class QueueAnnotator(Annotator):
         if name in buttons:
             self.name(name)
         else:
-            self.times.act(points=1, keys=len(name) + 1, thoughts=1)
-            box = tab.field(PART_NAME[1])
-            box.fill(name)
-            box.press("Enter")
-            tab.wait_for_keyboard()
+            listed = name in PART_NAMES
+            self.times.act(points=2, keys=0 if listed else len(name) + 1, thoughts=1)
+            tab.choose(PART_NAME[0], name if listed else OTHER)
+            if not listed:
+                tab.drawn()
+                tab.field(PART_NAME[1]).fill(name)
+                tab.field(PART_NAME[1]).press("Enter")
+                tab.wait_for_keyboard()
+        part = tab.selection.part
+        wait_until(lambda: tab.document.part_names.get(part) == name, "it has its name")
+
+    def correct(self, parts: list[int]) -> None:
+        """Take another likely motion of a wrong joint, where that is right."""
+        tab = self.tab
+        for part in parts:
+            right, total = self.joints([part])
+            link = f"link_{part}"
+            joint = tab.document.tree.joint_of.get(link)
+            likely = () if joint is None else tab.document.likely_joints(joint)
+            if right == total or len(likely) < 2:
+                continue
+            self.times.act(points=1, thoughts=1)
+            tab.page.locator(f'[data-press="joint"][value="{link}"]').click()
+            wait_until(lambda link=link: tab.selection.child == link, "its joint is selected")
+            for _ in likely:
+                before = tab.document
+                self.key("m")
+                wait_until(lambda before=before: tab.document != before, "another motion")
+                if self.joints([part])[0] > right:
+                    break
 
     def joints(self, parts: list[int]) -> tuple[int, int]:
         """Right and true joints of the parts that were seen."""
@@ -319,7 +347,10 @@ def rows(browser: Any, folder: Path, tasks: dict[str, Task]) -> Iterator[dict[st
             person.key("p")
             wait_until(lambda: tab.document.tree, "a kinematic tree")
             times.phase("joints")
-            right, total = person.joints(parts)
+            first, total = person.joints(parts)
+            person.correct(parts)
+            right, _ = person.joints(parts)
+            times.phase("corrections")
             here = tab.object.record.id
             person.accept()
             done.add(name)
@@ -327,8 +358,8 @@ def rows(browser: Any, folder: Path, tasks: dict[str, Task]) -> Iterator[dict[st
                 wait_until(lambda here=here: tab.object.record.id != here, "the next object")
             times.phase("accept")
             yield {
-                "name": name, "kind": task.kind, "parts": len(parts), "IoU": iou, "right": right,
-                "joints": total, "times": times,
+                "name": name, "kind": task.kind, "parts": len(parts), "IoU": iou, "first": first,
+                "right": right, "joints": total, "times": times,
             }  # fmt: skip
     finally:
         context.close()
@@ -345,7 +376,10 @@ def main() -> None:
         )
         folder = Path(temporary)
         tasks = write_tasks(Path(sys.argv[1]), folder)
-        print("| object | parts | IoU | joints right | keys | clicks | person | waiting | sum |")
+        print(
+            "| object | parts | IoU | joints right, corrected | keys | clicks | person | waiting "
+            "| sum |"
+        )
         sums, waits = [], []
         for row in rows(chromium, folder, tasks):
             t = row["times"]
@@ -356,8 +390,8 @@ def main() -> None:
             print("  " + ", ".join(f"{k} {v:.1f} s" for k, v in t.waited.items()))
             print(
                 f"| {row['name']}, {row['kind']} | {row['parts']} | {row['IoU']:.2f} "
-                f"| {row['right']} of {row['joints']} | {t.keys} | {t.points} | {t.person:.1f} s "
-                f"| {waiting:.1f} s | {t.person + waiting:.1f} s |",
+                f"| {row['first']}, {row['right']} of {row['joints']} | {t.keys} | {t.points} "
+                f"| {t.person:.1f} s | {waiting:.1f} s | {t.person + waiting:.1f} s |",
                 flush=True,
             )
         print(
