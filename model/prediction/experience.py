@@ -39,7 +39,7 @@ SAME_AXIS, SAME_LINE = 0.95, 0.35
 """Least cosine between axes, and most between their lines in half extents of the part's box."""
 THIN = 0.25
 """Least half extent of a part's box, as a share of its largest: doors have hardly any depth."""
-UNSEEN = 0.3
+UNSEEN = 1.0
 """Accepted joints that a motion counts as having without any; fewer trust experience more."""
 ENOUGH, MOST = 2, 0.7
 """Accepted objects, and the share of them that must agree, before type, limits or parent follow."""
