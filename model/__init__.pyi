@@ -1,5 +1,6 @@
 """The names of the public API and where each is."""
 
+from .core.affordance import Affordance
 from .core.articulated_object import (
     ArticulatedObject,
     Part,
@@ -29,6 +30,7 @@ from .segmentation.registry import load_segmenter, segmenter_names
 from .validation.runner import validate
 
 __all__ = [
+    "Affordance",
     "ArticulatedObject",
     "ArtiworldError",
     "Asset",
