@@ -176,7 +176,11 @@ class Experience:
         return Experience(tuple(o for o in self.objects if o.source != source), self.trust)
 
     def recall(self, category: str | None, parts: Mapping[int, Motions]) -> dict[int, Recalled]:
-        """What is known about the parts of an object, by their keys; only of named ones."""
+        """What is known about the parts of an object, by their keys; only of named ones, and
+        nothing without a category.
+        """
+        if category is None:
+            return {}
         names = {key: part_name(m.name) for key, m in parts.items()}
         votes: dict[int, list[tuple[Array, list[JointExample], Array]]] = {k: [] for k in parts}
         for known in self._by_category.get(category, ()):

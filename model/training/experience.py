@@ -14,6 +14,7 @@ from pathlib import Path
 
 from model.core.articulated_object import ArticulatedObject, Prediction, SegmentedObject
 from model.core.errors import ArtiworldError, ConfigurationError
+from model.core.files import written_to
 from model.core.progress import Progress, no_progress
 from model.evaluation.calibration import calibrate
 from model.evaluation.joint_metrics import ObjectScore, score_object
@@ -113,11 +114,12 @@ def learn(
     """
     examples = [
         found for _, found in robust_map(_example, list(assets), jobs)
-        if found is not None and found.joints
+        if found is not None and found.joints and found.category
     ]  # fmt: skip
     if len(examples) < LEAST:
         raise ConfigurationError(
-            f"{len(examples)} accepted objects have named parts with joints; it takes {LEAST}"
+            f"{len(examples)} accepted objects have a category and named parts with joints; it "
+            f"takes {LEAST}"
         )
     examples.sort(key=lambda e: e.source)
     everything = Experience(tuple(examples))
@@ -136,9 +138,10 @@ def learn(
     taken = after.usable > before.usable and after.objects >= before.objects
     learned = Learned(version, tuple(sorted(known)), tuple(left_out), before, after, taken)
     folder = workspace / FOLDER / str(version)
-    folder.mkdir(parents=True)
-    save_experience(Experience(everything.objects, round(trust, 4)), folder / FILE)
-    (folder / RECORD).write_text(json.dumps(asdict(learned), indent=1), encoding="utf-8")
+    with written_to(folder, "make the workspace writable"):
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / RECORD).write_text(json.dumps(asdict(learned), indent=1), encoding="utf-8")
+        save_experience(Experience(everything.objects, round(trust, 4)), folder / FILE)
     if taken:
         use(workspace, version)
     return learned
@@ -195,5 +198,8 @@ def use(workspace: Path, version: int) -> None:
     if version and version not in there:
         listed = ", ".join(map(str, there)) or "none"
         raise ConfigurationError(f"{workspace} has no version {version}; versions: {listed}")
-    (workspace / FOLDER).mkdir(exist_ok=True)
-    (workspace / FOLDER / CURRENT).write_text(json.dumps({"version": version}), encoding="utf-8")
+    with written_to(workspace / FOLDER, "make the workspace writable"):
+        (workspace / FOLDER).mkdir(exist_ok=True)
+        (workspace / FOLDER / CURRENT).write_text(
+            json.dumps({"version": version}), encoding="utf-8"
+        )

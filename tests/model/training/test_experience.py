@@ -63,7 +63,9 @@ def test_the_motion_of_accepted_parts_of_the_same_name_outweighs_a_faint_prefere
 
 def test_other_names_and_categories_are_not_touched_and_limits_must_agree() -> None:
     known = Experience((flap("a", X, [0, 1, 0]), flap("b", X, [0, 1, 0], 3.0)))
-    assert not known.recall("Table", {0: candidates()})
+    assert not known.recall("Table", {0: candidates()}) and not known.recall(
+        None, {0: candidates()}
+    )
     assert not known.recall("Box", {0: candidates("door"), 1: candidates(None)})
     assert known.recall("Box", {0: candidates()})[0].range_about(np.array(X)) is None
     assert part_name("Bottom_lid-3") == "bottom lid" and part_name("F1 lid") == "f1 lid"
@@ -129,7 +131,9 @@ def test_nothing_takes_over_without_a_gain_or_names(tmp_path: Path) -> None:
     alike = learn(tmp_path, accepted(tmp_path, 3, None), jobs=1)
     assert alike.before.usable == alike.after.usable and not alike.taken
     assert versions(tmp_path) == [1] and in_use(tmp_path) is None, "it is kept, but not used"
-    with pytest.raises(ConfigurationError, match="0 accepted objects have named parts"):
+    with pytest.raises(
+        ConfigurationError, match="0 accepted objects have a category and named parts"
+    ):
         learn(tmp_path / "b", accepted(tmp_path / "b", 3, None, None), jobs=1)
 
 
