@@ -290,8 +290,10 @@ class _Search:
         size = CELL
         while True:
             cell = np.floor(self.points / size).astype(np.int64)
-            facing = np.rint(self.normals).astype(np.int64) + 1
-            key = np.unique(np.column_stack([cell, facing]), axis=0, return_index=True)[1]
+            cell -= cell.min(axis=0)
+            columns = [*cell.T, *(np.rint(self.normals).astype(np.int64) + 1).T]
+            rows = np.ravel_multi_index(columns, [int(c.max()) + 1 for c in columns])
+            key = np.unique(rows, return_index=True)[1]
             if len(key) <= MOST_PLACES:
                 return key
             size *= 1.25
