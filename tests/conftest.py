@@ -48,6 +48,7 @@ SLOW = (
     "tests/app/test_bad_input.py",
     "tests/app/test_bench_command.py",
     "tests/app/test_bench_networks.py",
+    "tests/app/test_bench_team.py",
     "tests/app/test_comments.py",
     "tests/app/test_completed_assets.py",
     "tests/app/test_doctor.py",

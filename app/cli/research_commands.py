@@ -173,12 +173,13 @@ class BenchCommand(Command):
 
     what: Literal[
         "ui", "scene", "segment", "scans", "predict", "weights", "networks", "rivals",
-        "faults", "assets", "robot",
+        "faults", "assets", "robot", "team",
     ] = argument(
         "the screen of one object, of a scene; the segmenter; reconstructed scans from file to "
         "joints; the predictor; what its weights read; the paper-size networks with random "
         "weights; other methods' URDFs beside ours; damaged files of every format; exports in "
-        "engines and validators; a gripper that opens exports", None,
+        "engines and validators; a gripper that opens exports; people who work at once through the "
+        "REST API", None,
     )  # fmt: skip
     data: Path | None = option(
         "segment, scans, rivals: folder of real data, by default procedural; assets: of "
@@ -212,6 +213,8 @@ class BenchCommand(Command):
         "faults: also let six people click for so long while one opens the worst files", "SECONDS",
         0,
     )  # fmt: skip
+    people: int = option("team: people, each with a scan", "N", 20, parse=positive_count)
+    seconds: int = option("team: how long they work", "N", 120, parse=positive_count)
     offset: int | None = option("segment: object at which the subset begins", "N")
     parts: int | None = option("segment: most parts of an object", "N", parse=count)
     first: Literal["deepest", "random"] | None = option("segment: place of the first click")

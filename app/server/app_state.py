@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
+import time
 from collections import OrderedDict, deque
 from pathlib import Path
 
@@ -99,14 +100,19 @@ class AppState:
         max_bytes = 4 * self.config.max_upload_mb * 1_000_000
         return self.queue.add_upload(self.workspace / "uploads", name, content, max_bytes)
 
-    def object(self, object_id: int) -> OpenObject:
-        """Return the shared view of an object; opens it on first use."""
+    def object(self, object_id: int, keep: float = 0.0) -> OpenObject:
+        """Return the shared view of an object; opens it on first use.
+
+        Args:
+            keep: seconds for which it stays in use from now on, where no tab shows it.
+        """
         with self._lock:
             if object_id not in self._open:
                 self._open[object_id] = OpenObject(
                     self.store.object(object_id), self._services, lambda: self._member(object_id)
                 )
             opened = self._open[object_id]
+            opened.kept_until = max(opened.kept_until, time.monotonic() + keep)
             self._open.move_to_end(object_id)
             self._release_unused()
         opened.reopen()

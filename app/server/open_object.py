@@ -5,6 +5,7 @@ Decisions live in the session's commands; the results of jobs become commands, t
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -48,6 +49,7 @@ class OpenObject(ObjectContext):
 
     Attributes:
         present: the people with accounts who have it open, in any server.
+        kept_until: until then (monotonic clock) a script is taken to work on it.
     """
 
     def __init__(
@@ -59,6 +61,7 @@ class OpenObject(ObjectContext):
         super().__init__(record, services)
         self._in_scene = in_scene
         self.present: tuple[Presence, ...] = ()
+        self.kept_until = 0.0
         self.problem: str | None = None
         self._worker_died = self._reading_stopped = self._warm = False
         self.backend_away = False
@@ -124,8 +127,9 @@ class OpenObject(ObjectContext):
 
     @property
     def in_use(self) -> bool:
-        """Whether a tab shows it, a job works on it, or it waits to be accepted."""
-        return self.is_shown or bool(self.jobs) or self.validation.acceptance_waits
+        """Whether a tab shows it, a script or a job works on it, or it waits to be accepted."""
+        scripted = time.monotonic() < self.kept_until
+        return self.is_shown or scripted or bool(self.jobs) or self.validation.acceptance_waits
 
     def watch(self, listener: Listener, notice: Notice) -> Callable[[], None]:
         """See the base class; clicks in the tab are answered soon."""

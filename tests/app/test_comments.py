@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+import trimesh
 
 from app.client import ApiError, Client
 from app.server.server import Server
@@ -14,16 +15,17 @@ from sessions.commands import AddComment, Reject, ResolveComment, Undo
 from sessions.document import CommentRecord
 from sessions.serialise import state_from_json, state_to_json
 from sessions.state import Context, SessionState, apply
-from tests.app.api_server import team_server, token_client
+from tests.app.api_server import Browser, WebTab, team_server, token_client
 from tests.builders import wait_until, write_cupboard
 
 
 @pytest.fixture(scope="module")
 def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
     folder = tmp_path_factory.mktemp("comments")
-    with team_server(
-        folder / "workspace", write_cupboard(folder / "cupboard"), predictor="geometric"
-    ) as server:
+    paths = (write_cupboard(folder / "cupboard"), folder / "lid.ply", folder / "box.ply")
+    for path in paths[1:]:
+        trimesh.creation.box((1, 1, 1)).export(path)
+    with team_server(folder / "workspace", *paths, predictor="geometric") as server:
         yield server
 
 
@@ -65,6 +67,34 @@ def test_a_reviewer_pins_and_an_annotator_ticks_off(ann: Client, rob: Client) ->
     assert [c["done"] for c in ann.undo(id)["comments"]] == [True, False], "one's own mark"
     with pytest.raises(ApiError, match="there is no comment 9"):
         ann.resolve(id, 9)
+
+
+def test_what_came_back_comes_first(server: Server, ann: Client, rob: Client) -> None:
+    cupboard, lid, box = (o["id"] for o in ann.call("GET", "/objects")["objects"])
+    ann.command(box, kind="add_part", part=1)
+    rob.reject(box, "parts", "which ones?")
+    if ann.object(cupboard)["state"] == "rejected":
+        rob.call("POST", f"/objects/{cupboard}/reopen", {})
+
+    def listed() -> list[int]:
+        return [r["id"] for r in server.app_state.gallery.rows({"sort": "order"})["rows"]]
+
+    wait_until(lambda: listed() == [box, cupboard, lid], "what came back stands first", 30)
+    browser = Browser(server)
+    assert browser.log_in("ann") == 200
+    tab = WebTab(browser)
+    try:
+        app = wait_until(lambda: next(iter(server.apps.values()), None), "the tab", 60)
+        shown = app.tab.selection
+        wait_until(lambda: shown.object is not None, "an object", 60)
+        assert shown.object.record.id == cupboard, "the first one that waits"
+        app.tab.act(lambda: app.commands.step(1))
+        wait_until(lambda: shown.object.record.id != cupboard, "another object", 60)
+        assert shown.object.record.id == box, "what came back, before the next of the queue"
+        app.tab.act(lambda: app.commands.step(1))
+        wait_until(lambda: shown.object.record.id != box, "another object", 60)
+    finally:
+        tab.close()
 
 
 def test_a_script_marks_a_region(server: Server, ann: Client) -> None:

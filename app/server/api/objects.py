@@ -25,6 +25,8 @@ MOST = 500
 OPEN_SECONDS = 60.0
 """Longest wait for an object to be read, or for labels that are being computed."""
 POLL_SECONDS = 0.05
+KEEP_SECONDS = 300.0
+"""An object that a script worked on stays open so long after: it would be encoded anew else."""
 
 
 @router.get("/objects")
@@ -88,7 +90,7 @@ def opened(state: AppState, object_id: int) -> OpenObject:
         HTTPException: where it can't be read, or takes too long.
     """
     record_of(state, object_id)
-    obj = state.object(object_id)
+    obj = state.object(object_id, KEEP_SECONDS)
     wait(lambda: obj.asset is not None or obj.problem is not None)
     if obj.problem is not None:
         raise HTTPException(409, f"the object can't be read: {obj.problem}")
@@ -107,7 +109,7 @@ def decide(state: AppState, object_id: int, command: Command, person: Person) ->
         opened(state, object_id)
     after = live.do(command, person.name, role=person.role)
     if needed_jobs(after):
-        state.object(object_id)
+        state.object(object_id, KEEP_SECONDS)
     return document_json(after)
 
 

@@ -1,0 +1,199 @@
+"""``artiworld bench team``: many people work through the REST API at one server.
+
+Each has an account, a token and a scan of their own, and clicks on it as annotators do. A click
+lasts until the answer says that its labels are there; one without them after half a minute is lost.
+The server is a process of its own. Memory is the proportional set size of the server with all its
+workers, as Linux counts it.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+import urllib.request
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from app.cli.benchmarks.ui import cabinet_cloud, drawer_ray, wait_for
+from app.cli.printing import Result, print_records
+from app.cli.research_commands import BenchCommand
+from app.client import ApiError, Client
+from app.server.network import free_port
+from model.core.progress import Progress
+from model.io.write.meshes import write_cloud
+from sessions.store import Store
+
+POINTS = 20_000
+"""Of each scan."""
+FRONT = np.array([-0.4, -0.272, 0.0])
+"""A corner of the drawers' fronts, metres."""
+PAUSE = 0.5, 2.0
+"""Seconds between two clicks of a person."""
+MOST_PROMPTS, LOST, LOOK = 6, 30.0, 0.1
+"""Prompts on an object before they are cleared; seconds after which a click is lost, and until the
+first question whether its labels are there; each one waits half as long again as the one before."""
+
+
+def bench(options: BenchCommand, progress: Progress) -> Result:
+    """Measure with the options of the command."""
+    with tempfile.TemporaryDirectory(prefix="artiworld-team-") as folder:
+        row = _measure(Path(folder), options.people, options.seconds, options.seed, progress)
+    report = {"rows": [row], "failed": bool(row["lost"] or row["errors"])}
+    return report, lambda: print_records(f"{options.people} people", report["rows"])
+
+
+def _measure(
+    root: Path, people: int, seconds: int, seed: int, progress: Progress
+) -> dict[str, Any]:
+    rng = np.random.default_rng(seed)
+    scans = [root / f"scan {k}.ply" for k in range(people)]
+    for path in scans:
+        write_cloud(cabinet_cloud(POINTS, rng), path)
+    tokens = _tokens(root / "workspace", people)
+    port = free_port("127.0.0.1")
+    url = f"http://127.0.0.1:{port}"
+    words = [sys.executable, "-m", "app.cli.main", "serve", *map(str, scans), "--port", f"{port}"]
+    with (root / "log").open("wb") as log, subprocess.Popen(
+        [*words, "--workspace", str(root / "workspace")], stdout=log, stderr=log
+    ) as server:  # fmt: skip
+        try:
+            wait_for(lambda: server.poll() is not None or _answers(url), "the server")
+            idle = _memory(server.pid)
+            clients = [Client(url, token) for token in tokens]
+            ids = [o["id"] for o in clients[0].objects()]
+            jobs = list(zip(clients, ids, range(people), strict=True))
+            progress(0.05, "first clicks: every scan is read and encoded")
+            first = _together([_Person(*job, seed, 0.0) for job in jobs])
+            ready = _memory(server.pid)
+            progress(0.2, "clicks")
+            found = _together([_Person(*job, seed, float(seconds)) for job in jobs])
+            after = _memory(server.pid)
+        finally:
+            server.terminate()
+    return _row(people, first, found, (idle, ready, after))
+
+
+def _row(
+    people: int, first: list[_Person], found: list[_Person], memory: tuple[float, float, float]
+) -> dict[str, Any]:
+    taken = [t for p in found for t in p.taken]
+    errors = sum((p.errors for p in [*first, *found]), Counter())
+    kept = [1000 * t for t in taken if t < LOST] or [1000 * LOST]
+    answers = [1000 * t for p in found for t in p.answers] or [0.0]
+    p50, p95, most = (round(float(v)) for v in np.percentile(kept, (50, 95, 100)))
+    return {
+        "people": people, "clicks": len(taken), "lost": sum(t >= LOST for t in taken),
+        "errors": sum(errors.values()), "p50 ms": p50, "p95 ms": p95, "longest ms": most,
+        "answer p50 ms": round(float(np.percentile(answers, 50))),
+        "answer p95 ms": round(float(np.percentile(answers, 95))),
+        "first click p95 s": round(float(np.percentile([p.taken[0] for p in first if p.taken]
+                                                       or [LOST], 95)), 1),
+        "idle MB": round(memory[0]), "all open MB": round(memory[1]), "after MB": round(memory[2]),
+        **{f"status {status}": count for status, count in sorted(errors.items())},
+    }  # fmt: skip
+
+
+class _Person(threading.Thread):
+    """One person; ``seconds`` of 0 is a single click, however long it takes."""
+
+    def __init__(
+        self, client: Client, object_id: int, number: int, seed: int, seconds: float
+    ) -> None:
+        super().__init__(daemon=True)
+        self._client, self._id, self._seconds = client, object_id, seconds
+        self._rng = np.random.default_rng((seed, number, int(seconds)))
+        self.taken: list[float] = []
+        self.answers: list[float] = []
+        self.errors: Counter[int] = Counter()
+
+    def run(self) -> None:
+        """Click until the time is over."""
+        end, prompts = time.perf_counter() + self._seconds, 0
+        while True:
+            try:
+                self.taken.append(self._click())
+                prompts += 1
+                if prompts >= MOST_PROMPTS:
+                    self._client.command(self._id, kind="clear_prompts")
+                    prompts = 0
+            except ApiError as error:
+                self.errors[error.status] += 1
+            if time.perf_counter() > end:
+                return
+            time.sleep(self._rng.uniform(*PAUSE))
+
+    def _click(self) -> float:
+        """Seconds from a click until its labels are there, or :data:`LOST`."""
+        drawer = int(self._rng.integers(3))
+        origin, direction = drawer_ray(FRONT, drawer, self._rng)
+        away = (FRONT[1] - origin[1]) / direction[1]
+        place = [o + away * d for o, d in zip(origin, direction, strict=True)]
+        click = {"position": place, "part": 1 + drawer, "positive": True, "element": None}
+        start = time.perf_counter()
+        found = self._client.command(self._id, kind="add_click", click=click)
+        self.answers.append(time.perf_counter() - start)
+        most, look = LOST if self._seconds else 20 * LOST, LOOK
+        while not (found["prompts"] and found["segmented"]):
+            if time.perf_counter() - start > most:
+                return LOST
+            time.sleep(look)
+            look *= 1.5
+            found = self._client.object(self._id)
+        return time.perf_counter() - start
+
+
+def _together(people: list[_Person]) -> list[_Person]:
+    for person in people:
+        person.start()
+    for person in people:
+        person.join()
+    return people
+
+
+def _tokens(workspace: Path, people: int) -> list[str]:
+    store = Store(workspace)
+    try:
+        out = []
+        for k in range(people):
+            account = store.people.accounts.add(f"person {k}", "annotator", f"a long password {k}")
+            scopes = ("read", "annotate")
+            out.append(store.people.credentials.make_token(account, "bench", scopes))
+        return out
+    finally:
+        store.close()
+
+
+def _answers(url: str) -> bool:
+    try:
+        return urllib.request.urlopen(f"{url}/healthz", timeout=1).status == 200
+    except OSError:
+        time.sleep(0.2)
+        return False
+
+
+def _memory(pid: int) -> float:
+    """Megabytes of a process with all that it started, shared pages counted once."""
+    parents: dict[int, int] = {}
+    for entry in filter(str.isdigit, os.listdir("/proc")):
+        try:
+            fields = Path(f"/proc/{entry}/stat").read_text().rpartition(")")[2].split()
+            parents[int(entry)] = int(fields[1])
+        except OSError:
+            continue  # it has just ended
+    mine, total = {pid}, 0.0
+    while more := {p for p, parent in parents.items() if parent in mine} - mine:
+        mine |= more
+    for each in mine:
+        try:
+            lines = Path(f"/proc/{each}/smaps_rollup").read_text().splitlines()
+        except OSError:
+            continue
+        total += sum(int(line.split()[1]) for line in lines if line.startswith("Pss:")) / 1024
+    return total
