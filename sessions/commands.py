@@ -322,6 +322,7 @@ class Reject:
         decided_at: as in :class:`Accept`.
         joint: child link of the joint that the comment is about, else "".
         place: (3,) what the comment is about, metres, object frame; None: no place.
+        listed: whether the comment is one of those that the annotator ticks off, too.
     """
 
     reason: RejectReason
@@ -329,6 +330,7 @@ class Reject:
     decided_at: str = ""
     joint: str = ""
     place: tuple[float, float, float] | None = None
+    listed: bool = False
 
     def __post_init__(self) -> None:
         if self.reason not in REJECT_REASONS:

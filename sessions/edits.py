@@ -201,8 +201,9 @@ def _changed(document: Document, command: Command, context: Context) -> tuple[Do
                 raise CommandError("can't submit: " + "; ".join(problems))
             return replace(document), "submit"
         case Reject():
+            _check_joint(document, command.joint)
             about = command.joint or command.place is not None
-            if command.comment or about:
+            if command.listed and (command.comment or about):
                 text = command.comment or command.reason.replace("_", " ")
                 return _commented(document, text, command, context), "reject"
             return replace(document), "reject"
@@ -256,12 +257,15 @@ def _reviewed(
 def _commented(
     document: Document, text: str, command: Reject | AddComment, context: Context
 ) -> Document:
-    joint = command.joint
+    _check_joint(document, command.joint)
+    number = len(document.comments) + 1
+    comment = CommentRecord(number, text, command.joint, command.place, context.who, context.at)
+    return replace(document, comments=(*document.comments, comment))
+
+
+def _check_joint(document: Document, joint: str) -> None:
     if joint and (document.tree is None or joint not in document.tree.joint_of):
         raise CommandError(f"the comment is about {joint}, which has no joint here")
-    number = len(document.comments) + 1
-    comment = CommentRecord(number, text, joint, command.place, context.who, context.at)
-    return replace(document, comments=(*document.comments, comment))
 
 
 def _resolved(document: Document, number: int, done: bool) -> Document:

@@ -25,8 +25,7 @@ from sessions.document import (
 )
 from sessions.state import SessionState
 
-VERSION = 2
-"""Snapshots of version 1 lack the comments; those are replayed from the commands."""
+VERSION = 1
 
 _VALUES: Mapping[str, type[Any]] = {
     "click": Click,

@@ -114,7 +114,7 @@ def test_a_script_marks_a_region(server: Server, ann: Client) -> None:
 def test_comments_survive_snapshots_and_keep_their_numbers() -> None:
     rob, ann = Context("rob", "2026-01-01", "reviewer"), Context("ann", "2026-01-02", "annotator")
     state = apply(SessionState(), AddComment("one"), rob)
-    state = apply(state, Reject("other", place=(1.0, 2.0, 3.0)), rob)
+    state = apply(state, Reject("other", place=(1.0, 2.0, 3.0), listed=True), rob)
     state = apply(state, ResolveComment(2), ann)
     assert state.present.comments == (
         CommentRecord(1, "one", "", None, "rob", "2026-01-01"),

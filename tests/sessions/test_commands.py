@@ -182,7 +182,7 @@ VERSION_1 = [
 
 NEWER_FIELDS = {
     "accept": {"override": "", "decided_at": ""},
-    "reject": {"decided_at": "", "joint": "", "place": None},
+    "reject": {"decided_at": "", "joint": "", "place": None, "listed": False},
     "remove_prompt": {"count": 1},
     "decide_objects": {"looked": False},
 }

@@ -125,7 +125,7 @@ def accept_object(
 @router.post("/objects/{object_id}/reject")
 def reject(object_id: int, body: RejectBody, person: Reviewer, state: State) -> dict[str, Any]:
     """Send an object back to its annotator."""
-    command = Reject(body.reason, body.comment, "", body.joint, body.place)
+    command = Reject(body.reason, body.comment, "", body.joint, body.place, listed=True)
     return decide(state, object_id, command, person)
 
 

@@ -184,7 +184,7 @@ class ReviewStep:
         name = self._actions.name_of(tab.selection.need_object().record)
         with self._deciding():
             joint = self._about_joints.get(self._about.value, "")
-            tab.do(cmd.Reject(reason, self.comment_text, joint=joint))
+            tab.do(cmd.Reject(reason, self.comment_text, joint=joint, listed=True))
         self._clear()
         # The next object is shown by now.
         tab.notify(words.REJECTED, words.sent_back(name), "orange")
