@@ -106,8 +106,12 @@ class Annotator:
         self.key("Shift+Digit0")
         wait_until(lambda: self.tab.document.category == category, category)
 
-    def accept(self) -> None:
-        """Press Y; again after a warning was shown; with a reason after an error."""
+    def accept(self, *, saved: bool = True) -> None:
+        """Press Y; again after a warning was shown; with a reason after an error.
+
+        Args:
+            saved: whether the person waits until the asset is written.
+        """
         tab, obj = self.tab, self.tab.object  # the next one may be shown soon
         self.times.act(thoughts=1)  # the joints are looked at while they are checked
         wait_until(lambda: obj.validation.report, "the checks")
@@ -128,7 +132,8 @@ class Annotator:
             tab.drawn()
             tab.button("Accept anyway (Y)").click()
         wait_until(lambda: obj.document.review.state == "accepted", "accepted")
-        wait_until(lambda: obj.document.saved, "saved")
+        if saved:
+            wait_until(lambda: obj.document.saved, "saved")
 
 
 def oven(person: Annotator, source_from_object: np.ndarray) -> None:

@@ -352,7 +352,7 @@ def rows(browser: Any, folder: Path, tasks: dict[str, Task]) -> Iterator[dict[st
             right, _ = person.joints(parts)
             times.phase("corrections")
             here = tab.object.record.id
-            person.accept()
+            person.accept(saved=False)  # it is written while the next one is annotated
             done.add(name)
             if len(done) < len(tasks):
                 wait_until(lambda here=here: tab.object.record.id != here, "the next object")
