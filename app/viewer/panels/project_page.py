@@ -23,7 +23,7 @@ from app.viewer.words import project as words
 from app.viewer.words.queue import STATE_ORDER
 from model.prediction.experience import in_use, record_of
 from sessions.project import Overview, read_overview
-from sessions.review import ROLES
+from sessions.review import ROLES, NotPermittedError
 from sessions.statistics import csv_text, duration
 
 _SECONDS = 60.0
@@ -80,6 +80,8 @@ class ProjectPage:
     def _learn(self) -> None:
         """Learn from accepted objects; who asked for it is told what came of it."""
         tab = self._tab
+        if not self._may_change:  # the page has no button for them, but a script can send anything
+            raise NotPermittedError(words.MANAGERS_ONLY)
 
         def done(job: Job[dict[str, Any]]) -> None:
             tab.act(lambda: tab.notify(*learned_text(job.result(0)), "green"))

@@ -34,6 +34,7 @@ LEARN_HINT: Final = (
     "Let predictions follow the joints of accepted objects of the same category and part names"
 )
 LEARNING: Final = "Learning from accepted objects"
+MANAGERS_ONLY: Final = "only managers may let predictions learn"
 LEARNED: Final = "Learned"
 NOT_BETTER: Final = "No better"
 NAME: Final = "Name"
