@@ -321,8 +321,14 @@ def test_the_gizmo_moves_the_axis(start: Any, open_tab: Any, cabinet: Any) -> No
     after = tab.document.tree.joint_of["link_1"]
     assert moved
     assert np.linalg.norm(np.subtract(after.origin, before.origin)) > 1e-3
-    # The ghost of the prediction stays while the axis is edited.
-    tab.wait_node(f"/axis/ghost-{before.name}")
+    # The likely motions stay in the picture while the axis is edited; M takes the first of them.
+    tab.wait_node("/axis/likely-1")
+    tab.wait_node("/axis/likely-2")
+    tab.key("m")
+    wait_until(lambda: tab.document.tree.joint_of["link_1"].origin == before.origin, "the first")
+    tab.key("m")
+    other = tab.document.prediction.alternatives["link_1"][0]
+    wait_until(lambda: tab.document.tree.joint_of["link_1"].origin == other.origin, "the second")
     tab.button("Reset to prediction").click()
     wait_until(lambda: tab.document.tree.joint_of["link_1"] == before, "reset")
 

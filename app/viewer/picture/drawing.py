@@ -134,8 +134,9 @@ class ObjectDrawing:
             color = palette.part_color(int(part)) if part.isdigit() else palette.GHOST
             color = palette.SELECTED if chosen else color
             marks.append(_mark(joint.name, joint, length, color, chosen))
-            if chosen and doc.review.state != "accepted":
-                for rank, other in enumerate(doc.likely_joints(joint), 1):
+            likely = doc.likely_joints(joint) if chosen else ()
+            if len(likely) > 1 and doc.review.state != "accepted":
+                for rank, other in enumerate(likely, 1):
                     if other.moves and _axis_differs(other, joint):
                         mark = _mark(f"likely-{rank}", other, length, palette.GHOST, False)
                         marks.append(replace(mark, label=str(rank)))
