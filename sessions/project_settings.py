@@ -153,11 +153,11 @@ class Project:
         return self._known
 
     def refresh(self) -> bool:
-        """Read what others changed; whether anything did."""
+        """Read what others changed; whether anything did since they were read last."""
         with self._lock, self._database.reading() as connection:
             text = connection.execute(select(project.c.settings)).scalar()
             before, self._known = self._known, _read(text)
-        return self._known != before
+        return before is not None and self._known != before
 
     def change(self, fields: Mapping[str, Any], by: str = COMMAND_LINE) -> ProjectSettings:
         """Change some settings; returns all of them.

@@ -37,6 +37,7 @@ from model.io.open_asset import open_asset
 from model.scenes.assets import asset_digest
 from model.validation.report import Finding, JointReport, Severity, ValidationReport
 from sessions import commands as cmd
+from sessions.asset_storage import AssetStorage
 from sessions.document import Document, PartInfo
 from sessions.scene_commands import DecideObjects
 from sessions.store import Store
@@ -475,7 +476,7 @@ def test_undo_while_the_asset_takes_its_place_takes_it_back(
 ) -> None:
     scene_workspace, small = world.scene_workspace, world.scene_workspace.work("small")
     assert small is not None
-    gate, publish = Slow(scene_workspace, monkeypatch), scene_accepting.publish
+    gate, publish = Slow(scene_workspace, monkeypatch), AssetStorage.publish
     before = scene_workspace.document.decided
     undoing = threading.Thread(target=lambda: scene_workspace.undo("ann"))
 
@@ -485,7 +486,7 @@ def test_undo_while_the_asset_takes_its_place_takes_it_back(
         time.sleep(0.3)
         return publish(*given)
 
-    monkeypatch.setattr(scene_accepting, "publish", slow)
+    monkeypatch.setattr(AssetStorage, "publish", slow)
     scene_workspace.do(DecideObjects("accept", (small.id,)), "ann")
     gate.answer("fine")
     wait_until(
