@@ -347,9 +347,14 @@ class ClientApp:
         """Show the joints of a new prediction."""
         prediction = obj.document.prediction
         before, self._prediction = self._prediction, (obj.record.id, prediction)
-        if prediction is None or before is None or before[0] != obj.record.id:
+        if prediction is None:
             return
-        if prediction is not before[1] and self.tab.selection.step in AT_REST:
+        if before is None or before[0] != obj.record.id:
+            # A file may have been read, with its joints, since the object was opened.
+            known = prediction if prediction.file is None else None
+        else:
+            known = before[1]
+        if prediction is not known and self.tab.selection.step in AT_REST:
             self.tab.selection.set_step("Joints")
 
     def _asset_shown(self, stays: bool) -> None:
