@@ -98,7 +98,7 @@ def test_clicks_are_measured_beside_files_that_open_and_files_that_are_refused(
         return files
 
     monkeypatch.setattr(clients, "PEOPLE", 2)
-    monkeypatch.setattr(clients, "POINTS", 3000)
+    monkeypatch.setattr(clients, "POINTS", 20_000)
     monkeypatch.setattr(clients, "PAUSE", (0.05, 0.1))
     monkeypatch.setattr(clients, "write_worst", two_files)
     assert main(["bench", "faults", "--limit", "0", "--clients", "4", "--json"]) == 0
