@@ -64,9 +64,7 @@ class Learning:
         self._worker: WorkerProcess | None = None
         self._lock = threading.Lock()
 
-    def start(
-        self, progress: Callable[[float, str], object], done: Callable[[Job[dict[str, Any]]], None]
-    ) -> None:
+    def start(self, done: Callable[[Job[dict[str, Any]]], None]) -> None:
         """Begin; ``done`` gets the ended job on another thread.
 
         Raises:
@@ -79,7 +77,7 @@ class Learning:
                 "learning", initializer=in_background, arguments=(READING,),
                 template=self._template,
             )  # fmt: skip
-        job = worker.submit(learn_from, self._workspace, self._database, on_progress=progress)
+        job = worker.submit(learn_from, self._workspace, self._database)
 
         def ended(job: Job[dict[str, Any]]) -> None:
             done(job)

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections import Counter
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -121,7 +121,7 @@ class Recalled:
         limits: (N, 5) axis (3), lower and upper of joints, this object's working frame.
     """
 
-    objects: float
+    objects: int
     agreeing: Array
     total: Array
     types: Mapping[str, float]
@@ -220,13 +220,13 @@ def _recalled(part: Motions, votes: Sequence[tuple[Array, list[JointExample], Ar
     agreeing = np.sum([share for share, _, _ in votes], axis=0)
     likely = -np.logaddexp(0.0, -part.odds)
     total = likely + np.log((agreeing + UNSEEN) / (len(votes) + 1.0))
-    types: Counter[str] = Counter()
-    parents: Counter[str] = Counter()
+    types: dict[str, float] = defaultdict(float)
+    parents: dict[str, float] = defaultdict(float)
     limits = []
     for _, found, turn in votes:
         for joint in found:
-            types[joint.type] += 1 / len(found) / len(votes)  # type: ignore[assignment]
-            parents[joint.parent] += 1 / len(found) / len(votes)  # type: ignore[assignment]
+            types[joint.type] += 1 / len(found) / len(votes)
+            parents[joint.parent] += 1 / len(found) / len(votes)
             if joint.type in ("revolute", "prismatic"):
                 limits.append([*(turn @ np.asarray(joint.axis)), joint.lower, joint.upper])
     return Recalled(len(votes), agreeing, total, types, parents, np.array(limits).reshape(-1, 5))

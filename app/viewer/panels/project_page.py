@@ -86,7 +86,7 @@ class ProjectPage:
         def done(job: Job[dict[str, Any]]) -> None:
             tab.act(lambda: tab.notify(*learned_text(job.result(0)), "green"))
 
-        self._app_state.learning.start(lambda *_: None, done)
+        self._app_state.learning.start(done)
         tab.notify(words.LEARNING, "", "blue")
 
     def _only(self) -> str | None:
@@ -123,7 +123,10 @@ class ProjectPage:
     def _learned_html(self) -> str:
         folder = in_use(self._app_state.workspace)
         record = {} if folder is None else record_of(folder)
-        return f"<p>{escape(learned_text(record)[1])}.</p>" if record else ""
+        if not record:
+            return ""
+        text = learned_text({**record, "taken": True})[1]  # it is in use, also if by hand
+        return f"<p>{escape(text)}.</p>"
 
     def _send(self) -> None:
         if self._found is not None:

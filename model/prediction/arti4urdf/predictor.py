@@ -150,7 +150,7 @@ class Arti4UrdfPredictor:
             note = _note(structure, answer, i)
             if i in recalled:
                 joints = with_known_range(joints, structure, i, recalled[i])
-                note = explain(note, (), as_on(round(recalled[i].objects)))
+                note = explain(note, (), as_on(recalled[i].objects))
                 if self.experience is not None and follows(answer, i, recalled[i]):
                     evidence = {**evidence, EXPERIENCE: self.experience.trust}
             builder.add(joints, evidence, note)
