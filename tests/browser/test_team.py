@@ -157,9 +157,13 @@ def test_a_manager_sets_instructions_and_labels_which_an_annotator_works_by(
     mia.page.get_by_role("button", name="Project", exact=True).click()
     mia.page.locator(".aw-project ul, .aw-project p").first.wait_for()
     mia.button("Instructions and labels").click()
-    mia.field("Name").fill("Kitchens")
-    mia.field("Instructions").fill("# Doors\nClick the *front*, never the frame.")
-    mia.field("Labels").fill("Oven: door, knob\nCupboard: door, shelf")
+    mia.type_at_once(
+        {
+            "Name": "Kitchens",
+            "Instructions": "# Doors\nClick the *front*, never the frame.",
+            "Labels": "Oven: door, knob\nCupboard: door, shelf",
+        }
+    )
     mia.page.get_by_label("Only these names").check()
     mia.button("Save").click()
     mia.says("The settings are saved")

@@ -20,6 +20,19 @@
     named(".mantine-Notification-closeButton", "Close");
   }, 500);
 
+  // viser sends what a field holds at most every 50 ms, and keeps one message for all fields:
+  // a second field that is changed meanwhile takes the first one's place. It goes out before.
+  const LATEST = /(\w+)\.sendMessage!==null&&\((\w+)=(\w+),(\w+)\?\(\1\.sendMessage\(\3\),(\w+)=!1/;
+  const FIRST = "$1.sendMessage!==null&&($5&&$2&&$2.uuid!==$3.uuid&&$1.sendMessage($2)," +
+    "$2=$3,$4?($1.sendMessage($3),$5=!1";
+  document.head.appendChild = (node) => {
+    if (node instanceof HTMLScriptElement && node.type === "module") {
+      node.textContent = node.textContent.replace(LATEST, FIRST);
+      delete document.head.appendChild;
+    }
+    return document.head.append(node) ?? node;
+  };
+
   // viser's worker says when its connection opens and closes.
   const AWAY = "The server is away. What you did is saved; this page goes on once it is back";
   window.Worker = class extends window.Worker {

@@ -102,9 +102,10 @@ class ProjectPage:
         except BaseException:
             self.close()
             raise
-        said.remove()
         self._found = found
-        with modal:
+        # All at once: a button that moves while it is pressed isn't pressed.
+        with self._tab.client.atomic(), modal:
+            said.remove()
             self._fill(found)
 
     def _fill(self, found: Overview) -> None:
