@@ -2,7 +2,7 @@
 
 A tree has joints of one degree of freedom alone, so such a motion is a chain through helper links
 that hold no part. In a screw the slide follows the turn. Every format holds such a chain: MJCF's
-equality, USD's PhysxMimicJointAPI, the mimic of SDF and URDF.
+equality, USD's PhysxMimicJointAPI, URDF's mimic; SDF has a joint for screws.
 """
 
 from __future__ import annotations

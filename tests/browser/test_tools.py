@@ -10,6 +10,7 @@ import pytest
 from PIL import Image
 
 from app.server.tasks import asset_of
+from sessions.commands import AddPart, NamePart
 from tests.browser.browsing import Tab, wait_until
 from tests.browser.objects import write_cloud, write_flush
 
@@ -36,6 +37,23 @@ def prompts_become(tab: Tab, count: int) -> Any:
     wait_until(lambda: len(tab.document.prompts) == count, f"{count} prompts")
     tab.settled()
     return tab.document.prompts[-1]
+
+
+def test_a_row_that_is_drawn_anew_while_it_is_pressed_is_still_pressed(
+    start: Any, open_tab: Any, cabinet: Any
+) -> None:
+    tab = open_tab(start(cabinet[0]))
+    for part in (1, 2):
+        tab.app.tab.act(lambda part=part: tab.app.tab.do(AddPart(part, f"name {part}")))
+    row = tab.page.locator(".aw-parts button").filter(has_text="name 2")
+    row.hover()
+    before = row.element_handle()
+    tab.page.mouse.down()
+    tab.app.tab.act(lambda: tab.app.tab.do(NamePart(2, "other name")))
+    tab.page.get_by_text("other name").first.wait_for()
+    assert not before.evaluate("row => row.isConnected")
+    tab.page.mouse.up()
+    wait_until(lambda: tab.selection.part == 2, "the part that was pressed")
 
 
 def test_the_preview_follows_the_pointer_and_changes_nothing(

@@ -86,10 +86,14 @@ class Annotator:
         self.tab.key(name)
 
     def click(self, point: Any, part: int) -> None:
-        """Choose a part by its key, and click on it."""
+        """Choose a part by its key or its row, and click on it."""
         tab = self.tab
         if part != tab.selection.part:
-            self.key(str(part), think=False)
+            if part < 10:
+                self.key(str(part), think=False)
+            else:  # as its row in the list does
+                self.times.act(points=1)
+                tab.app.tab.act(lambda: tab.selection.choose_part(part))
             wait_until(lambda: tab.selection.part == part, f"part {part}")
         self.times.act(points=1, thoughts=1)
         tab.prompt(point)
@@ -114,7 +118,7 @@ class Annotator:
         """
         tab, obj = self.tab, self.tab.object  # the next one may be shown soon
         self.times.act(thoughts=1)  # the joints are looked at while they are checked
-        wait_until(lambda: obj.validation.report, "the checks")
+        wait_until(lambda: not obj.busy and obj.validation.report, "the checks")
         self.times.phase("checks")
         tab.wait_seen()
         self.key("y", think=False)

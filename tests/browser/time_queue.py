@@ -226,7 +226,8 @@ class QueueAnnotator(Annotator):
         if eye is None:
             return best
         self.times.act(points=1, thoughts=1)
-        camera.position = eye
+        camera.position = eye  # which carries the target along
+        camera.look_at = target
         return self.look()
 
     def annotate(self) -> tuple[list[int], float]:

@@ -45,8 +45,20 @@
   };
   setInterval(follow, 150);
 
+  const control = (event) => event.target instanceof Element && event.target.closest("[data-press]");
+  const same = (a, b) => a && b && a.dataset.press === b.dataset.press && a.value === b.value;
+  let held = null;
+  window.addEventListener("pointerdown", (event) => { held = control(event); });
+  window.addEventListener("pointerup", (event) => {
+    // A control that was drawn anew while it was held gets no click from the browser.
+    const now = control(event);
+    if (held && !held.isConnected && same(held, now) && !now.disabled) {
+      send(now.dataset.press, now.value ?? "");
+    }
+    held = null;
+  });
   window.addEventListener("click", (event) => {
-    const pressed = event.target instanceof Element && event.target.closest("[data-press]");
+    const pressed = control(event);
     if (pressed && !pressed.disabled) send(pressed.dataset.press, pressed.value ?? "");
     // A clicked control gives the keys back to the picture: Enter and Space mean it there.
     if (pressed && event.detail) pressed.blur();

@@ -9,6 +9,7 @@ a link's by itself.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree as ET  # only writes; reading is defusedxml's
 
@@ -16,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from model.core.articulated_object import ArticulatedObject
+from model.core.composite_joints import composite_of
 from model.core.inertial import Inertial
 from model.core.joint import Joint, Mimic
 from model.core.progress import Progress, no_progress
@@ -39,6 +41,35 @@ VERSION = "1.11"
 """The first version with mimic joints."""
 
 
+@dataclass(frozen=True)
+class Screws:
+    """The screws of a tree: one joint each in SDF, two with a link between them here.
+
+    Attributes:
+        pitches: name of the turn → metres along its axis for a right-handed turn.
+        slides: name of the slide above it → its link, which holds no part.
+    """
+
+    pitches: Mapping[str, float]
+    slides: Mapping[str, str]
+
+
+def screws_of(obj: ArticulatedObject) -> Screws:
+    """The screws that SDF's joint of that name holds: nothing else follows their slides."""
+    links = {p.link for p in obj.parts}
+    followed = [j.mimic.joint for j in obj.tree.joints if j.mimic is not None]
+    pitches, slides = {}, {}
+    for joint in obj.tree.joints:
+        motion = composite_of(obj.tree, joint.child, links.__contains__)
+        slide = obj.tree.joint_of.get(joint.parent)
+        if motion.kind != "screw" or slide is None or slide.mimic is None:
+            continue
+        if slide.name not in followed and not slide.mimic.offset:
+            # The turn is about its own axis, from which the slide's may point away.
+            pitches[joint.name], slides[slide.name] = motion.pitch, slide.child
+    return Screws(pitches, slides)
+
+
 class SdfExporter:
     """``model.sdf``, ``model.config`` and ``meshes/``."""
 
@@ -60,8 +91,10 @@ class SdfExporter:
         visuals = {p.link: p.mesh for p in parts}
         sdf = ET.Element("sdf", version=VERSION)
         model = ET.SubElement(sdf, "model", name=xml_name(obj.name), canonical_link=obj.tree.root)
-        origins = link_origins(obj.tree)
+        origins, screws = link_origins(obj.tree), screws_of(obj)
         for link in obj.tree.order:
+            if link in screws.slides.values():
+                continue
             element = ET.SubElement(model, "link", name=xml_name(link))
             _text(element, "pose", _pose(origins[link]))
             _inertial(element, physics.inertials.get(link, HELPER), origins[link])
@@ -73,7 +106,12 @@ class SdfExporter:
                 _geometry(element, "collision", shape, i, origins[link], convex)
         names, mimics = sdf_joint_names(obj.tree), direct_mimics(obj.tree)
         for joint in obj.tree.joints:
-            _joint(model, joint, names, mimics.get(joint.name), physics)
+            if joint.name not in screws.slides:
+                element = _joint(model, joint, names, mimics.get(joint.name), physics)
+                if joint.name in screws.pitches:
+                    element.set("type", "screw")
+                    element.find("parent").text = obj.tree.joint_of[joint.parent].parent  # type: ignore[union-attr]
+                    _text(element, "screw_thread_pitch", number(screws.pitches[joint.name]))
         if physics.fixed_base:
             root = ET.SubElement(model, "joint", name=_free("fixed_to_world", names), type="fixed")
             _text(root, "parent", "world")
@@ -163,12 +201,12 @@ def _joint(
     names: Mapping[str, str],
     mimic: Mimic | None,
     physics: Physics,
-) -> None:
+) -> ET.Element:
     element = ET.SubElement(model, "joint", name=xml_name(names[joint.name]), type=joint.type)
     _text(element, "parent", joint.parent)
     _text(element, "child", joint.child)
     if not joint.moves:
-        return
+        return element
     axis = ET.SubElement(element, "axis")
     _text(axis, "xyz", vector(joint.axis))
     limit = ET.SubElement(axis, "limit")
@@ -187,6 +225,7 @@ def _joint(
         _text(follows, "multiplier", number(mimic.multiplier))
         _text(follows, "offset", number(mimic.offset))
         _text(follows, "reference", "0")
+    return element
 
 
 def _write(path: Path, root: ET.Element) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 
 from model.core.articulated_object import ArticulatedObject
 from model.io.assets.reload import object_from_links
-from model.io.export.sdf import sdf_joint_names
+from model.io.export.sdf import screws_of, sdf_joint_names
 from model.io.readback.poses import pose_problems
 
 
@@ -24,21 +24,27 @@ def drake_problems(
         plant.Finalize()
     except (RuntimeError, ValueError) as error:
         return [f"Drake can't load {path.name}: {' '.join(str(error).split())[:300]}"]
-    names = sdf_joint_names(obj.tree)
+    names, screws = sdf_joint_names(obj.tree), screws_of(obj)
     context = plant.CreateDefaultContext()
     problems: list[str] = []
     for q in settings:
         for name, value in obj.tree.joint_values(q).items():
+            if name in screws.slides:
+                continue
             joint = plant.GetJointByName(names[name], model)
-            if obj.tree.by_name[name].rotates:
+            if name in screws.pitches:
+                joint.set_rotation(context, value)
+            elif obj.tree.by_name[name].rotates:
                 joint.set_angle(context, value)
             else:
                 joint.set_translation(context, value)
-        frames = {link: plant.GetBodyByName(link, model) for link in obj.tree.links}
+        links = [link for link in obj.tree.links if link not in screws.slides.values()]
+        frames = {link: plant.GetBodyByName(link, model) for link in links}
         root = frames[obj.tree.root].EvalPoseInWorld(context).inverse()
         seen = {
             link: (root @ body.EvalPoseInWorld(context)).GetAsMatrix4()
             for link, body in frames.items()
         }
-        problems += pose_problems("Drake", object_from_links(obj, q), seen)
+        expected = {k: v for k, v in object_from_links(obj, q).items() if k in frames}
+        problems += pose_problems("Drake", expected, seen)
     return list(dict.fromkeys(problems))
