@@ -96,9 +96,14 @@ class Client:
         """Return what is decided about an object."""
         return self.call("GET", f"/objects/{object_id}")
 
-    def command(self, object_id: int, **command: Any) -> dict[str, Any]:
-        """Give one command, ``kind`` and its fields; returns the object after it."""
-        return self.call("POST", f"/objects/{object_id}/commands", {"command": command})
+    def command(self, object_id: int, *, labels: bool = False, **command: Any) -> dict[str, Any]:
+        """Give one command, ``kind`` and its fields; returns the object after it.
+
+        Args:
+            labels: whether to wait until the labels that follow from it are there.
+        """
+        body = {"command": command, "labels": labels}
+        return self.call("POST", f"/objects/{object_id}/commands", body)
 
     def undo(self, object_id: int) -> dict[str, Any]:
         """Take back the last decision."""

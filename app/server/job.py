@@ -75,6 +75,7 @@ class Job(Generic[T]):
         self._works_on = works_on
         self._place: tuple[int, int] = (0, number)  # in the queue
         self._begun = False
+        self._ran = self._waited = 0.0  # seconds since it began, its own and others'
         self._value: Any = None
         self._ended = threading.Event()
         self._callbacks: list[Callable[[Job[T]], object]] = []

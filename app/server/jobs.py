@@ -35,6 +35,9 @@ EDITS = 15
 """Least priority of the jobs that an edit of a joint waits for."""
 PREVIEWS = -5
 """Priority of previews of a click: everything else comes first."""
+PATIENCE = 0.25
+"""Seconds that a begun job lets urgent ones pass beyond the time it ran itself: long ones keep half
+of the processor, and no click starves behind those of other people."""
 
 __all__ = ["CANCEL_SECONDS", "CLICKS", "EDITS", "PREVIEWS", "Job", "JobFailed", "WorkerProcess"]
 
@@ -74,6 +77,7 @@ class WorkerProcess:
         self._queue: list[tuple[int, int, Job[Any]]] = []
         self._of_key: dict[Hashable, tuple[int, int, Job[Any]]] = {}
         self._running: list[Job[Any]] = []  # each one preempted the one before it
+        self._tallied = 0.0
         self._closing = False
         self._wake_reader, self._wake_writer = multiprocessing.Pipe(duplex=False)
         self._child: Child | None = None
@@ -233,15 +237,28 @@ class WorkerProcess:
         """Return the queued job that may run now."""
         if not self._running:
             return self._queue[0][2] if self._queue else None
+        self._tally()
         levels = [
             job._preempted_by for job in self._running
             if job._preempted_by is not None and job._begun and job._kill_at is None
+            and job._waited <= job._ran + PATIENCE
         ]  # fmt: skip
         if len(levels) < len(self._running):
             return None
         in_use = {job._works_on for job in self._running} - {None}
         urgent = [e for e in self._queue if -e[0] >= max(levels) and e[2]._works_on not in in_use]
         return min(urgent)[2] if urgent else None
+
+    def _tally(self) -> None:
+        """Add the time since the last call to what the begun jobs ran and waited."""
+        now = time.monotonic()
+        spent, self._tallied = now - self._tallied, now
+        active = self._active
+        for job in self._running:
+            if job._begun and job is active:
+                job._ran += spent
+            elif job._begun:
+                job._waited += spent
 
     def _send_next(self) -> None:
         while True:
@@ -286,6 +303,8 @@ class WorkerProcess:
         if kind == "ready":
             child.ready = True
             return
+        if kind != "progress":
+            self._tally()
         job = next((j for j in self._running if j._number == number), None)
         if number == 0:
             self._start_failed(child, unpack(chunks)[1])
@@ -349,6 +368,7 @@ class WorkerProcess:
             wanted = job._kill_at is None and not newer
             if wanted:
                 job.state, job._begun, job._deadline = "queued", False, math.inf
+                job._ran = job._waited = 0.0
                 self._enqueue(job)
         if not wanted:
             job.end("cancelled")

@@ -118,7 +118,7 @@ class Lanes:
                 free = [lane for lane in lanes if not users[lane] and not lane.busy]
                 if not free and len(lanes) < self._most[heavy] and not self._closing:
                     free = [self._begin(heavy=heavy)]
-                if free or mine not in lanes:
+                if free or user not in self._of or mine not in lanes:
                     mine = min(free or lanes, key=lambda lane: users[lane])
             self._of[user] = mine
             lanes.remove(mine)

@@ -365,6 +365,18 @@ def test_what_is_urgent_is_answered_between_the_steps_of_what_gives_way(worker):
     assert later.result(5) == "later"
 
 
+def test_what_gives_way_has_its_turn_however_many_clicks_come(worker):
+    slow = worker.submit(functions.steps, 20, 0.05, priority=10, preempted_by=9)
+    wait_until(lambda: slow.fraction > 0)
+    clicks = [
+        worker.submit(functions.steps, 4, 0.05, priority=10, preempted_by=9) for _ in range(40)
+    ]
+    assert slow.result(60) == 20
+    # At most as long as it ran itself, a second, and a bit: not for all eight seconds of them.
+    assert sum(click.done for click in clicks) <= 12
+    assert [click.result(60) for click in clicks] == [4] * 40
+
+
 def test_what_gives_no_way_is_left_alone(worker):
     long = worker.submit(functions.steps, 20, 0.05)
     wait_until(lambda: long.fraction > 0)

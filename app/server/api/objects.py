@@ -113,8 +113,11 @@ def decide(state: AppState, object_id: int, command: Command, person: Person) ->
     return document_json(after)
 
 
-def wait(ready: Callable[[], bool]) -> None:
+def wait(ready: Callable[[], bool], every: float = POLL_SECONDS) -> None:
     """Wait for a job.
+
+    Args:
+        every: seconds between two looks.
 
     Raises:
         HTTPException: 503, after :data:`OPEN_SECONDS`.
@@ -123,7 +126,7 @@ def wait(ready: Callable[[], bool]) -> None:
     while not ready():
         if time.monotonic() > end:
             raise HTTPException(503, "this takes long; ask again later")
-        time.sleep(POLL_SECONDS)
+        time.sleep(every)
 
 
 def document_json(state: SessionState) -> dict[str, Any]:

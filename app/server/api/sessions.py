@@ -9,7 +9,7 @@ from fastapi import APIRouter, HTTPException
 from pydantic import BaseModel, Field
 
 from app.server.api.guard import Annotator, Reader, State
-from app.server.api.objects import decide, joints_json, opened, record_of, wait
+from app.server.api.objects import decide, document_json, joints_json, opened, record_of, wait
 from app.server.app_state import AppState
 from sessions.commands import AddRegion, Redo, Undo, from_json, to_json
 from sessions.describe import describe
@@ -23,6 +23,8 @@ KINDS: frozenset[str] = frozenset(
     }
 )  # fmt: skip
 """Commands that a script may give; the others are results of jobs, or have a route of their own."""
+LOOK_SECONDS = 0.01
+"""Between two looks whether labels are there."""
 
 
 class CommandBody(BaseModel):
@@ -31,10 +33,12 @@ class CommandBody(BaseModel):
     Attributes:
         command: its fields, and its name under ``kind``.
         expected_seq: number of the last command that the script knows; None: whatever it is.
+        labels: whether to answer only once the labels that follow from it are there.
     """
 
     command: dict[str, Any]
     expected_seq: int | None = None
+    labels: bool = False
 
 
 @router.get("/objects/{object_id}/commands")
@@ -55,7 +59,12 @@ def give(object_id: int, body: CommandBody, person: Annotator, state: State) -> 
     if kind not in KINDS:
         raise HTTPException(422, f"command.kind: one of {', '.join(sorted(KINDS))}")
     _check_seq(state, object_id, body.expected_seq)
-    return decide(state, object_id, from_json(body.command), person)
+    after = decide(state, object_id, from_json(body.command), person)
+    if not body.labels or not after["prompts"]:
+        return after
+    live = state.session(object_id)
+    wait(lambda: live.document.segmentation_current, LOOK_SECONDS)
+    return document_json(live.state)
 
 
 class RegionBody(BaseModel):
