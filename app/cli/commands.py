@@ -78,6 +78,9 @@ class ServeCommand(Command):
     )
     token: str | None = option(f"token that visitors need; or set {TOKEN_VARIABLE}", "TOKEN")
     allow_origin: tuple[str, ...] = repeated("address under which a proxy shows the server", "URL")
+    trusted_proxy: tuple[str, ...] = repeated(
+        "address or network of a proxy whose X-Forwarded-For names the visitor", "ADDRESS"
+    )
     user: str | None = option("name written beside decisions (default: your login name)", "USER")
     reading: ReadingOptions = group(ReadingOptions)
     max_upload_mb: int = option("largest upload from a browser", "MB", 500)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ipaddress
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -63,6 +64,13 @@ def make_config(options: ServeCommand) -> ServeConfig:
             raise ConfigurationError(
                 f"--allow-origin {origin} is no address; give one like https://scans.example.org"
             )
+    for proxy in options.trusted_proxy:
+        try:
+            ipaddress.ip_network(proxy)
+        except ValueError as error:
+            raise ConfigurationError(
+                f"--trusted-proxy {proxy} is no address; give one like 10.0.0.2 or 172.16.0.0/12"
+            ) from error
     token = options.token or os.environ.get(TOKEN_VARIABLE) or None
     if token is None and not is_loopback(options.host):
         token = new_token()
@@ -104,6 +112,7 @@ def make_config(options: ServeCommand) -> ServeConfig:
         masks=options.masks,
         predictor=predictor,
         allowed_origins=options.allow_origin,
+        trusted_proxies=options.trusted_proxy,
         scene=scene,
         oidc=oidc_settings(options.oidc),
         assets=options.assets or (() if scene is None else (scene.parent,)),

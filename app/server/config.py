@@ -41,6 +41,7 @@ class ServeConfig:
         max_upload_mb: largest upload from a browser.
         segmenter, predictor: names of the segmenter and the predictor.
         allowed_origins: other addresses of the server behind a proxy.
+        trusted_proxies: addresses or networks of proxies, whose word on who asks counts.
         scene: a scene to open instead of single objects.
         assets: folders of its assets.
         masks: masks of another system, from which the one path starts.
@@ -62,6 +63,7 @@ class ServeConfig:
     segmenter: str = "default"
     predictor: str = DEFAULT_PREDICTOR
     allowed_origins: tuple[str, ...] = ()
+    trusted_proxies: tuple[str, ...] = ()
     scene: Path | None = None
     assets: tuple[Path, ...] = ()
     masks: Path | None = None

@@ -110,6 +110,7 @@ def guarded_server(
     *,
     label: str | None = None,
     allowed_origins: tuple[str, ...] = (),
+    trusted_proxies: tuple[str, ...] = (),
     entrance: Entrance | None = None,
     api: Callable[[Origins], Any] | None = None,
 ) -> viser.ViserServer:
@@ -124,6 +125,7 @@ def guarded_server(
         label: title of the panel and of the browser's tab.
         allowed_origins: other addresses of this server behind a proxy, such as
             ``https://scans.example.org``.
+        trusted_proxies: addresses or networks whose X-Forwarded-For the API believes.
         entrance: knows the visitors, by account where there are accounts; None: by the token.
         api: makes the ASGI application below :data:`~app.server.shared_port.API`; None: none.
 
@@ -143,7 +145,7 @@ def guarded_server(
     check_address(host, port)
     page = Page(label or "ArtiWorld", max_upload_bytes)
     origins = Origins(host, allowed_origins)
-    connections = None if api is None else ApiConnections(api(origins))
+    connections = None if api is None else ApiConnections(api(origins), trusted_proxies)
     guard = _Guard(Login(token), entrance, origins, page, dict(routes or {}), connections)
     with _wrapped_serve(guard), contextlib.redirect_stdout(io.StringIO()):
         server = viser.ViserServer(host=host, port=port, label=label, verbose=False)

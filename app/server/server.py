@@ -86,6 +86,7 @@ class Server:
             queue_routes(self.app_state.gallery),
             label="ArtiWorld",
             allowed_origins=config.allowed_origins,
+            trusted_proxies=config.trusted_proxies,
             entrance=self.entrance,
             api=lambda origins: make_application(self.app_state, self.entrance, origins),
         )

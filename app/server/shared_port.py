@@ -30,12 +30,14 @@ class ApiConnections:
 
     Args:
         application: an ASGI application.
+        proxies: addresses or networks whose X-Forwarded-For says who asks.
     """
 
-    def __init__(self, application: Any) -> None:
+    def __init__(self, application: Any, proxies: tuple[str, ...] = ()) -> None:
         self._config = Config(
             application, http="h11", ws="none", lifespan="off", log_config=None, access_log=False,
-            server_header=False, proxy_headers=False, h11_max_incomplete_event_size=65536,
+            server_header=False, proxy_headers=bool(proxies), forwarded_allow_ips=list(proxies),
+            h11_max_incomplete_event_size=65536,
         )  # fmt: skip
         self._config.load()
         self._state = ServerState()

@@ -252,6 +252,19 @@ def test_names_that_nobody_has_are_not_kept(server: Server) -> None:
     assert newest.subject == "unknown name" and newest.address == "127.0.0.1"
 
 
+@pytest.mark.parametrize(
+    ("trusted", "said"), [((), "127.0.0.1"), (("10.0.0.0/8",), "127.0.0.1"),
+                          (("127.0.0.0/8",), "203.0.113.7")],
+)  # fmt: skip
+def test_only_a_trusted_proxy_says_who_asks(tmp_path, trusted, said) -> None:
+    with team_server(tmp_path, trusted_proxies=trusted) as server:
+        body = {"name": "ann", "password": "a wrong password"}
+        # The visitor made the first address up, the proxy added the second.
+        Browser(server).api("POST", "/login", body, X_Forwarded_For="192.0.2.1, 203.0.113.7")
+        events = server.app_state.store.people.audit.events(kind="login_failed", count=1)
+        assert events[0].address == said
+
+
 def test_guessing_is_stopped_by_address_and_by_name(tmp_path, monkeypatch) -> None:
     store = Store(tmp_path)
     add_people(store)

@@ -49,6 +49,7 @@ class Pair:
                 "--port", str(self.port), "--workspace", str(folder / "workspace"),
                 "--database", database, "--storage", f"file://{folder}/storage",
                 "--allow-origin", "https://scans.example.org", "--predictor", "geometric",
+                "--trusted-proxy", "127.0.0.1",
             ]  # fmt: skip
             with (folder / f"{host}.log").open("wb") as log:
                 self.running[host] = subprocess.Popen(
