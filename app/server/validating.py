@@ -212,6 +212,13 @@ class Validation:
             raise UnseenWarningsError(f"{self._summary(report)} Press Y again to accept it anyway")
         return True
 
+    def required_problem(self) -> str:
+        """What the project's required checks have found so far, or ""."""
+        report, settings = self.report, self._obj.services.store.project.settings
+        if report is None:
+            return ""
+        return required_problem(self._obj.document, report, settings.required)
+
     def _summary(self, report: ValidationReport) -> str:
         """Return the number of joints as bad as the worst one, and what that one has."""
         document = self._obj.document

@@ -87,6 +87,8 @@ def test_strict_labels_and_required_checks_prevent_acceptance(server: Server, mi
     mia.call("PATCH", "/project", {"settings": {"required": ["limits"]}})
     with pytest.raises(ApiError, match="The project requires this check"):
         mia.accept(id, override="I like it", warnings_seen=True)
+    with pytest.raises(ApiError, match="The project requires this check"):
+        mia.submit(id)
     mia.call("PATCH", "/project", {"settings": {"required": []}})
     assert mia.accept(id, override="a test", warnings_seen=True)["review"]["state"] == "accepted"
 

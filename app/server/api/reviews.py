@@ -92,7 +92,13 @@ def checks(object_id: int, person: Reader, state: State) -> dict[str, Any]:
 
 @router.post("/objects/{object_id}/submit")
 def submit(object_id: int, body: CommentBody, person: Annotator, state: State) -> dict[str, Any]:
-    """Hand an object in for review."""
+    """Hand an object in for review, once the checks that the project requires found nothing."""
+    if state.store.project.settings.required:
+        obj = opened(state, object_id)
+        check = obj.validation
+        wait(lambda: obj.document.tree is None or bool(check.report or check.problem))
+        if refusal := check.required_problem():
+            raise CommandError(refusal)
     return decide(state, object_id, Submit(body.comment), person)
 
 

@@ -149,6 +149,8 @@ class ReviewStep:
         """Hand the object in for review."""
         tab = self._tab
         problems = review_problems(obj.document)
+        if required := obj.validation.required_problem():
+            problems = (*problems, required)
         if problems:
             raise CommandError("; ".join(problems))
         with self._deciding():
