@@ -90,6 +90,24 @@ def test_an_invited_person_comes_in_and_stays_the_same(server: Server) -> None:
     assert browser.api("GET", "/me")[0] == 401, "and who is in is out"
 
 
+def test_a_client_without_a_secret_comes_in(issuer, tmp_path, monkeypatch) -> None:
+    grants = pytest.importorskip("authlib.oauth2.rfc6749.grants")  # the provider's
+    grant = grants.AuthorizationCodeGrant
+    monkeypatch.setattr(grant, "TOKEN_ENDPOINT_AUTH_METHODS", ["none"])
+    back = "http://localhost/api/v1/oidc/callback"
+    public = {"redirect_uris": [back], "token_endpoint_auth_method": "none"}
+    answer = httpx.post(f"{issuer}/oauth2/clients", json=public)
+    client = answer.raise_for_status().json()["client_id"]
+    settings = OidcSettings(issuer, client, None, role_claim="groups")
+    origins = ("http://localhost",)
+    with team_server(tmp_path, oidc=settings, allowed_origins=origins) as server:
+        server.app_state.store.people.accounts.invite("nora", "annotator")
+        browser = Browser(server)
+        status, page = browser.ask("GET", authorized(there(browser), "1"))
+        assert status == 200, page
+        assert browser.api("GET", "/me")[1]["name"] == "nora"
+
+
 def test_strangers_and_owners_of_passwords_stay_out(server: Server) -> None:
     for subject, said in (("3", b"zoe isn&#x27;t invited"), ("2", b"ann isn&#x27;t invited"),
                           ("4", b"says no preferred_username")):  # fmt: skip
