@@ -30,7 +30,8 @@ from model.segmentation.session_state import SessionState, StateUpdates
 from model.segmentation.solver import PartSolver
 from model.segmentation.solvers import solver_of
 
-STATES_CACHED, _CLICKS_CACHED = 256, 10_000
+STATES_CACHED, _CLICKS_CACHED = 64, 10_000
+"""For undo and the next click; a state of 20,000 points takes 0.6 MB."""
 _SPARE = 10
 """Further alternatives, as some may turn out to be equal, or everything."""
 _ALL = 0.99
