@@ -215,6 +215,7 @@ class BenchCommand(Command):
     )  # fmt: skip
     people: int = option("team: people, each with a scan", "N", 20, parse=positive_count)
     seconds: int = option("team: how long they work", "N", 120, parse=positive_count)
+    database: str | None = option("team: URL of an empty database (default: SQLite)", "URL")
     offset: int | None = option("segment: object at which the subset begins", "N")
     parts: int | None = option("segment: most parts of an object", "N", parse=count)
     first: Literal["deepest", "random"] | None = option("segment: place of the first click")

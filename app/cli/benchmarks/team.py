@@ -44,22 +44,23 @@ MOST_PROMPTS = 6
 def bench(options: BenchCommand, progress: Progress) -> Result:
     """Measure with the options of the command."""
     with tempfile.TemporaryDirectory(prefix="artiworld-team-") as folder:
-        row = _measure(Path(folder), options.people, options.seconds, options.seed, progress)
+        row = _measure(Path(folder), options, progress)
     report = {"rows": [row], "failed": bool(row["errors"])}
     return report, lambda: print_records(f"{options.people} people", report["rows"])
 
 
-def _measure(
-    root: Path, people: int, seconds: int, seed: int, progress: Progress
-) -> dict[str, Any]:
+def _measure(root: Path, options: BenchCommand, progress: Progress) -> dict[str, Any]:
+    people, seed, database = options.people, options.seed, options.database
     rng = np.random.default_rng(seed)
     scans = [root / f"scan {k}.ply" for k in range(people)]
     for path in scans:
         write_cloud(cabinet_cloud(POINTS, rng), path)
-    tokens = _tokens(root / "workspace", people)
+    tokens = _tokens(root / "workspace", database, people)
     port = free_port("127.0.0.1")
     url = f"http://127.0.0.1:{port}"
     words = [sys.executable, "-m", "app.cli.main", "serve", *map(str, scans), "--port", f"{port}"]
+    if database is not None:
+        words += ["--database", database]
     with (root / "log").open("wb") as log, subprocess.Popen(
         [*words, "--workspace", str(root / "workspace")], stdout=log, stderr=log
     ) as server:  # fmt: skip
@@ -73,7 +74,7 @@ def _measure(
             first = _together([_Person(*job, seed, 0.0) for job in jobs])
             ready = _memory(server.pid)
             progress(0.2, "clicks")
-            found = _together([_Person(*job, seed, float(seconds)) for job in jobs])
+            found = _together([_Person(*job, seed, float(options.seconds)) for job in jobs])
             after = _memory(server.pid)
         finally:
             server.terminate()
@@ -144,8 +145,8 @@ def _together(people: list[_Person]) -> list[_Person]:
     return people
 
 
-def _tokens(workspace: Path, people: int) -> list[str]:
-    store = Store(workspace)
+def _tokens(workspace: Path, database: str | None, people: int) -> list[str]:
+    store = Store(workspace, database)
     try:
         out = []
         for k in range(people):
