@@ -6,6 +6,7 @@ import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -17,7 +18,9 @@ from scipy.spatial.transform import Rotation
 
 from model.core.articulated_object import ArticulatedObject
 from model.core.rotations import affine
+from model.core.tree import KinematicTree
 from model.io.assets.reload import Poses, object_from_links
+from model.io.export.sdf import Screws, screws_of
 from model.io.readback.poses import pose_problems
 
 FloatArray = npt.NDArray[np.float64]
@@ -53,6 +56,9 @@ def _problems(path: Path, obj: ArticulatedObject, settings: list[dict[str, float
     client = bullet.connect(bullet.DIRECT)
     try:
         if path.suffix == ".sdf":
+            screws = screws_of(obj)
+            obj = _hinged(obj, screws)
+            settings = [{**q, **dict.fromkeys(screws.pitches, 0.0)} for q in settings]
             bodies = _load_sdf(bullet, path, client)
         else:
             bodies = [bullet.loadURDF(str(path), useFixedBase=True, physicsClientId=client)]
@@ -71,8 +77,20 @@ def _problems(path: Path, obj: ArticulatedObject, settings: list[dict[str, float
         bullet.disconnect(client)
 
 
+def _hinged(obj: ArticulatedObject, screws: Screws) -> ArticulatedObject:
+    """The object with hinges for screws: the same where these aren't turned."""
+    tree, gone = obj.tree, set(screws.slides.values())
+    joints = (
+        replace(j, parent=tree.joint_of[j.parent].parent) if j.name in screws.pitches else j
+        for j in tree.joints if j.name not in screws.slides
+    )  # fmt: skip
+    links = tuple(link for link in tree.links if link not in gone)
+    return replace(obj, tree=KinematicTree(links, tuple(joints)))
+
+
 def _load_sdf(bullet: Any, path: Path, client: int) -> Any:
-    """PyBullet knows no joint to the world: it reads a copy without it."""
+    """PyBullet knows neither a joint to the world nor screws: it reads a copy without the one, and
+    with hinges for the others."""
     from defusedxml import ElementTree
 
     root = ElementTree.fromstring(path.read_bytes())
@@ -80,6 +98,8 @@ def _load_sdf(bullet: Any, path: Path, client: int) -> Any:
         for joint in model.findall("joint"):
             if joint.findtext("parent") == "world":
                 model.remove(joint)
+            elif joint.get("type") == "screw":
+                joint.set("type", "revolute")
     with TemporaryDirectory(prefix="artiworld-") as folder:
         for beside in path.parent.iterdir():
             if beside != path:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -33,7 +34,7 @@ def drake_problems(
                 continue
             joint = plant.GetJointByName(names[name], model)
             if name in screws.pitches:
-                joint.set_rotation(context, value)
+                joint.set_translation(context, screws.pitches[name] * value / (2 * math.pi))
             elif obj.tree.by_name[name].rotates:
                 joint.set_angle(context, value)
             else:
