@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import time
 from collections.abc import Callable
 from typing import Annotated, Any
@@ -24,7 +25,7 @@ MOST = 500
 """Objects in one answer."""
 OPEN_SECONDS = 60.0
 """Longest wait for an object to be read, or for labels that are being computed."""
-POLL_SECONDS = 0.05
+POLL_SECONDS, LOOK_SECONDS = 0.05, 0.01
 KEEP_SECONDS = 300.0
 """An object that a script worked on stays open so long after: it would be encoded anew else."""
 
@@ -113,20 +114,29 @@ def decide(state: AppState, object_id: int, command: Command, person: Person) ->
     return document_json(after)
 
 
-def wait(ready: Callable[[], bool], every: float = POLL_SECONDS) -> None:
+def wait(ready: Callable[[], bool]) -> None:
     """Wait for a job.
-
-    Args:
-        every: seconds between two looks.
 
     Raises:
         HTTPException: 503, after :data:`OPEN_SECONDS`.
     """
     end = time.monotonic() + OPEN_SECONDS
     while not ready():
-        if time.monotonic() > end:
-            raise HTTPException(503, "this takes long; ask again later")
-        time.sleep(every)
+        _check_time(end)
+        time.sleep(POLL_SECONDS)
+
+
+async def wait_without_thread(ready: Callable[[], bool]) -> None:
+    """The same for what takes little to ask, and often."""
+    end = time.monotonic() + OPEN_SECONDS
+    while not ready():
+        _check_time(end)
+        await asyncio.sleep(LOOK_SECONDS)
+
+
+def _check_time(end: float) -> None:
+    if time.monotonic() > end:
+        raise HTTPException(503, "this takes long; ask again later")
 
 
 def document_json(state: SessionState) -> dict[str, Any]:

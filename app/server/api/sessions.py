@@ -7,11 +7,21 @@ from typing import Any
 import numpy as np
 from fastapi import APIRouter, HTTPException
 from pydantic import BaseModel, Field
+from starlette.concurrency import run_in_threadpool
 
 from app.server.api.guard import Annotator, Reader, State
-from app.server.api.objects import decide, document_json, joints_json, opened, record_of, wait
+from app.server.api.objects import (
+    decide,
+    document_json,
+    joints_json,
+    opened,
+    record_of,
+    wait,
+    wait_without_thread,
+)
 from app.server.app_state import AppState
 from sessions.commands import AddRegion, Redo, Undo, from_json, to_json
+from sessions.credentials import Person
 from sessions.describe import describe
 
 router = APIRouter(tags=["sessions"])
@@ -23,8 +33,6 @@ KINDS: frozenset[str] = frozenset(
     }
 )  # fmt: skip
 """Commands that a script may give; the others are results of jobs, or have a route of their own."""
-LOOK_SECONDS = 0.01
-"""Between two looks whether labels are there."""
 
 
 class CommandBody(BaseModel):
@@ -53,18 +61,25 @@ def history(object_id: int, person: Reader, state: State, after: int = 0) -> lis
 
 
 @router.post("/objects/{object_id}/commands")
-def give(object_id: int, body: CommandBody, person: Annotator, state: State) -> dict[str, Any]:
+async def give(
+    object_id: int, body: CommandBody, person: Annotator, state: State
+) -> dict[str, Any]:
     """Give one command; the answer is the object after it."""
+    after = await run_in_threadpool(_give, object_id, body, person, state)
+    if body.labels and after["prompts"]:
+        live = state.session(object_id)
+        # No thread waits here: there are few, and everybody's requests need one.
+        await wait_without_thread(lambda: live.document.segmentation_current)
+        return document_json(live.state)
+    return after
+
+
+def _give(object_id: int, body: CommandBody, person: Person, state: AppState) -> dict[str, Any]:
     kind = body.command.get("kind")
     if kind not in KINDS:
         raise HTTPException(422, f"command.kind: one of {', '.join(sorted(KINDS))}")
     _check_seq(state, object_id, body.expected_seq)
-    after = decide(state, object_id, from_json(body.command), person)
-    if not body.labels or not after["prompts"]:
-        return after
-    live = state.session(object_id)
-    wait(lambda: live.document.segmentation_current, LOOK_SECONDS)
-    return document_json(live.state)
+    return decide(state, object_id, from_json(body.command), person)
 
 
 class RegionBody(BaseModel):
