@@ -43,6 +43,8 @@ FRICTION = "physxJoint:jointFriction"
 NAME_KEY = "artiworld:name"
 """Custom data of links and joints: their own names, which USD's identifiers may not hold."""
 
+_LINE = 0.002
+"""Width in metres of the line that shows an affordance."""
 AFFORDANCE = "artiworld:affordance"
 """Begins the attributes of an affordance: kind, joint, center, normal, closing, width."""
 GRASP_VECTOR = "grasp_identifier"
@@ -372,10 +374,10 @@ class _Writer:
         made.CreatePointsAttr(self.Vt.Vec3fArray.FromNumpy(points))
         made.CreateCurveVertexCountsAttr(self.Vt.IntArray([2]))
         made.CreateTypeAttr(self.UsdGeom.Tokens.linear)
-        made.CreateWidthsAttr(self.Vt.FloatArray([0.002]))
+        made.CreateWidthsAttr(self.Vt.FloatArray([_LINE]))
         made.SetWidthsInterpolation(self.UsdGeom.Tokens.constant)
-        extent = np.stack([points.min(axis=0), points.max(axis=0)])
-        made.CreateExtentAttr(self.Vt.Vec3fArray.FromNumpy(extent))
+        extent = self.UsdGeom.Curves.ComputeExtent(made.GetPointsAttr().Get(), [_LINE])
+        made.CreateExtentAttr(extent)
         made.CreatePurposeAttr(self.UsdGeom.Tokens.guide)
         types = self.Sdf.ValueTypeNames
         for key, kind, value in (

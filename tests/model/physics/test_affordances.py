@@ -93,6 +93,22 @@ def test_exports_say_the_same(furniture, exporter, tmp_path: Path):
     assert same(tuple(sorted(ours, key=order)), tuple(sorted(theirs, key=order)))
 
 
+def test_every_extent_in_usd_is_what_its_prim_takes(furniture, tmp_path: Path):
+    usd, geom = pytest.importorskip("pxr.Usd"), pytest.importorskip("pxr.UsdGeom")
+    obj, physics = furniture
+    path = UsdExporter().export(obj, tmp_path, physics=physics)[0]
+    stage, kinds = usd.Stage.Open(str(path)), set()
+    for prim in stage.Traverse():
+        said = geom.Boundable(prim).GetExtentAttr()
+        if said and said.HasAuthoredValue():
+            kinds.add(prim.GetTypeName())
+            right = geom.Boundable.ComputeExtentFromPlugins(
+                geom.Boundable(prim), usd.TimeCode.Default()
+            )
+            np.testing.assert_allclose(np.array(said.Get()), np.array(right), atol=1e-6)
+    assert {"Mesh", "BasisCurves"} <= kinds
+
+
 def test_usd_holds_grasp_vectors_that_cross_the_handle(furniture, tmp_path: Path):
     usd = pytest.importorskip("pxr.Usd")
     obj, physics = furniture
