@@ -12,6 +12,7 @@ import re
 import sys
 import tempfile
 from collections.abc import Callable
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,8 @@ from app.server.config import ServeConfig
 from app.server.prompt_file import read_prompts
 from model.core.resources import static_assets
 from sessions import commands as cmd
+from sessions.store import Store
+from tests.accepted import BEGIN, accept, cupboard
 from tests.browser.browsing import CHROMIUM_FLAGS, SceneTab, Tab, find_chromium, wait_until
 from tests.browser.film import Film
 from tests.raw_scans import raw_scan
@@ -55,10 +58,12 @@ class Taking:
         kind: type[Tab] = Tab,
         size: tuple[int, int] = SIZE,
         reflections: bool = True,
+        before: Callable[[Path], tuple[Path, ...]] = lambda _: (),
         **settings: Any,
     ) -> Tab:
-        """A server of its own, with nothing decided yet, and a page of it."""
+        """A server of its own, and a page of it; what is decided ``before`` in its workspace."""
         workspace = Path(tempfile.mkdtemp(dir=self._work))
+        paths = (*paths, *before(workspace))
         server = start_server(
             ServeConfig(paths=paths, workspace=workspace, port=0, user="annotator", **settings)
         )
@@ -354,9 +359,31 @@ def demo(taking: Taking) -> None:
     print(f"{path} {path.stat().st_size // 1024} kB", flush=True)
 
 
+def project(taking: Taking) -> None:
+    """The project page: objects of two weeks, accepted by two people, and some to do."""
+    if not taking.wanted("project"):
+        return
+
+    def work(workspace: Path) -> tuple[Path, ...]:
+        store, today = Store(workspace), (datetime.now(UTC) - BEGIN).days
+        folder = Path(tempfile.mkdtemp(dir=workspace.parent))
+        for number, days in enumerate((12, 12, 11, 8, 8, 7, 7, 6, 5, 2, 1, 1, 0, 0)):
+            path = folder / f"cabinet {number + 1}.ply"
+            accept(
+                store, path, cupboard("StorageFurniture"), ("ann", "ben")[number % 2], today - days
+            )
+        store.close()
+        return EXAMPLES, folder
+
+    tab = taking.open(size=SCENE_SIZE, reflections=False, before=work)
+    tab.page.get_by_role("button", name="Project", exact=True).click()
+    tab.page.locator(".aw-project ul").wait_for()
+    taking.take(tab, "project", (269, 157, 1171, 743))
+
+
 NAMES = ("demo", "all_parts", "joints", "review", "preview", "rectangle", "same_shape", "annotate",
-         "lasso", "scene", "prepare")  # fmt: skip
-PLAYS: tuple[Callable[[Taking], None], ...] = (demo, cabinet, oven, scene, prepare)
+         "lasso", "scene", "prepare", "project")  # fmt: skip
+PLAYS: tuple[Callable[[Taking], None], ...] = (demo, cabinet, oven, scene, prepare, project)
 
 
 def main() -> None:
