@@ -36,8 +36,9 @@ EDITS = 15
 PREVIEWS = -5
 """Priority of previews of a click: everything else comes first."""
 PATIENCE = 0.25
-"""Seconds that a begun job lets urgent ones pass beyond the time it ran itself: long ones keep half
-of the processor, and no click starves behind those of other people."""
+"""Seconds by which a job's preemptions may exceed the time it ran itself: long jobs keep half of
+the processor, and nobody's click starves behind other people's. A choice; without any bound the
+95th percentile of ``artiworld bench team`` is 275 instead of 206 ms."""
 
 __all__ = ["CANCEL_SECONDS", "CLICKS", "EDITS", "PREVIEWS", "Job", "JobFailed", "WorkerProcess"]
 

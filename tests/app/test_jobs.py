@@ -365,7 +365,7 @@ def test_what_is_urgent_is_answered_between_the_steps_of_what_gives_way(worker):
     assert later.result(5) == "later"
 
 
-def test_what_gives_way_has_its_turn_however_many_clicks_come(worker):
+def test_a_preempted_job_has_its_turn_however_many_clicks_come(worker):
     slow = worker.submit(functions.steps, 20, 0.05, priority=10, preempted_by=9)
     wait_until(lambda: slow.fraction > 0)
     clicks = [

@@ -26,6 +26,7 @@ MOST = 500
 OPEN_SECONDS = 60.0
 """Longest wait for an object to be read, or for labels that are being computed."""
 POLL_SECONDS, LOOK_SECONDS = 0.05, 0.01
+"""Pause between two looks of a waiting thread, and of the event loop."""
 KEEP_SECONDS = 300.0
 """An object that a script worked on stays open so long after: it would be encoded anew else."""
 
@@ -126,8 +127,9 @@ def wait(ready: Callable[[], bool]) -> None:
         time.sleep(POLL_SECONDS)
 
 
-async def wait_without_thread(ready: Callable[[], bool]) -> None:
-    """The same for what takes little to ask, and often."""
+async def wait_on_loop(ready: Callable[[], bool]) -> None:
+    """As :func:`wait`, without a thread: all requests share forty. The event loop calls ``ready``,
+    which must only look."""
     end = time.monotonic() + OPEN_SECONDS
     while not ready():
         _check_time(end)

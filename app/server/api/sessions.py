@@ -17,12 +17,13 @@ from app.server.api.objects import (
     opened,
     record_of,
     wait,
-    wait_without_thread,
+    wait_on_loop,
 )
 from app.server.app_state import AppState
 from sessions.commands import AddRegion, Redo, Undo, from_json, to_json
 from sessions.credentials import Person
 from sessions.describe import describe
+from sessions.live import LiveSession
 
 router = APIRouter(tags=["sessions"])
 KINDS: frozenset[str] = frozenset(
@@ -65,21 +66,22 @@ async def give(
     object_id: int, body: CommandBody, person: Annotator, state: State
 ) -> dict[str, Any]:
     """Give one command; the answer is the object after it."""
-    after = await run_in_threadpool(_give, object_id, body, person, state)
+    live, after = await run_in_threadpool(_give, object_id, body, person, state)
     if body.labels and after["prompts"]:
-        live = state.session(object_id)
-        # No thread waits here: there are few, and everybody's requests need one.
-        await wait_without_thread(lambda: live.document.segmentation_current)
-        return document_json(live.state)
+        await wait_on_loop(lambda: live.document.segmentation_current)
+        after = await run_in_threadpool(document_json, live.state)
     return after
 
 
-def _give(object_id: int, body: CommandBody, person: Person, state: AppState) -> dict[str, Any]:
+def _give(
+    object_id: int, body: CommandBody, person: Person, state: AppState
+) -> tuple[LiveSession, dict[str, Any]]:
     kind = body.command.get("kind")
     if kind not in KINDS:
         raise HTTPException(422, f"command.kind: one of {', '.join(sorted(KINDS))}")
     _check_seq(state, object_id, body.expected_seq)
-    return decide(state, object_id, from_json(body.command), person)
+    after = decide(state, object_id, from_json(body.command), person)
+    return state.session(object_id), after
 
 
 class RegionBody(BaseModel):

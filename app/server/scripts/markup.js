@@ -47,15 +47,15 @@
 
   const control = (event) => event.target instanceof Element && event.target.closest("[data-press]");
   const same = (a, b) => a && b && a.dataset.press === b.dataset.press && a.value === b.value;
-  let held = null;
-  window.addEventListener("pointerdown", (event) => { held = control(event); });
+  let down = null;
+  window.addEventListener("pointerdown", (event) => { down = control(event); });
   window.addEventListener("pointerup", (event) => {
-    // A control that was drawn anew while it was held gets no click from the browser.
+    // The browser sends no click to a control that was drawn anew since the pointer went down.
     const now = control(event);
-    if (held && !held.isConnected && same(held, now) && !now.disabled) {
+    if (down && !down.isConnected && same(down, now) && !now.disabled) {
       send(now.dataset.press, now.value ?? "");
     }
-    held = null;
+    down = null;
   });
   window.addEventListener("click", (event) => {
     const pressed = control(event);

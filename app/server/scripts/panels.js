@@ -20,8 +20,9 @@
     named(".mantine-Notification-closeButton", "Close");
   }, 500);
 
-  // viser sends what a field holds at most every 50 ms, and keeps one message for all fields:
-  // a second field that is changed meanwhile takes the first one's place. It goes out before.
+  // viser (1.1.1, makeThrottledMessageSender) sends a field's value at most every 50 ms and keeps
+  // one waiting message for all fields, so a second field that changes replaces the first one's
+  // value. Its script is changed as it is loaded: the first one's value is sent before that.
   const LATEST = /(\w+)\.sendMessage!==null&&\((\w+)=(\w+),(\w+)\?\(\1\.sendMessage\(\3\),(\w+)=!1/;
   const FIRST = "$1.sendMessage!==null&&($5&&$2&&$2.uuid!==$3.uuid&&$1.sendMessage($2)," +
     "$2=$3,$4?($1.sendMessage($3),$5=!1";
@@ -30,7 +31,8 @@
       node.textContent = node.textContent.replace(LATEST, FIRST);
       delete document.head.appendChild;
     }
-    return document.head.append(node) ?? node;
+    document.head.append(node);
+    return node;
   };
 
   // viser's worker says when its connection opens and closes.

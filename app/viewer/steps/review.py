@@ -148,11 +148,9 @@ class ReviewStep:
     def _submit(self, obj: OpenObject) -> None:
         """Hand the object in for review."""
         tab = self._tab
-        problems = review_problems(obj.document)
-        if required := obj.validation.required_problem():
-            problems = (*problems, required)
-        if problems:
-            raise CommandError("; ".join(problems))
+        problems = (*review_problems(obj.document), obj.validation.required_problem())
+        if any(problems):
+            raise CommandError("; ".join(filter(None, problems)))
         with self._deciding():
             tab.do(cmd.Submit(self.comment_text))
         self._clear()

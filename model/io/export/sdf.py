@@ -9,7 +9,7 @@ a link's by itself.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree as ET  # only writes; reading is defusedxml's
 
@@ -41,33 +41,32 @@ VERSION = "1.11"
 """The first version with mimic joints."""
 
 
-@dataclass(frozen=True)
-class Screws:
-    """The screws of a tree: one joint each in SDF, two with a link between them here.
+def sdf_tree(obj: ArticulatedObject) -> tuple[KinematicTree, dict[str, float]]:
+    """The tree as SDF holds it, in which a screw is one joint: without its slide and helper link.
 
-    Attributes:
-        pitches: name of the turn → metres along its axis for a right-handed turn.
-        slides: name of the slide above it → its link, which holds no part.
+    Returns:
+        The tree, and the pitch of each screw in metres by the joint's name. A screw whose slide
+        has an offset, or is followed by another joint, stays two joints.
     """
-
-    pitches: Mapping[str, float]
-    slides: Mapping[str, str]
-
-
-def screws_of(obj: ArticulatedObject) -> Screws:
-    """The screws that SDF's joint of that name holds: nothing else follows their slides."""
-    links = {p.link for p in obj.parts}
-    followed = [j.mimic.joint for j in obj.tree.joints if j.mimic is not None]
-    pitches, slides = {}, {}
-    for joint in obj.tree.joints:
-        motion = composite_of(obj.tree, joint.child, links.__contains__)
-        slide = obj.tree.joint_of.get(joint.parent)
-        if motion.kind != "screw" or slide is None or slide.mimic is None:
+    tree, links = obj.tree, {p.link for p in obj.parts}
+    followed = [j.mimic.joint for j in tree.joints if j.mimic is not None]
+    pitches: dict[str, float] = {}
+    parents: dict[str, str] = {}
+    helpers = set()
+    for joint in tree.joints:
+        motion = composite_of(tree, joint.child, links.__contains__)
+        if motion.kind != "screw":
             continue
-        if slide.name not in followed and not slide.mimic.offset:
-            # The turn is about its own axis, from which the slide's may point away.
-            pitches[joint.name], slides[slide.name] = motion.pitch, slide.child
-    return Screws(pitches, slides)
+        slide = tree.joint_of[joint.parent]
+        if slide.name in followed or (slide.mimic is not None and slide.mimic.offset):
+            continue
+        pitches[joint.name], parents[joint.name] = motion.pitch, slide.parent
+        helpers.add(slide.child)
+    joints = (
+        replace(j, parent=parents.get(j.name, j.parent))
+        for j in tree.joints if j.child not in helpers
+    )  # fmt: skip
+    return KinematicTree(tuple(x for x in tree.links if x not in helpers), tuple(joints)), pitches
 
 
 class SdfExporter:
@@ -91,10 +90,9 @@ class SdfExporter:
         visuals = {p.link: p.mesh for p in parts}
         sdf = ET.Element("sdf", version=VERSION)
         model = ET.SubElement(sdf, "model", name=xml_name(obj.name), canonical_link=obj.tree.root)
-        origins, screws = link_origins(obj.tree), screws_of(obj)
-        for link in obj.tree.order:
-            if link in screws.slides.values():
-                continue
+        tree, pitches = sdf_tree(obj)
+        origins = link_origins(tree)
+        for link in tree.order:
             element = ET.SubElement(model, "link", name=xml_name(link))
             _text(element, "pose", _pose(origins[link]))
             _inertial(element, physics.inertials.get(link, HELPER), origins[link])
@@ -104,14 +102,10 @@ class SdfExporter:
             for i, (shape, whole) in enumerate(held):
                 convex = not isinstance(whole, Solid)
                 _geometry(element, "collision", shape, i, origins[link], convex)
-        names, mimics = sdf_joint_names(obj.tree), direct_mimics(obj.tree)
-        for joint in obj.tree.joints:
-            if joint.name not in screws.slides:
-                element = _joint(model, joint, names, mimics.get(joint.name), physics)
-                if joint.name in screws.pitches:
-                    element.set("type", "screw")
-                    element.find("parent").text = obj.tree.joint_of[joint.parent].parent  # type: ignore[union-attr]
-                    _text(element, "screw_thread_pitch", number(screws.pitches[joint.name]))
+        names, mimics = sdf_joint_names(tree), direct_mimics(tree)
+        for joint in tree.joints:
+            mimic, pitch = mimics.get(joint.name), pitches.get(joint.name)
+            _joint(model, joint, names, mimic, pitch, physics)
         if physics.fixed_base:
             root = ET.SubElement(model, "joint", name=_free("fixed_to_world", names), type="fixed")
             _text(root, "parent", "world")
@@ -200,13 +194,17 @@ def _joint(
     joint: Joint,
     names: Mapping[str, str],
     mimic: Mimic | None,
+    pitch: float | None,
     physics: Physics,
-) -> ET.Element:
-    element = ET.SubElement(model, "joint", name=xml_name(names[joint.name]), type=joint.type)
+) -> None:
+    kind = joint.type if pitch is None else "screw"
+    element = ET.SubElement(model, "joint", name=xml_name(names[joint.name]), type=kind)
     _text(element, "parent", joint.parent)
     _text(element, "child", joint.child)
     if not joint.moves:
-        return element
+        return
+    if pitch is not None:
+        _text(element, "screw_thread_pitch", number(pitch))
     axis = ET.SubElement(element, "axis")
     _text(axis, "xyz", vector(joint.axis))
     limit = ET.SubElement(axis, "limit")
@@ -225,7 +223,6 @@ def _joint(
         _text(follows, "multiplier", number(mimic.multiplier))
         _text(follows, "offset", number(mimic.offset))
         _text(follows, "reference", "0")
-    return element
 
 
 def _write(path: Path, root: ET.Element) -> None:

@@ -18,9 +18,8 @@ from scipy.spatial.transform import Rotation
 
 from model.core.articulated_object import ArticulatedObject
 from model.core.rotations import affine
-from model.core.tree import KinematicTree
 from model.io.assets.reload import Poses, object_from_links
-from model.io.export.sdf import Screws, screws_of
+from model.io.export.sdf import sdf_tree
 from model.io.readback.poses import pose_problems
 
 FloatArray = npt.NDArray[np.float64]
@@ -56,9 +55,9 @@ def _problems(path: Path, obj: ArticulatedObject, settings: list[dict[str, float
     client = bullet.connect(bullet.DIRECT)
     try:
         if path.suffix == ".sdf":
-            screws = screws_of(obj)
-            obj = _hinged(obj, screws)
-            settings = [{**q, **dict.fromkeys(screws.pitches, 0.0)} for q in settings]
+            tree, pitches = sdf_tree(obj)
+            obj = replace(obj, tree=tree)
+            settings = [{**q, **dict.fromkeys(pitches, 0.0)} for q in settings]
             bodies = _load_sdf(bullet, path, client)
         else:
             bodies = [bullet.loadURDF(str(path), useFixedBase=True, physicsClientId=client)]
@@ -77,20 +76,9 @@ def _problems(path: Path, obj: ArticulatedObject, settings: list[dict[str, float
         bullet.disconnect(client)
 
 
-def _hinged(obj: ArticulatedObject, screws: Screws) -> ArticulatedObject:
-    """The object with hinges for screws: the same where these aren't turned."""
-    tree, gone = obj.tree, set(screws.slides.values())
-    joints = (
-        replace(j, parent=tree.joint_of[j.parent].parent) if j.name in screws.pitches else j
-        for j in tree.joints if j.name not in screws.slides
-    )  # fmt: skip
-    links = tuple(link for link in tree.links if link not in gone)
-    return replace(obj, tree=KinematicTree(links, tuple(joints)))
-
-
 def _load_sdf(bullet: Any, path: Path, client: int) -> Any:
-    """PyBullet knows neither a joint to the world nor screws: it reads a copy without the one, and
-    with hinges for the others."""
+    """PyBullet knows neither a joint to the world nor screws. It reads a copy without the one and
+    with hinges for the others, which are the same where they aren't turned."""
     from defusedxml import ElementTree
 
     root = ElementTree.fromstring(path.read_bytes())

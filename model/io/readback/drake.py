@@ -9,7 +9,7 @@ from typing import Any
 
 from model.core.articulated_object import ArticulatedObject
 from model.io.assets.reload import object_from_links
-from model.io.export.sdf import screws_of, sdf_joint_names
+from model.io.export.sdf import sdf_joint_names, sdf_tree
 from model.io.readback.poses import pose_problems
 
 
@@ -25,22 +25,20 @@ def drake_problems(
         plant.Finalize()
     except (RuntimeError, ValueError) as error:
         return [f"Drake can't load {path.name}: {' '.join(str(error).split())[:300]}"]
-    names, screws = sdf_joint_names(obj.tree), screws_of(obj)
+    tree, pitches = sdf_tree(obj)
+    names = sdf_joint_names(tree)
     context = plant.CreateDefaultContext()
     problems: list[str] = []
     for q in settings:
-        for name, value in obj.tree.joint_values(q).items():
-            if name in screws.slides:
-                continue
+        for name, value in tree.joint_values(q).items():
             joint = plant.GetJointByName(names[name], model)
-            if name in screws.pitches:
-                joint.set_translation(context, screws.pitches[name] * value / (2 * math.pi))
-            elif obj.tree.by_name[name].rotates:
+            if name in pitches:
+                joint.set_translation(context, pitches[name] * value / (2 * math.pi))
+            elif tree.by_name[name].rotates:
                 joint.set_angle(context, value)
             else:
                 joint.set_translation(context, value)
-        links = [link for link in obj.tree.links if link not in screws.slides.values()]
-        frames = {link: plant.GetBodyByName(link, model) for link in links}
+        frames = {link: plant.GetBodyByName(link, model) for link in tree.links}
         root = frames[obj.tree.root].EvalPoseInWorld(context).inverse()
         seen = {
             link: (root @ body.EvalPoseInWorld(context)).GetAsMatrix4()
