@@ -82,6 +82,8 @@ def _tab(server: Any, id: int) -> tuple[SimulatedBrowser, Any]:
     wait_for(lambda: shown.object.record.id == id and shown.object.asset is not None, "its own")
     timed_click(browser, app, np.random.default_rng(id))  # is answered once it is encoded
     app.tab.act(app.commands.undo)
+    # A click before that would seem lost, as prompts become fewer.
+    wait_for(lambda: not shown.object.document.prompts, "the undone click")
     wait_for(lambda: not shown.object.busy, "the segmenter")
     return browser, app
 
@@ -117,7 +119,6 @@ def _work(
         if len(obj.document.prompts) >= MOST_PROMPTS:
             for _ in obj.document.prompts:
                 app.tab.act(app.commands.undo)
-            # A click before that would seem lost, as prompts become fewer.
             wait_for(lambda: not obj.document.prompts, "the undone clicks")
         time.sleep(rng.uniform(*PAUSE))
 

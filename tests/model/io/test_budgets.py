@@ -106,9 +106,12 @@ def test_many_nodes_of_a_gltf_are_read_in_linear_time(tmp_path: Path) -> None:
     def seconds(count: int) -> float:
         children = [{"mesh": 0, "translation": [i, 0, 0]} for i in range(count)]
         path = gltf(tmp_path / "a.gltf", [{"children": [*range(1, count + 1)]}, *children])
-        began = time.perf_counter()
-        assert open_asset(path).element_count == count
-        return time.perf_counter() - began
+        took = []
+        for _ in range(3):
+            began = time.process_time()
+            assert open_asset(path).element_count == count
+            took.append(time.process_time() - began)
+        return min(took)
 
     seconds(100)
     few, many = seconds(1000), seconds(8000)
