@@ -28,7 +28,7 @@ def joint_evidence(
         same: (P, SLOTS, SLOTS) candidates with the same motion.
     """
     decision = answer.decisions[part]
-    out = {"parent": log_odds(parent_probability(answer, part))}
+    out = {"parent": log_odds(_parent_probability(answer, part))}
     for kind, chosen in (("type", decision.type), ("slot", decision.slot)):
         record = answer.record(part, kind)
         for expert in ("network", "rules"):
@@ -46,7 +46,7 @@ def joint_evidence(
     return out | part_evidence(context, mechanism)
 
 
-def parent_probability(answer: Answer, part: int) -> float:
+def _parent_probability(answer: Answer, part: int) -> float:
     """Probability of a part's parent, or of the root."""
     if part == answer.root:
         record = answer.record(-1, "root")

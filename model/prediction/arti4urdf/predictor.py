@@ -17,7 +17,7 @@ from model.prediction.arti4urdf import vocabulary as v
 from model.prediction.arti4urdf.answer import joints_of_decision, write_answer
 from model.prediction.arti4urdf.decoding import Answer, decode
 from model.prediction.arti4urdf.decoding import same_motion as same_motions
-from model.prediction.arti4urdf.evidence import joint_evidence, parent_probability
+from model.prediction.arti4urdf.evidence import joint_evidence
 from model.prediction.arti4urdf.geometric_prior import geometric_prior
 from model.prediction.arti4urdf.grammar import Lock
 from model.prediction.arti4urdf.motion_ranker import load_motion_ranker, other_motions
@@ -42,6 +42,7 @@ from model.prediction.explanation import (
     explain,
 )
 from model.prediction.geometric.mechanisms import SWEPT_LIMITS
+from model.prediction.geometric.tree import rooted_tree
 
 ALTERNATIVES = 2
 """Other motions of a joint that are offered."""
@@ -51,16 +52,13 @@ APART, LINE = 0.15, 0.06
 
 @dataclass(frozen=True)
 class HybridSettings:
-    """Influence of geometry.
+    """Influence of geometry, which also decides the tree.
 
     Attributes:
-        tree: geometry's tree is kept unless the network gives another parent at least this
-            probability; 0 never asks geometry, 1 always does.
         weight: of geometry's probabilities of joint types and candidates, in a product of experts.
         swept: log-odds in favour of a candidate's own limits, from rules and motion sweep.
     """
 
-    tree: float = 0.999
     weight: float = 5.0
     swept: float = 10.0
 
@@ -174,6 +172,9 @@ class Arti4UrdfPredictor:
     ) -> Answer:
         """The network's answer; with geometry's prior and tree if hybrid.
 
+        The network's own tree is the worse one on objects that neither has seen
+        (docs/research/predictor.md).
+
         Args:
             prompt, structure: of the object.
             locks: parents and joints to keep, by part.
@@ -183,21 +184,12 @@ class Arti4UrdfPredictor:
             return decode(self.model, prompt, locked=locks)
         prior = self.hybrid.weight * rules
         prior[:, v.ID["<as_offered>"]] = self.hybrid.swept
-        answer = decode(self.model, prompt, locked=locks, prior=prior)
-        if self._doubts_tree(answer, structure):
-            parents = structure.assembly.parent
-            by_geometry = {i: Lock(p) for i, p in enumerate(parents) if p >= 0}
-            answer = decode(self.model, prompt, locked=by_geometry | locks, prior=prior)
-        return answer
-
-    def _doubts_tree(self, answer: Answer, structure: Structure) -> bool:
-        """Whether the network is uncertain of a parent and geometry has another one."""
-        assert self.hybrid is not None
-        return any(
-            answer.decisions[i].parent != parent
-            and parent_probability(answer, i) < self.hybrid.tree
-            for i, parent in enumerate(structure.assembly.parent)
-        )
+        parents = structure.assembly.parent
+        if locks:
+            kept = {part: lock.parent for part, lock in locks.items()}
+            _, parents = rooted_tree(structure.sampled, kept, [])
+        by_geometry = {i: Lock(p) for i, p in enumerate(parents) if p >= 0}
+        return decode(self.model, prompt, locked=by_geometry | locks, prior=prior)
 
 
 def distinct_joints(

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from functools import partial
 
-import numpy as np
-
 from model.core.articulated_object import Prediction, SegmentedObject
 from model.core.joint import Joint
 from model.core.progress import Progress, no_progress
 from model.prediction.builder import PredictionBuilder, unknown_link
 from model.prediction.confidence import MAX_LOG_ODDS, Evidence, load_confidence, log_odds
 from model.prediction.explanation import MECHANISM_TITLES, explain
-from model.prediction.geometric.context import Assembly, PartContext, attempt
+from model.prediction.geometric.context import Assembly, PartContext
 from model.prediction.geometric.edge_limits import from_zero
 from model.prediction.geometric.evidence import part_evidence
 from model.prediction.geometric.mechanisms import face_front, propose
@@ -24,7 +22,7 @@ from model.prediction.geometric.proposal import (
 )
 from model.prediction.geometric.roles import MechanismGuess, guess_mechanisms
 from model.prediction.geometric.sampled_object import CONTACT_GAP, SampledObject, sample_object
-from model.prediction.geometric.tree import root_scores, spanning_parents
+from model.prediction.geometric.tree import rooted_tree
 
 BACKEND = "geometric 1"
 
@@ -113,36 +111,9 @@ def _tree(
 ) -> tuple[int, list[int]]:
     """Root and parents, with the parents of locked joints."""
     index = {s.link: i for i, s in enumerate(sampled.shapes)}
-    sizes = np.array([s.size for s in sampled.shapes])
-    scores = attempt(faults, "the rules on the base", lambda: root_scores(sampled), sizes)
-    children = {index[j.child] for j in locked if j.child in index}
-    free = [i for i in range(len(sampled)) if i not in children]
     problems += [unknown_link(j) for j in locked if j.child not in index]
-    candidates = free or list(range(len(sampled)))
-    root = max(candidates, key=lambda i: (scores[i], -i))
-    all_on_root = [-1 if i == root else root for i in range(len(sampled))]
-    parent = attempt(
-        faults, "the rules on parents", lambda: spanning_parents(sampled, root), all_on_root
-    )
-    for j in locked:
-        if j.child in index and j.parent in index:
-            parent[index[j.child]] = index[j.parent]
-    _break_cycles(parent, root, children)
-    return root, parent
-
-
-def _break_cycles(parent: list[int], root: int, locked: set[int]) -> None:
-    """Attach parts that locked joints cut off to the root."""
-    for i in range(len(parent)):
-        path: list[int] = []
-        at = i
-        while at != root and at >= 0 and at not in path:
-            path.append(at)
-            at = parent[at]
-        if at != root:
-            loose = next((k for k in path if k not in locked), None)
-            if loose is not None:
-                parent[loose] = root
+    kept = {index[j.child]: index.get(j.parent, -1) for j in locked if j.child in index}
+    return rooted_tree(sampled, kept, faults)
 
 
 def _problems(context: PartContext) -> list[str]:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 import numpy.typing as npt
 
 from model.core.motion_lexicon import CATEGORY_PARENTS
 from model.core.part_names import base_score, category_key, known_word, mechanism_of, words
+from model.prediction.geometric.context import attempt
 from model.prediction.geometric.sampled_object import CONTACT_GAP, SampledObject
 from model.prediction.geometric.shape import blades, same_extents
 
@@ -14,6 +17,45 @@ Array = npt.NDArray[np.float64]
 
 LEAF = 0.3
 """Largest thickness of a door leaf over its smaller side."""
+
+
+def rooted_tree(
+    sampled: SampledObject, locked: Mapping[int, int], faults: list[str]
+) -> tuple[int, list[int]]:
+    """The root, and the parent of each part, -1 for the root.
+
+    Args:
+        locked: part → the parent that it keeps, -1 for one that is no part.
+        faults: gets remarks on rules that failed.
+    """
+    count = len(sampled)
+    sizes = np.array([s.size for s in sampled.shapes])
+    scores = attempt(faults, "the rules on the base", lambda: root_scores(sampled), sizes)
+    free = [i for i in range(count) if i not in locked] or list(range(count))
+    root = max(free, key=lambda i: (scores[i], -i))
+    all_on_root = [-1 if i == root else root for i in range(count)]
+    parent = attempt(
+        faults, "the rules on parents", lambda: spanning_parents(sampled, root), all_on_root
+    )
+    for part, above in locked.items():
+        if above >= 0:
+            parent[part] = above
+    _break_cycles(parent, root, locked)
+    return root, parent
+
+
+def _break_cycles(parent: list[int], root: int, locked: Mapping[int, int]) -> None:
+    """Attach parts that locked joints cut off to the root."""
+    for i in range(len(parent)):
+        path: list[int] = []
+        at = i
+        while at != root and at >= 0 and at not in path:
+            path.append(at)
+            at = parent[at]
+        if at != root:
+            loose = next((k for k in path if k not in locked), None)
+            if loose is not None:
+                parent[loose] = root
 
 
 def root_scores(sampled: SampledObject) -> Array:

@@ -16,7 +16,7 @@ from model.core.articulated_object import ArticulatedObject, Part, SegmentedObje
 from model.core.mesh import Mesh
 from model.core.point_cloud import PointCloud
 from model.core.progress import Cancelled
-from model.prediction.geometric import context, mechanisms, motion_scores, predictor, roles
+from model.prediction.geometric import context, mechanisms, motion_scores, predictor, roles, tree
 from model.prediction.geometric.predictor import GeometricPredictor
 from model.prediction.geometric.sampled_object import sample_object
 from tests.model.prediction.geometric.archetypes import cabinet
@@ -105,7 +105,7 @@ def test_a_front_level_with_a_door_spans_none() -> None:
 RULES = [
     (motion_scores, "spans_doors"), (roles, "motion_scores"), (roles, "measure_features"),
     (roles, "named_mechanism"), (mechanisms, "front_of"), (predictor, "part_evidence"),
-    (predictor, "root_scores"), (predictor, "spanning_parents"), (predictor, "propose"),
+    (tree, "root_scores"), (tree, "spanning_parents"), (predictor, "propose"),
     (predictor, "joints_of"), (context.PartContext, "covers_of"), (context.PartContext, "shut"),
 ]  # fmt: skip
 
