@@ -24,7 +24,7 @@ from model.prediction.geometric.context import Assembly, PartContext
 from model.prediction.geometric.mechanisms import SWEPT_LIMITS, face_front, proposals_for
 from model.prediction.geometric.motion_scores import motion_scores
 from model.prediction.geometric.part_features import PartFeatures, measure_features
-from model.prediction.geometric.proposal import JointProposal
+from model.prediction.geometric.proposal import JointProposal, distinct_motions
 from model.prediction.geometric.roles import guess_mechanisms
 from model.prediction.geometric.sampled_object import SAMPLE_BUDGET, SampledObject, sample_object
 from model.prediction.geometric.shape import rotation
@@ -210,7 +210,7 @@ def _slots(context: PartContext) -> list[JointProposal | None]:
     center = context.shape.center
     for mechanism in MECHANISMS:
         near = [h for h in proposals_for(context, mechanism) if _sound(h, center)]
-        found = sorted(near, key=lambda h: -h.score)[:RANKS]
+        found = distinct_motions(sorted(near, key=lambda h: -h.score), signed=True)[:RANKS]
         out += [*found, *[None] * (RANKS - len(found))]
     return out
 

@@ -71,13 +71,19 @@ def best_share(proposals: list[JointProposal]) -> float:
     return float(weights.max() / weights.sum())
 
 
-def distinct_motions(proposals: list[JointProposal]) -> list[JointProposal]:
-    """Proposals, best first, without those that repeat the motion of a better one."""
+def distinct_motions(
+    proposals: list[JointProposal], *, signed: bool = False
+) -> list[JointProposal]:
+    """Proposals, best first, without those that repeat the motion of a better one.
+
+    Args:
+        signed: the opposite direction is another motion.
+    """
     kept: list[JointProposal] = []
     for p in proposals:
         if not any(
             k.type == p.type
-            and abs(float(k.axis @ p.axis)) > 0.99
+            and (float(k.axis @ p.axis) if signed else abs(float(k.axis @ p.axis))) > 0.99
             and (
                 p.type == "prismatic"
                 or np.linalg.norm(np.cross(k.axis, p.origin - k.origin)) < 0.02
