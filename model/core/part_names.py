@@ -85,13 +85,14 @@ def mechanism_of(name: str | None, category: str | None) -> tuple[Mechanism | No
         return None, ""
     # The last word is the noun: a "drawer handle" is a handle.
     mechanism, said = next(_mechanisms(found, category), (None, ""))
+    pushed = next((w for w in found[:-1] if w in PRESS_PREFIX), None)
     if mechanism is None:
-        return None, ""
+        return ("press", pushed) if pushed else (None, "")
     if any(w in TURN_PREFIX for w in found):
         mechanism = TURNING.get(mechanism, mechanism)
     if any(w in SLIDE_PREFIX for w in found):
         mechanism = SLIDING.get(mechanism, mechanism)
-    if any(w in PRESS_PREFIX for w in found[:-1]):
+    if pushed:
         mechanism = "press"
     if "toggle" in found or "rocker" in found:
         mechanism = "toggle"

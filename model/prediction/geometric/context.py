@@ -11,7 +11,7 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from model.core.part_names import category_key, words
+from model.core.part_names import category_key, mechanism_of, words
 from model.core.progress import Cancelled
 from model.prediction.geometric.proposal import UP, unit
 from model.prediction.geometric.sampled_object import CONTACT_GAP, SampledObject
@@ -26,6 +26,8 @@ SQUARE = np.deg2rad(8)
 """Largest angle (rad) between a shut panel and the object's directions."""
 IN_FRONT = 0.1
 """Largest gap (diagonals) between a shut panel and its parent."""
+BAR = 0.2
+"""Least size of a push bar over that of its door; buttons are smaller."""
 
 
 def attempt(faults: list[str], name: str, rule: Callable[[], T], default: T) -> T:
@@ -174,7 +176,20 @@ class PartContext:
                 out = self.shape.panel.beyond(side * np.sign(along))
                 if out is not None and out.share < 0.15:
                     score += 0.2 * side
+        score -= sum(float(np.sign(axis @ away)) for away in self.push_bars)
         return axis if score >= 0 else -axis
+
+    @cached_property
+    def push_bars(self) -> list[Array]:
+        """(3,) from the part's centre to each bar on it that is pushed: it opens away from them."""
+        sampled, shape = self.sampled, self.shape
+        return [
+            sampled.shapes[j].center - shape.center
+            for j, above in enumerate(self.assembly.parent)
+            if above == self.part
+            and sampled.shapes[j].size > BAR * shape.size
+            and mechanism_of(sampled.shapes[j].name, sampled.category)[0] == "press"
+        ]
 
     @cached_property
     def panel_normal(self) -> Array:

@@ -14,11 +14,14 @@ from model.prediction.geometric.proposal import UP, JointProposal, unit
 from model.prediction.geometric.serial_chains import chain_plane
 from model.prediction.geometric.shape import PartShape, roundness, same_extents
 from model.prediction.geometric.sweep import TOLERANCE, free_turn
+from model.prediction.geometric.tree import LEAF
 
 Array = npt.NDArray[np.float64]
 
 MIN_RANGE = 0.2
 """Collision-free range (rad) below which the pin is misplaced, so that its range is meaningless."""
+SPINDLE = 1.0
+"""Score of a lever's axis across the leaf that holds it; chosen by us, not tuned."""
 
 
 def pivot_proposals(context: PartContext) -> list[JointProposal]:
@@ -198,6 +201,9 @@ def lever_proposals(context: PartContext) -> list[JointProposal]:
     arm = shape.points.mean(0) - context.contact_center
     found = []
     along = shape.box.axes[:, long]
+    # The spindle of a door's lever goes through the leaf.
+    base = context.parent_shape
+    normal, plate = base.box.axes[:, base.panel.normal], SPINDLE * (base.thinness < LEAF)
     choices = list(zip(context.directions, covers, np.roll(covers, 3), strict=True))
     if shape.thinness > 0.7:
         # The box of a rod is arbitrary about its length: add the object's directions.
@@ -205,9 +211,10 @@ def lever_proposals(context: PartContext) -> list[JointProposal]:
         there = [context.sampled.cover(context.part, d, (context.parent,)) for d in e]
         choices += list(zip(e, there, np.roll(there, 3), strict=True))
     for direction, ahead, behind in choices:
-        if abs(direction @ along) > 0.5 and shape.slenderness < 0.6:
+        through = plate * abs(float(direction @ normal))
+        if abs(direction @ along) > 0.5 and shape.slenderness < 0.6 and through < 0.9:
             continue
-        score = 1.2 * behind - 0.8 * ahead + 0.1 * float(np.abs(direction).max() > 0.999)
+        score = through + 1.2 * behind - 0.8 * ahead + 0.1 * float(np.abs(direction).max() > 0.999)
         score += 0.9 * float(direction @ unit(shape.center - context.parent_shape.center))
         score += 0.8 * float(direction @ unit(arm))
         origin = context.contact_center

@@ -723,6 +723,44 @@ def flip_phone() -> Thing:
     )
 
 
+def door_frame() -> trimesh.Trimesh:
+    posts = [box((0, y, 1.05), (0.1, 0.08, 2.1)) for y in (-0.5, 0.5)]
+    return join(*posts, box((0, 0, 2.08), (0.1, 1.0, 0.08)))
+
+
+def entrance(side: float = -1.0) -> Thing:
+    """A leaf with a bar that is pushed, on the side ``side`` of x."""
+    return Thing(
+        "Door",
+        {
+            "base": ("door frame", door_frame()),
+            "leaf": ("door", box((0, 0, 1.02), (0.06, 0.9, 2.0))),
+            "bar": ("push bar paddle", box((side * 0.06, 0, 1.0), (0.03, 0.6, 0.06))),
+        },
+        {"leaf": Truth("revolute", Z), "bar": Truth("prismatic", X, parent="leaf")},
+    )
+
+
+def room_door() -> Thing:
+    """A leaf with a lever on both sides, on one spindle."""
+    lever = join(
+        rod((0, -0.39, 1.05), X, 0.012, 0.2),
+        *(box((x, -0.34, 1.05), (0.02, 0.11, 0.025)) for x in (-0.1, 0.1)),
+    )
+    return Thing(
+        "Door",
+        {
+            "base": ("door frame", door_frame()),
+            "leaf": ("door", box((0, 0, 1.02), (0.06, 0.9, 2.0))),
+            "lever": ("handle", lever),
+        },
+        {
+            "leaf": Truth("revolute", Z, (0, 0.45, 0)),
+            "lever": Truth("revolute", X, (0, -0.39, 1.05), parent="leaf"),
+        },
+    )
+
+
 THINGS: dict[str, Callable[[], Thing]] = {
     f.__name__: f
     for f in (
@@ -757,5 +795,7 @@ THINGS: dict[str, Callable[[], Thing]] = {
         pump_bottle,
         rocker_switch,
         flip_phone,
+        entrance,
+        room_door,
     )
 }

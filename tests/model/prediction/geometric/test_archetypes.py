@@ -11,7 +11,7 @@ from model.core.articulated_object import Part, Prediction, SegmentedObject
 from model.core.joint import Joint
 from model.evaluation.joint_metrics import axis_angle, point_to_line
 from model.prediction.geometric.predictor import GeometricPredictor
-from tests.model.prediction.geometric.archetypes import THINGS, Thing
+from tests.model.prediction.geometric.archetypes import THINGS, Thing, entrance
 
 PREDICTOR = GeometricPredictor()
 
@@ -65,6 +65,8 @@ NOT_YET_WITHOUT_NAMES = {
     "mouse": "large thin buttons look like lids",
     "pump_bottle": "a pump's head looks like a spout",
     "closed_knife": "a blade within its handle might as well slide out",
+    "entrance": "a push bar looks like a handle that turns",
+    "room_door": "a lever that goes through the leaf looks as if it were pulled",
 }
 
 
@@ -89,6 +91,7 @@ OPENS = {
     ("washer", "door"): (-1, 0, 0),
     ("suitcase", "handle"): (0, 0, 1),
     ("kettle", "lid"): (0, 0, 1),
+    ("entrance", "leaf"): (1, 0, 0),
 }
 
 
@@ -108,6 +111,15 @@ def test_positive_q_opens(name: str, key: str) -> None:
     middle = np.append(part.bounds.mean(0), 1.0)
     step = (motion(joint, 0.3 * joint.upper) @ middle - middle)[:3]
     assert step @ np.asarray(OPENS[name, key]) > 0.5 * np.linalg.norm(step)
+
+
+def test_a_door_opens_away_from_its_push_bar() -> None:
+    for side in (-1.0, 1.0):
+        tree = PREDICTOR.predict(entrance(side).segmented()).tree
+        assert tree is not None
+        joint: Joint = tree.joint_of["link_leaf"]
+        step = np.cross(joint.axis, -np.asarray(joint.origin)) * ((joint.upper or 0.0) > 0.5)
+        assert side * step[0] < 0
 
 
 @pytest.mark.parametrize("name", ["cabinet", "oven", "laptop"])
