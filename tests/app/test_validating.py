@@ -120,8 +120,8 @@ def test_a_broken_object_is_mended_or_accepted_with_a_reason(cupboard: OpenObjec
     wait_until(lambda: any(not p.name.startswith(".") for p in drafts.glob("*")), "a draft")
     accept(obj, "", "tester", NOW)
     wait_until(lambda: obj.document.review.state == "accepted", "accepted again")
-    assert list(drafts.iterdir()) == []
     wait_until(lambda: "save" not in obj.busy, "saved again")
+    wait_until(lambda: not any(drafts.iterdir()), "no draft is left")
     gate = json.loads((Path(obj.document.saved.folder) / "provenance.json").read_text())["gate"]
     assert (gate["verdict"], gate["override"]) == ("fine", "")
     assert obj.document.review.problems == ()
