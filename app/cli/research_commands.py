@@ -172,24 +172,24 @@ class BenchCommand(Command):
     """Measure speed and accuracy."""
 
     what: Literal[
-        "ui", "scene", "segment", "scans", "predict", "weights", "networks", "rivals",
+        "ui", "scene", "segment", "scans", "joints", "predict", "weights", "networks", "rivals",
         "faults", "assets", "robot", "team",
     ] = argument(
         "the screen of one object, of a scene; the segmenter; reconstructed scans from file to "
-        "joints; the predictor; what its weights read; the paper-size networks with random "
-        "weights; other methods' URDFs beside ours; damaged files of every format; exports in "
-        "engines and validators; a gripper that opens exports; people who work at once through the "
-        "REST API", None,
+        "joints; joints on every source; the predictor's time; what its weights read; the "
+        "paper-size networks with random weights; other methods' URDFs beside ours; damaged files "
+        "of every format; exports in engines and validators; a gripper that opens exports; people "
+        "who work at once through the REST API", None,
     )  # fmt: skip
     data: Path | None = option(
-        "segment, scans, rivals: folder of real data, by default procedural; assets: of "
+        "segment, scans, joints, rivals: folder of real data, by default procedural; assets: of "
         "PartNet-Mobility; robot: of PartNet-Mobility or URDFs, beside the bundled objects",
         "DIR",
     )
     root: Path | None = option(
         "rivals: folder with a folder of URDFs a method; the page is written there", "DIR"
     )
-    jobs: int = option("rivals, assets, robot: processes", "N", 2, parse=positive_count)
+    jobs: int = option("joints, rivals, assets, robot: processes", "N", 2, parse=positive_count)
     sets: tuple[str, ...] | None = option(
         "segment: data sets, e.g. partnet-mesh, or urdf-scan for your own URDFs", "NAME", nargs="+"
     )
@@ -203,8 +203,8 @@ class BenchCommand(Command):
     clicks: int = option("ui: clicks on each object", "N", 40, parse=count)
     objects: int = option("scene: number of objects", "N", 200, parse=count)
     limit: int | None = option(
-        "segment, scans, weights, rivals, assets, robot: objects of each set; 0 for all; faults: "
-        "files in all; robot with --scene: joints (3)",
+        "segment, scans, joints, weights, rivals, assets, robot: objects of each set; 0 for all; "
+        "faults: files in all; robot with --scene: joints (3)",
         "LIMIT",
     )
     seed: int = option("faults: seed of the first file; each has the next one", "SEED", 0)
@@ -220,11 +220,11 @@ class BenchCommand(Command):
     parts: int | None = option("segment: most parts of an object", "N", parse=count)
     first: Literal["deepest", "random"] | None = option("segment: place of the first click")
     half: Literal["choose", "table", "all"] | None = option(
-        "scans, assets, robot: half of the objects, to choose with or for the table (default: "
-        "table)"
+        "scans, joints, assets, robot: half of the objects, to choose with or for the table "
+        "(default: table)"
     )
     engine: str = option(f"assets: {ENGINE_HELP}", "NAME,NAME", "mujoco,sapien")
-    before: Path | None = option("assets: --json of an earlier run, shown beside", "FILE")
+    before: Path | None = option("assets, joints: --json of an earlier run, shown beside", "FILE")
     scene: Path | None = option(
         "robot: open joints of this scene in MJCF instead, as scene convert writes it", "FILE"
     )

@@ -7,11 +7,14 @@ import json
 import numpy as np
 import pytest
 
+from app.cli.benchmarks import joints as bench_joints
 from app.cli.benchmarks import predict as bench_predict
 from app.cli.benchmarks.shapes import chest
 from app.cli.main import main
+from model import write_asset
 from model.prediction.registry import load_predictor
 from tests.app.run_cli import artiworld, assert_users_mistake
+from tests.model.validation.cabinets import cabinet
 
 
 @pytest.mark.parametrize("drawers", [1, 3, 7])
@@ -41,6 +44,25 @@ def test_bench_predict_prints_a_row_for_each_size(monkeypatch, capfd):
     assert "yardstick" in capfd.readouterr().out
 
 
+def test_bench_joints_takes_each_source_with_names_and_without(monkeypatch, tmp_path, capfd):
+    monkeypatch.setattr(bench_joints, "FAMILIES", 1)
+    folder = tmp_path / "infinigen" / "box"
+    folder.mkdir(parents=True)
+    write_asset(cabinet(), folder, provenance={})
+    words = ["bench", "joints", "--data", str(tmp_path), "--half", "all", "--limit", "1", "--json"]
+    assert main(words) == 0
+    report = json.loads(capfd.readouterr().out)
+    rows = {row["objects"]: row for row in report["table"]}
+    held = "procedural, held-out families"
+    assert list(rows) == [f"{s}, {n}" for s in ("Infinigen", held) for n in ("names", "no names")]
+    assert rows["Infinigen, names"]["number"] == 1 and rows["Infinigen, names"]["TC %"] == 100
+    assert rows[f"{held}, names"]["number"] == 1
+    earlier = tmp_path / "earlier.json"
+    earlier.write_text(json.dumps(report))
+    assert main([*words[:-1], "--before", str(earlier)]) == 0
+    assert "100 (100)" in capfd.readouterr().out
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
@@ -50,6 +72,7 @@ def test_bench_predict_prints_a_row_for_each_size(monkeypatch, capfd):
         (["bench", "segment", "--data", "/no/such/folder"], "--data"),
         (["bench", "robot", "--scene", "/no/such/scene.xml"], "/no/such/scene.xml"),
         (["bench", "robot", "--scene", "scene.xml", "--video", "films"], "--video"),
+        (["bench", "joints", "--data", "/no/such/folder"], "holds none of partnet_mobility"),
         (["evaluate", "--root", "/no/such/folder"], "/no/such/folder"),
     ],
 )
