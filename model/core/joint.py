@@ -206,23 +206,32 @@ def same_motion(a: Joint, b: Joint, angle: float, line: float) -> bool:
 
 
 def motion(joint: Joint, q: float) -> npt.NDArray[np.float64]:
+    """(4, 4) transform at one joint value, see :func:`motions`."""
+    return motions(joint, np.array([q]))[0]
+
+
+def motions(joint: Joint, q: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     """The one place that turns (joint, q) into a motion.
 
+    Args:
+        q: (K,) radians or metres.
+
     Returns:
-        (4, 4) transform of the child's points from the rest pose to the pose at ``q``, in the
-        object's rest frame (the parent not moved). Identity at q = 0; ``motion(j, a) @
+        (K, 4, 4) transforms of the child's points from the rest pose to the pose at each ``q``, in
+        the object's rest frame (the parent not moved). Identity at q = 0; ``motion(j, a) @
         motion(j, b) == motion(j, a + b)``.
     """
-    out = np.eye(4)
+    out = np.tile(np.eye(4), (len(q), 1, 1))
     if not joint.moves:
         return out
     axis = np.asarray(joint.axis, dtype=np.float64)
     if joint.type == "prismatic":
-        out[:3, 3] = axis * q
+        out[:, :3, 3] = q[:, None] * axis
         return out
     x, y, z = axis
     skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    out[:3, :3] = np.eye(3) + math.sin(q) * skew + (1.0 - math.cos(q)) * (skew @ skew)
+    sine, rest = np.sin(q)[:, None, None], (1.0 - np.cos(q))[:, None, None]
+    out[:, :3, :3] = np.eye(3) + sine * skew + rest * (skew @ skew)
     origin = np.asarray(joint.origin, dtype=np.float64)
-    out[:3, 3] = origin - out[:3, :3] @ origin
+    out[:, :3, 3] = origin - out[:, :3, :3] @ origin
     return out

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from model.core.joint import Joint, motion
+from model.core.joint import Joint, motions
 from model.core.tree import KinematicTree
 from model.kinematics.penetration import Penetrations, RelativePath, inverse, moved, penetrations
 from model.kinematics.surface import Surface
@@ -90,7 +90,7 @@ def joint_poses(
 ) -> dict[str, FloatArray]:
     """Return the poses of the links that ``joint`` moves, the other joints at rest."""
     if not has_mimics(tree, joint):
-        here = np.stack([motion(joint, float(v)) for v in q])
+        here = motions(joint, np.asarray(q, np.float64))
         return dict.fromkeys(tree.descendants(joint.child), here)
     # Mimics move too; a mimic that is moved itself leaves its leader at rest.
     if joint.mimic is not None:

@@ -135,12 +135,14 @@ class Structure:
         assembly: with the tree from geometry alone.
         slots: per part the proposals by slot; None for those that a mechanism lacks.
         contexts: of the parts; the root is a child of the likeliest other base.
+        root_scores: (P,) of each part as the base.
     """
 
     sampled: SampledObject
     assembly: Assembly
     slots: list[list[JointProposal | None]]
     contexts: list[PartContext]
+    root_scores: Array
     _candidates: dict[tuple[int, int], JointProposal] = field(default_factory=dict)
 
     @cached_property
@@ -187,7 +189,7 @@ def read_structure(
     for i, context in enumerate(contexts):
         progress(i / len(contexts), f"proposals for {sampled.shapes[i].link}")
         slots.append(_slots(context) if len(sampled) > 1 else [None] * SLOTS)
-    return Structure(sampled, assembly, slots, contexts)
+    return Structure(sampled, assembly, slots, contexts, scores)
 
 
 def _as_child(assembly: Assembly, scores: Array, part: int) -> Assembly:
@@ -227,9 +229,8 @@ def structure_arrays(structure: Structure, rng: np.random.Generator) -> Structur
     """The structure prompt as numbers; ``rng`` draws the points."""
     sampled = structure.sampled
     n = len(sampled)
-    features = structure.features
+    features, scores = structure.features, structure.root_scores
     known = {i: k for i, k in enumerate(features) if k is not None}
-    scores = root_scores(sampled)
     rows = [
         _scalars(structure.contexts[i], features[i], known, float(scores[i] - scores.max()))
         for i in range(n)
