@@ -280,6 +280,7 @@ def _scalars(
     ]
     out += _feature_scalars(context, k)
     scored = motion_scores(context, k, others) if k is not None else {}
+    scored.pop("drop", None)  # the shipped network was trained without it
     out += [scored.get(m, -2.0) for m in MECHANISMS]
     named, _ = mechanism_of(shape.name, sampled.category)
     out += [float(named == m) for m in (*MECHANISMS, "fixed")] + [float(named is None)]

@@ -95,15 +95,18 @@ def motion_scores(
 def _round_parts(c: _Cues) -> Scores:
     """Knobs, wheels, balls, propellers, clock hands; all other small parts are buttons."""
     k, disc = c.features, c.features.disc
-    press = 2.2 * c.small + 0.15 * min(k.same_size, 6) * c.small - 0.5 * (1 - k.exposed)
+    press = 2.2 * c.small - 0.5 * (1 - k.exposed)
+    many = 0.15 * min(k.same_size, 6) * c.small
     spin = 0.0
     if disc is not None:
         clear = disc.radius > 10 * c.part.shape.noise
         spin += 0.6
         knob = k.flat >= 0.27 or (k.size >= 0.085 and k.flat >= 0.15)
-        faces_out = abs(float(disc.axis @ k.outward)) > 0.9
+        stands = abs(float(disc.axis @ unit(c.part.shape.center - c.part.contact_center))) > 0.8
+        faces_out = stands or abs(float(disc.axis @ k.outward)) > 0.9
         if clear and knob and 0.035 < k.size < 0.3 and k.flat < 1.6 and faces_out:
             spin += 2.2
+            many = 0.0  # a row of knobs
         if c.level_disc and k.flat < 1.2 and k.size < 0.6 and (clear or k.grounded):
             spin += 2.6 if k.grounded else 1.2 * (1 - _step(k.height, 0.5, 0.3))
         if c.level_disc and k.flat < 0.9 and (clear or k.grounded):
@@ -122,7 +125,7 @@ def _round_parts(c: _Cues) -> Scores:
     drum = c.level_disc and k.covered_sides >= 4 and k.size > 0.25
     if drum and disc is not None and abs(float(disc.axis @ k.exit)) > 0.9:
         spin += 2.5
-    return {"press": press, "spin": spin}
+    return {"press": press + many, "spin": spin}
 
 
 def _parts_on_top(c: _Cues) -> Scores:
@@ -152,7 +155,10 @@ def _parts_on_top(c: _Cues) -> Scores:
         )
         if cap:
             tall = _tallness(part) > 1.1
-            screw = max(screw, 2.9 if tall else 1.2)
+            if tall and disc.radius > 0.55 * width:
+                swivel = max(swivel, 2.9)  # wider than what it caps: the head of a mill
+            else:
+                screw = max(screw, 2.9 if tall else 1.2)
             lift = 1.0 if tall else 2.9
     tilt = 0.3 + (1.2 * c.panel if c.on_stem else 0.0)
     if part.parent != part.assembly.root and part.parent_shape.slenderness < 0.35:
@@ -173,7 +179,29 @@ def _panels(c: _Cues) -> Scores:
     if k.parts <= 4 and part.closed and 0.2 < k.relative < 0.75 and k.panel > 0.3:
         toggle += 1.5 * k.exposed * k.backed * (k.disc is None)
     slide = 3.0 * c.panel * c.standing * passes_sibling(part)
-    return {"hinge": hinge, "flap": flap, "toggle": toggle, "slide_along": slide}
+    drop = (hinge + 0.8) * c.panel * c.standing * _top_bar(part)
+    return {"hinge": hinge, "flap": flap, "drop": drop, "toggle": toggle, "slide_along": slide}
+
+
+def _top_bar(part: PartContext) -> float:
+    """0..1: strength of a level handle in the middle of the upper edge of a standing panel as wide
+    as its parent, as ovens and dishwashers have it."""
+    box, normal = part.shape.box, part.shape.panel.normal
+    up = max((k for k in range(3) if k != normal), key=lambda k: abs(float(box.axes[2, k])))
+    level = 3 - up - normal
+    if box.half[level] < 0.75 * part.parent_shape.box.reach(box.axes[:, level]):
+        return 0.0  # one of several doors
+    sign = np.sign(box.axes[2, up])
+    return max(
+        (
+            strength
+            for at, spread, strength in part.grips
+            if sign * at[up] > 0.5 * box.half[up]
+            and abs(at[level]) < 0.15 * box.half[level]
+            and spread[level] > max(2 * spread[up], 0.15 * box.half[level])
+        ),
+        default=0.0,
+    )
 
 
 def _drawers(c: _Cues) -> Scores:

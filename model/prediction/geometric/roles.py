@@ -7,11 +7,12 @@ from functools import partial
 
 import numpy as np
 
-from model.core.motion_lexicon import CATEGORY_MOTIONS, TURN_PREFIX, Mechanism
+from model.core.motion_lexicon import CATEGORY_MOTIONS, CATEGORY_WORDS, TURN_PREFIX, Mechanism
 from model.core.part_names import mechanism_of, mechanisms_of
 from model.prediction.geometric.context import Assembly, PartContext
 from model.prediction.geometric.motion_scores import Scores, motion_scores, passes_sibling
 from model.prediction.geometric.part_features import PartFeatures, measure_features
+from model.prediction.geometric.shape import roundness
 
 CATEGORY_BONUS = 1.2
 """Score of the mechanisms that are usual for the object's category."""
@@ -82,6 +83,8 @@ def named_mechanism(part: PartContext) -> Mechanism | None:
         scores = motion_scores(part, features, {part.part: features})
         named = max(several, key=lambda m: scores.get(m, -np.inf))
     turns = any(w in TURN_PREFIX for w in part.words)
+    if named == "flap" and not turns and _caps(part):
+        named = "swivel"  # the lid of a jar or a mill
     if named == "hinge" and not turns and passes_sibling(part):
         return "slide_along"  # sashes and doors that slide past each other
     if named == "screw" and part.category == "dispenser" and part.shape.roundest is None:
@@ -89,6 +92,19 @@ def named_mechanism(part: PartContext) -> Mechanism | None:
     if named == "toggle" and not turns and part.category != "switch" and _flat_round(part):
         return "press"  # a disc has no side to tilt to
     return named
+
+
+def _caps(part: PartContext) -> bool:
+    """Whether a part is round about the upright axis of a round part below it, and its category
+    says nothing of lids."""
+    if CATEGORY_WORDS.get(part.category, {}).keys() & set(part.words):
+        return False
+    cap, base = part.shape.roundest, part.parent_shape
+    if cap is None or abs(float(cap.axis[2])) < 0.98:
+        return False
+    below = roundness(base.outline, cap.axis, base.scanned, base.noise)
+    aside = np.inf if below is None else float(np.linalg.norm((cap.center - below.center)[:2]))
+    return below is not None and below.round and aside < 0.1 * cap.radius
 
 
 def _flat_round(part: PartContext) -> bool:

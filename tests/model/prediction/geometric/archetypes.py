@@ -761,6 +761,31 @@ def room_door() -> Thing:
     )
 
 
+def cooktop() -> Thing:
+    """A row of equal knobs that stand on a plate."""
+    knobs = {
+        f"knob{k}": ("knob", rod((-0.25, y, 0.065), Z, 0.03, 0.03))
+        for k, y in enumerate(np.linspace(-0.42, 0.42, 8))
+    }
+    return Thing(
+        "Cooktop",
+        {"base": ("plate", box((0, 0, 0.025), (0.6, 1.0, 0.05))), **knobs},
+        {k: Truth("continuous", Z, (-0.25, m.centroid[1], 0)) for k, (_, m) in knobs.items()},
+    )
+
+
+def mill() -> Thing:
+    """A pepper mill: its head turns, and doesn't come off as a bottle's cap does."""
+    return Thing(
+        "Pepper mill",
+        {
+            "base": ("body", rod((0, 0, 0.08), Z, 0.025, 0.16)),
+            "head": ("lid", rod((0, 0, 0.19), Z, 0.031, 0.06)),
+        },
+        {"head": Truth("continuous", Z, (0, 0, 0))},
+    )
+
+
 THINGS: dict[str, Callable[[], Thing]] = {
     f.__name__: f
     for f in (
@@ -797,5 +822,7 @@ THINGS: dict[str, Callable[[], Thing]] = {
         flip_phone,
         entrance,
         room_door,
+        cooktop,
+        mill,
     )
 }
