@@ -171,7 +171,9 @@ def _panels(c: _Cues) -> Scores:
     """Doors, lids, sliding panels, rockers."""
     k, part = c.features, c.part
     hinge = 0.8 + c.panel * c.standing * (1.2 * c.large + 0.4 * k.exposed)
-    flap = 0.5 + c.panel * (1 - c.standing) * (1.2 * c.large + 0.6 * (1 - k.top))
+    between = _step(min(k.top, k.bottom), 0.5, 0.3)  # a rack, no lid
+    lid = 1.2 * c.large + 0.6 * (1 - k.top)
+    flap = 0.5 + c.panel * (1 - c.standing) * (1 - between) * lid
     if k.aligned < 0.985:  # ajar
         flap += c.panel * (0.8 * c.large * (1 - c.standing) + 0.3)
         hinge += c.panel * 0.8 * c.large * c.standing
