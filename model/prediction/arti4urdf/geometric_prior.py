@@ -23,17 +23,16 @@ def geometric_prior(structure: Structure) -> Array:
         if i not in known:
             continue
         named, fixed = named_mechanism(context), FLOOR
-        if named is not None:
-            mechanisms = np.full(len(MECHANISMS), (1 - NAMED) / len(MECHANISMS))
+        scores = mechanism_scores(context, known[i], known)
+        values = np.array([scores.get(m, -2.0) for m in MECHANISMS])
+        mechanisms = np.exp(1.5 * (values - values.max()))
+        mechanisms = mechanisms / mechanisms.sum()
+        if named is not None:  # a name may be wrong: what it leaves open is the shape's
+            mechanisms *= 1 - NAMED
             if named == "fixed":
                 fixed = NAMED
             else:
                 mechanisms[MECHANISMS.index(named)] += NAMED
-        else:
-            scores = mechanism_scores(context, known[i], known)
-            values = np.array([scores.get(m, -2.0) for m in MECHANISMS])
-            mechanisms = np.exp(1.5 * (values - values.max()))
-            mechanisms = mechanisms / mechanisms.sum()
         out[i] = _word_odds(structure, i, mechanisms, fixed)
     return out
 

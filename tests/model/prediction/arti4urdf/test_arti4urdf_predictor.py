@@ -1,5 +1,7 @@
 """Parts in, tree out: with weights that know nothing, odd inputs, settled joints."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -12,13 +14,18 @@ from model.core.joint import Joint
 from model.core.point_cloud import PointCloud
 from model.core.threads import BY_DEFAULT, NAMES, with_threads
 from model.data.procedural.generate import make
+from model.evaluation.tree_metrics import parents
 from model.prediction.arti4urdf import decoding
+from model.prediction.arti4urdf import vocabulary as v
 from model.prediction.arti4urdf.answer import parse_answer
 from model.prediction.arti4urdf.decoding import decode
+from model.prediction.arti4urdf.geometric_prior import geometric_prior
 from model.prediction.arti4urdf.network import ArtiModel, token_tensors
 from model.prediction.arti4urdf.predictor import Arti4UrdfPredictor, HybridSettings, make_prompt
-from model.prediction.arti4urdf.structure import read_structure
+from model.prediction.arti4urdf.structure import MECHANISMS, RANKS, read_structure
 from model.prediction.confidence import load_confidence
+from model.prediction.geometric.predictor import GeometricPredictor
+from tests.model.prediction.geometric.archetypes import cooktop
 
 
 def _parts(family: str, index: int = 0) -> SegmentedObject:
@@ -94,6 +101,40 @@ def test_settled_joints_come_out_as_they_are(tiny_model: ArtiModel) -> None:
     assert found.tree is not None
     assert found.tree.joint_of[links[1]] == settled
     assert found.confidence[links[1]] == 1.0
+
+
+@pytest.mark.parametrize("family", ["StorageFurniture", "Dishwasher", "Cart"])
+def test_geometry_decides_the_tree_of_the_hybrid(tiny_model: ArtiModel, family: str) -> None:
+    segmented = _parts(family, 2)
+    hybrid = Arti4UrdfPredictor(tiny_model, hybrid=HybridSettings()).predict(segmented)
+    plain = GeometricPredictor().predict(segmented)
+    parts = frozenset(p.link for p in segmented.parts)
+    assert hybrid.tree is not None and plain.tree is not None
+    assert parents(hybrid.tree, parts) == parents(plain.tree, parts)
+
+
+def test_a_settled_joint_may_turn_the_tree_of_the_hybrid_over(tiny_model: ArtiModel) -> None:
+    segmented = _parts("StorageFurniture", 2)
+    predictor = Arti4UrdfPredictor(tiny_model, hybrid=HybridSettings())
+    first = predictor.predict(segmented).tree
+    assert first is not None
+    child = next(p.link for p in segmented.parts if p.link != first.root)
+    settled = Joint("mine", "revolute", child, first.root, (0, 0, 1), (0.1, 0.2, 0.3), -0.2, 1.5)
+    found = predictor.predict(segmented, locked=(settled,)).tree
+    assert found is not None and found.joint_of[first.root] == settled
+    assert {p.link for p in segmented.parts} <= set(found.links)
+
+
+def test_what_a_wrong_name_leaves_open_is_decided_by_the_shape() -> None:
+    """A knob that somebody calls a button is likelier to spin than to be a lever or a rocker."""
+    thing = cooktop().segmented()
+    parts = tuple(replace(p, name="button" if p.name == "knob" else p.name) for p in thing.parts)
+    structure = read_structure(SegmentedObject("cooktop", parts))
+    prior = geometric_prior(structure)
+    knob = next(i for i, p in enumerate(parts) if p.name == "button")
+    slots = dict(zip(MECHANISMS, prior[knob][v.SLOT_IDS][::RANKS], strict=True))
+    assert max(slots, key=lambda m: slots[m]) == "press"
+    assert slots["spin"] > max(slots["lever"], slots["toggle"]) + 0.5
 
 
 def _cloud(points: np.ndarray, link: str) -> Part:
