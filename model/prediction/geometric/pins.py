@@ -203,7 +203,7 @@ def lever_proposals(context: PartContext) -> list[JointProposal]:
     along = shape.box.axes[:, long]
     # The spindle of a door's lever goes through the leaf.
     base = context.parent_shape
-    normal, plate = base.box.axes[:, base.panel.normal], SPINDLE * (base.thinness < LEAF)
+    normal, leaf = base.box.axes[:, base.panel.normal], base.thinness < LEAF
     choices = list(zip(context.directions, covers, np.roll(covers, 3), strict=True))
     if shape.thinness > 0.7:
         # The box of a rod is arbitrary about its length: add the object's directions.
@@ -211,10 +211,11 @@ def lever_proposals(context: PartContext) -> list[JointProposal]:
         there = [context.sampled.cover(context.part, d, (context.parent,)) for d in e]
         choices += list(zip(e, there, np.roll(there, 3), strict=True))
     for direction, ahead, behind in choices:
-        through = plate * abs(float(direction @ normal))
+        through = leaf * abs(float(direction @ normal))
         if abs(direction @ along) > 0.5 and shape.slenderness < 0.6 and through < 0.9:
             continue
-        score = through + 1.2 * behind - 0.8 * ahead + 0.1 * float(np.abs(direction).max() > 0.999)
+        score = 1.2 * behind - 0.8 * ahead + 0.1 * float(np.abs(direction).max() > 0.999)
+        score += SPINDLE * through
         score += 0.9 * float(direction @ unit(shape.center - context.parent_shape.center))
         score += 0.8 * float(direction @ unit(arm))
         origin = context.contact_center

@@ -83,7 +83,7 @@ def named_mechanism(part: PartContext) -> Mechanism | None:
         scores = motion_scores(part, features, {part.part: features})
         named = max(several, key=lambda m: scores.get(m, -np.inf))
     turns = any(w in TURN_PREFIX for w in part.words)
-    if named == "flap" and not turns and _caps(part):
+    if named == "flap" and not turns and _is_round_cap(part):
         named = "swivel"  # the lid of a jar or a mill
     if named == "hinge" and not turns and passes_sibling(part):
         return "slide_along"  # sashes and doors that slide past each other
@@ -94,7 +94,7 @@ def named_mechanism(part: PartContext) -> Mechanism | None:
     return named
 
 
-def _caps(part: PartContext) -> bool:
+def _is_round_cap(part: PartContext) -> bool:
     """Whether a part is round about the upright axis of a round part below it, and its category
     says nothing of lids."""
     if CATEGORY_WORDS.get(part.category, {}).keys() & set(part.words):
@@ -103,8 +103,9 @@ def _caps(part: PartContext) -> bool:
     if cap is None or abs(float(cap.axis[2])) < 0.98:
         return False
     below = roundness(base.outline, cap.axis, base.scanned, base.noise)
-    aside = np.inf if below is None else float(np.linalg.norm((cap.center - below.center)[:2]))
-    return below is not None and below.round and aside < 0.1 * cap.radius
+    if below is None or not below.round or cap.center[2] < below.center[2]:
+        return False
+    return float(np.linalg.norm((cap.center - below.center)[:2])) < 0.1 * cap.radius
 
 
 def _flat_round(part: PartContext) -> bool:
