@@ -86,10 +86,14 @@ class EndSignals:
         faulthandler.dump_traceback_later(END_SECONDS, exit=True, file=sys.__stderr__ or 2)
         self._came.set()
 
-    def wait(self) -> None:
-        """Wait for the first signal; until then the process ends at once when one comes."""
+    def begin_serving(self) -> None:
+        """From now on a signal lets the process close; before it ends the process at once."""
         with self._lock:
             self._serving = True
+
+    def wait(self) -> None:
+        """Serve until the first signal."""
+        self.begin_serving()
         self._came.wait()
         for number in SIGNALS:  # Python gives them back their default while it ends
             signal.signal(number, signal.SIG_IGN)

@@ -166,6 +166,7 @@ def paths_to_open(config: ServeConfig) -> list[Path]:
 
 def run_until_interrupted(server: Server, end: EndSignals, *, open_browser: bool = False) -> None:
     """Print the addresses and serve until a signal ends it."""
+    end.begin_serving()  # before anybody is told that it is ready
     if server.login_url != server.url:
         print(f"Log in at {server.login_url}", flush=True)
     print(f"ArtiWorld is ready: {server.url}", flush=True)
