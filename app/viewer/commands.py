@@ -112,8 +112,9 @@ class Commands:
         """Take back the last decision."""
         if self._overview is not None:
             self._overview.review.undo()
-        elif self._tab.selection.need_object().state.can_undo:
+        elif (state := self._tab.selection.need_object().state).can_undo:
             self._tab.do(cmd.Undo())
+            self._tab.say(state.undo_label)
         else:
             self._tab.notify(common.UNDO_EMPTY, "", "gray")
 
@@ -121,8 +122,9 @@ class Commands:
         """Do again what was taken back."""
         if self._overview is not None:
             self._overview.review.redo()
-        elif self._tab.selection.need_object().state.can_redo:
+        elif (state := self._tab.selection.need_object().state).can_redo:
             self._tab.do(cmd.Redo())
+            self._tab.say(state.redo_label)
         else:
             self._tab.notify(common.REDO_EMPTY, "", "gray")
 

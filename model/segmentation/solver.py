@@ -117,12 +117,6 @@ class PartSolver:
         other._first = scorer
         return other
 
-    def with_penalties(self, penalties: Penalties) -> Self:
-        """The same solver with other penalties."""
-        other = copy(self)
-        other.penalties = penalties
-        return other
-
     def first_answer(self, superpoint: int, *, moving: bool = True) -> ScoredProposals:
         """Proposals for a first click without any other; ``moving`` as in :meth:`answer`."""
         return self.answer(PartState(), superpoint, True, None, moving=moving)

@@ -79,11 +79,6 @@ def run_physics(
     )
 
 
-def simulator_installed() -> bool:
-    """Whether MuJoCo (``artiworld[physics]``) is installed."""
-    return ENGINES[MUJOCO].installed
-
-
 def _drivable(joint: Joint) -> bool:
     if not joint.moves:
         return False

@@ -42,15 +42,6 @@ CATEGORIES: Final[tuple[str, ...]] = (
     "Scissors", "Stapler", "StorageFurniture", "Suitcase", "Switch", "Table", "Toaster", "Toilet",
     "TrashCan", "USB", "WashingMachine", "Window",
 )  # fmt: skip
-STATE_COLORS: Final[dict[str, Rgb]] = {
-    "todo": (134, 142, 150),
-    "in_progress": (51, 126, 204),
-    "predicted": (121, 80, 200),
-    "submitted": (12, 133, 153),
-    "accepted": (47, 158, 68),
-    "rejected": (224, 49, 49),
-}
-
 SCENE_COLORS: Final[dict[str, Rgb]] = {
     "predicted": (128, 90, 213),
     "on_hold": (168, 92, 26),

@@ -9,8 +9,6 @@ import numpy as np
 from app.viewer.words.message import Message
 from model.geometry.cleaning import CLUTTER, OUTLIER, SUPPORT
 
-NOTICED: Final = " •"
-"""Behind the step's name where something was noticed."""
 PREPARE: Final = "Prepare (Enter)"
 APPLY: Final = "Apply (Enter)"
 CONTINUE: Final = "Annotate (Enter)"

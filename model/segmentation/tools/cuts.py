@@ -77,19 +77,6 @@ def line_cut(
     return Cut(checked(session, mask), (plane_through(at[0], normal),))
 
 
-def straight_cut(
-    session: DefaultSession, mask: Bool, positions: Sequence[Position], view: Position | None = None
-) -> tuple[Bool, Bool]:
-    """The two sides of :func:`line_cut`, (E,) each; together they are ``mask``.
-
-    The first holds fewer elements.
-    """
-    cut = line_cut(session, mask, positions, view)
-    first = cut.inside(session.asset)
-    second = cut.chosen & ~first
-    return (first, second) if first.sum() <= second.sum() else (second, first)
-
-
 def within(asset: Asset, planes: Sequence[Plane]) -> Bool:
     """(E,) elements whose middle lies on the inner side of all planes, or on a plane."""
     out = np.ones(asset.element_count, bool)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -517,7 +518,8 @@ def test_a_click_beside_the_border_means_what_is_there(session, cloud_cabinet) -
     state = solver.moved(PartState(), door, True, mask)
 
     def scores(penalty: float) -> tuple[np.ndarray, np.ndarray]:
-        other = solver.with_penalties(replace(solver.penalties, far=penalty))
+        other = copy(solver)
+        other.penalties = replace(solver.penalties, far=penalty)
         answer = other.answer(state, edge, True, None)
         return answer.proposals.masks, answer.scores
 

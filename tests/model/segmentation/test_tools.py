@@ -16,7 +16,7 @@ from model.segmentation.default import DefaultSegmenter
 from model.segmentation.simulated_clicks import iou
 from model.segmentation.tools.all_parts import absorb_small_components, propose_parts
 from model.segmentation.tools.connected import connected, grow, hover
-from model.segmentation.tools.cuts import connected_components, straight_cut
+from model.segmentation.tools.cuts import connected_components, line_cut
 from model.segmentation.tools.rectangles import rectangle_cut
 from model.segmentation.tools.similar import mirrored, same_shape
 
@@ -91,16 +91,17 @@ def test_grow_and_shrink(session, cloud_cabinet):
 def test_straight_cut_by_two_and_three_clicks(session, cloud_cabinet):
     top = cloud_cabinet.asset.element_centers[:, 2] > 0.79
     centers = cloud_cabinet.asset.element_centers
-    first, second = straight_cut(session, top, [(0.3, 0.1, 0.8), (0.3, 0.4, 0.8)])
-    assert np.array_equal(first | second, top) and not (first & second).any()
-    assert centers[first, 0].max() < 0.301 and centers[second, 0].min() > 0.299
+    first = line_cut(session, top, [(0.3, 0.1, 0.8), (0.3, 0.4, 0.8)]).inside(session.asset)
+    ends = sorted([centers[first, 0], centers[top & ~first, 0]], key=min)
+    assert ends[0].max() < 0.301 and ends[1].min() > 0.299
     everything = np.ones(len(centers), bool)
-    low, high = straight_cut(session, everything, [(0, 0, 0.2), (1, 0, 0.2), (0, 0.5, 0.2)])
-    assert centers[low, 2].max() <= 0.2 <= centers[high, 2].min()
+    half = line_cut(session, everything, [(0, 0, 0.2), (1, 0, 0.2), (0, 0.5, 0.2)])
+    low, high = sorted([centers[(half.inside(session.asset)) ^ k, 2] for k in (False, True)], key=min)
+    assert low.max() <= 0.2 <= high.min()
     with pytest.raises(PromptError, match="two or three"):
-        straight_cut(session, top, [(0, 0, 0)])
+        line_cut(session, top, [(0, 0, 0)])
     with pytest.raises(PromptError, match="line"):
-        straight_cut(session, top, [(0, 0, 0), (0, 0, 0)])
+        line_cut(session, top, [(0, 0, 0), (0, 0, 0)])
 
 
 def test_a_rectangle_takes_the_door_that_no_gap_parts_with_its_handle():
