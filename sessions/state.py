@@ -56,12 +56,12 @@ class SessionState:
 
     @property
     def undo_label(self) -> str:
-        """"Undo: add click, part 1", or "" where there is nothing to undo."""
+        """ "Undo: add click, part 1", or "" where there is nothing to undo."""
         return f"Undo: {self.present.label}" if self.past else ""
 
     @property
     def redo_label(self) -> str:
-        """"Redo: add click, part 1", or "" where there is nothing to redo."""
+        """ "Redo: add click, part 1", or "" where there is nothing to redo."""
         return f"Redo: {self.future[-1].label}" if self.future else ""
 
 

@@ -29,13 +29,19 @@ COARSE = "/?fixedDpr=0.2"
 """viser draws a fifth of the pixels each way, places stay what they are: there is no GPU here."""
 FEWER_FRAMES = """(() => {
   const frame = window.requestAnimationFrame.bind(window), cancelled = new Set();
+  let awake = 0;
+  window.wakeFrames = () => { awake = performance.now() + 500; };
+  for (const kind of ["pointerdown", "pointermove", "wheel", "keydown"])
+    window.addEventListener(kind, window.wakeFrames, { capture: true, passive: true });
   window.requestAnimationFrame = (draw) => {
-    const id = setTimeout(() => frame((t) => cancelled.delete(id) || draw(t)), 70);
+    const id = setTimeout(() => frame((t) => cancelled.delete(id) || draw(t)),
+      performance.now() < awake ? 70 : 300);
     return id;
   };
   window.cancelAnimationFrame = (id) => { clearTimeout(id); cancelled.add(id); };
 })()"""
-"""viser draws as often as it can, which takes a whole core without a GPU."""
+"""viser draws as often as it can, which takes a whole core without a GPU: here a few times a second,
+more often after input and where a test waits for frames."""
 PAGE_TIMEOUT = 300_000
 """Milliseconds that the page may take for anything; it draws in software on busy cores."""
 
@@ -51,13 +57,17 @@ _PROJECT = """(p) => {
 
 
 _FRAMES = """(count) => new Promise((done) => {
-  const next = () => count-- > 0 ? requestAnimationFrame(next) : done();
+  const next = () => {
+    window.wakeFrames();
+    return count-- > 0 ? requestAnimationFrame(next) : done();
+  };
   next();
 })"""
 _RESTING = """(frames) => new Promise((done) => {
   const m = window.__viserMutable, cam = m.camera;
   let before = "", still = 0;
   const look = () => {
+    window.wakeFrames();
     const box = m.canvas.getBoundingClientRect();
     const now = [...cam.position, ...cam.quaternion, ...cam.projectionMatrix.elements,
       box.left, box.width, box.height].join();

@@ -96,7 +96,8 @@ def test_straight_cut_by_two_and_three_clicks(session, cloud_cabinet):
     assert ends[0].max() < 0.301 and ends[1].min() > 0.299
     everything = np.ones(len(centers), bool)
     half = line_cut(session, everything, [(0, 0, 0.2), (1, 0, 0.2), (0, 0.5, 0.2)])
-    low, high = sorted([centers[(half.inside(session.asset)) ^ k, 2] for k in (False, True)], key=min)
+    inside = half.inside(session.asset)
+    low, high = sorted([centers[inside, 2], centers[~inside, 2]], key=min)
     assert low.max() <= 0.2 <= high.min()
     with pytest.raises(PromptError, match="two or three"):
         line_cut(session, top, [(0, 0, 0)])
