@@ -19,6 +19,7 @@ from functools import cache
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial import ConvexHull, KDTree, QhullError
+from scipy.special import softmax
 
 from model.core.errors import GeometryError
 from model.core.progress import Progress, no_progress
@@ -109,8 +110,7 @@ def find_up(
     features = np.array([c.described.features for c in found])
     weights = _weights()
     scores = (features - weights.mean) / weights.scale @ weights.weight
-    odds = np.exp(scores - scores.max())
-    odds /= odds.sum()
+    odds = softmax(scores)
     order = np.argsort(-odds)
     best = found[order[0]]
     off = np.arccos([min(abs(float(c.up[2])), 1.0) for c in found[::2]])

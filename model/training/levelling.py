@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 from scipy.optimize import minimize
+from scipy.special import softmax
 
 from model.core.articulated_object import ArticulatedObject
 from model.core.errors import ArtiworldError
@@ -119,9 +120,7 @@ def fitted(chosen: Sequence[tuple[Array, int]]) -> dict[str, list[float]]:
     def loss(weight: Array) -> tuple[float, Array]:
         value, gradient = RIDGE * float(weight @ weight), 2 * RIDGE * weight
         for features, right in rows:
-            score = features @ weight
-            odds = np.exp(score - score.max())
-            odds /= odds.sum()
+            odds = softmax(features @ weight)
             value -= float(np.log(odds[right] + 1e-12)) / len(rows)
             gradient = gradient + (odds @ features - features[right]) / len(rows)
         return value, gradient

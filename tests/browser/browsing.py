@@ -40,8 +40,8 @@ FEWER_FRAMES = """(() => {
   };
   window.cancelAnimationFrame = (id) => { clearTimeout(id); cancelled.add(id); };
 })()"""
-"""viser draws as often as it can, which takes a whole core without a GPU: here a few times a second,
-more often after input and where a test waits for frames."""
+"""viser draws as often as it can, which takes a whole core without a GPU: here a few times a
+second, more often after input and where a test waits for frames."""
 PAGE_TIMEOUT = 300_000
 """Milliseconds that the page may take for anything; it draws in software on busy cores."""
 
@@ -58,7 +58,7 @@ _PROJECT = """(p) => {
 
 _FRAMES = """(count) => new Promise((done) => {
   const next = () => {
-    window.wakeFrames();
+    window.wakeFrames?.();
     return count-- > 0 ? requestAnimationFrame(next) : done();
   };
   next();
@@ -67,7 +67,7 @@ _RESTING = """(frames) => new Promise((done) => {
   const m = window.__viserMutable, cam = m.camera;
   let before = "", still = 0;
   const look = () => {
-    window.wakeFrames();
+    window.wakeFrames?.();
     const box = m.canvas.getBoundingClientRect();
     const now = [...cam.position, ...cam.quaternion, ...cam.projectionMatrix.elements,
       box.left, box.width, box.height].join();

@@ -8,7 +8,6 @@ workers, as Linux counts it.
 
 from __future__ import annotations
 
-import math
 import os
 import subprocess
 import sys
@@ -85,16 +84,21 @@ def _row(
     people: int, first: list[_Person], found: list[_Person], memory: tuple[float, float, float]
 ) -> dict[str, Any]:
     errors = sum((p.errors for p in [*first, *found]), Counter())
-    taken = [1000 * t for p in found for t in p.taken] or [math.nan]
-    p50, p95, most = (round(float(v), 1) for v in np.percentile(taken, (50, 95, 100)))
+    taken = [t for p in found for t in p.taken]
+    began = [p.taken[0] for p in first if p.taken]
+    p50, p95, most = (_percentile(taken, q, 1000) for q in (50, 95, 100))
     return {
         "people": people, "clicks": len(taken), "errors": sum(errors.values()),
         "p50 ms": p50, "p95 ms": p95, "longest ms": most,
-        "first click p95 s": round(float(np.percentile([p.taken[0] for p in first if p.taken]
-                                                       or [math.nan], 95)), 1),
+        "first click p95 s": _percentile(began, 95),
         "idle MB": round(memory[0]), "all open MB": round(memory[1]), "after MB": round(memory[2]),
         **{f"status {status}": count for status, count in sorted(errors.items())},
     }  # fmt: skip
+
+
+def _percentile(seconds: list[float], q: float, scale: float = 1.0) -> float | None:
+    """None where every click failed."""
+    return round(float(np.percentile(seconds, q)) * scale, 1) if seconds else None
 
 
 class _Person(threading.Thread):

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 import torch
+from scipy.special import softmax
 from torch import Tensor
 
 from model.core.threads import chosen_by_person
@@ -211,8 +212,7 @@ def _likeliest(
     """Word and part (one is -1) of the likeliest option, its probability, and that of all."""
     allowed = np.concatenate([choice.words, choice.parts])
     logits = np.where(allowed, np.nan_to_num(logits, nan=-1e9), -np.inf)
-    weights = np.exp(logits - logits[allowed].max())
-    probability = weights / weights.sum()
+    probability = softmax(logits)
     words, parts = probability[: v.SIZE], probability[v.SIZE :]
     score = probability.copy()
     if choice.kind == "slot":

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
+from scipy.special import softmax
 
 from model.prediction.arti4urdf import vocabulary as v
 from model.prediction.arti4urdf.decoding import Answer, ChoiceRecord
@@ -67,8 +68,7 @@ def _share(
     values = record.plain
     if expert == "rules":
         values = np.where(np.isfinite(record.plain), rules, -np.inf)
-    weights = np.exp(values - values.max())
-    weights /= weights.sum()
+    weights = softmax(values)
     if record.kind == "type":
         return float(weights[v.TYPE_IDS[chosen]])
     slots = weights[v.SLOT_IDS]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
+from scipy.special import softmax
 
 from model.prediction.arti4urdf import vocabulary as v
 from model.prediction.arti4urdf.structure import MECHANISMS, RANKS, SLOTS, Structure
@@ -24,9 +25,7 @@ def geometric_prior(structure: Structure) -> Array:
             continue
         named, fixed = named_mechanism(context), FLOOR
         scores = mechanism_scores(context, known[i], known)
-        values = np.array([scores.get(m, -2.0) for m in MECHANISMS])
-        mechanisms = np.exp(1.5 * (values - values.max()))
-        mechanisms = mechanisms / mechanisms.sum()
+        mechanisms = softmax(1.5 * np.array([scores.get(m, -2.0) for m in MECHANISMS]))
         if named is not None:  # a name may be wrong: what it leaves open is the shape's
             mechanisms *= 1 - NAMED
             if named == "fixed":
@@ -46,8 +45,7 @@ def _word_odds(structure: Structure, part: int, mechanisms: Array, fixed: float)
         scores = np.array([p.score for p in found if p is not None])
         if not len(scores):
             continue
-        shares = np.exp(2.0 * (scores - scores.max()))
-        slots[k * RANKS : k * RANKS + len(shares)] = mechanisms[k] * shares / shares.sum()
+        slots[k * RANKS : k * RANKS + len(scores)] = mechanisms[k] * softmax(2.0 * scores)
         best = found[0]
         assert best is not None
         kind = "screw" if best.travel is not None or mechanism == "screw" else best.type

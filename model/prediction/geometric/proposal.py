@@ -8,6 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
+from scipy.special import softmax
 
 from model.core.files import read_json
 from model.core.joint import Joint, JointType, canonical_axis_sign
@@ -66,9 +67,7 @@ def best_share(proposals: list[JointProposal]) -> float:
     """Share of the best proposal in a softmax over the scores, 0..1."""
     if not proposals:
         return 0.0
-    scores = np.array([p.score for p in proposals])
-    weights = np.exp(2.0 * (scores - scores.max()))
-    return float(weights.max() / weights.sum())
+    return float(softmax(2.0 * np.array([p.score for p in proposals])).max())
 
 
 def distinct_motions(

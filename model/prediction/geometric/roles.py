@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
+from scipy.special import softmax
 
 from model.core.motion_lexicon import CATEGORY_MOTIONS, CATEGORY_WORDS, TURN_PREFIX, Mechanism
 from model.core.part_names import mechanism_of, mechanisms_of
@@ -53,9 +54,7 @@ def guess_mechanisms(assembly: Assembly) -> dict[int, MechanismGuess]:
         nothing: Scores = {"fixed": 0.0}
         scores = context.attempt("the rules on its motion", rules, nothing)
         best = max(scores, key=lambda m: scores[m])
-        values = np.array(list(scores.values()))
-        weights = np.exp(1.5 * (values - values.max()))
-        probability = float(0.9 * weights.max() / weights.sum())
+        probability = 0.9 * float(softmax(1.5 * np.array(list(scores.values()))).max())
         guesses[i] = MechanismGuess(best, probability, False)
     return guesses
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.special import softmax
 
 from model.segmentation.arrays import Bool, Float
 
@@ -57,8 +58,7 @@ def offered(
         Rows of ``masks``, the most useful first.
     """
     _, overlap = overlaps(np.concatenate([shown[None], masks]), size)
-    likely = np.exp((scores - scores.max()) / _TEMPERATURE)
-    likely /= likely.sum()
+    likely = softmax(scores / _TEMPERATURE)
     covered, overlap = overlap[0, 1:], overlap[1:, 1:]
     free = covered <= _ALIKE
     out: list[int] = []
