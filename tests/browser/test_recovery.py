@@ -15,6 +15,7 @@ import pytest
 from sessions.store import PendingAcceptance, Store
 from tests.browser.browsing import PAGE_TIMEOUT, page_at_rest
 from tests.browser.objects import write_cabinet
+from tests.builders import wait_until
 
 pytestmark = pytest.mark.browser
 
@@ -51,6 +52,15 @@ def open_page(browser: Any, url: str) -> Any:
     return page
 
 
+def labelled(workspace: Path) -> bool:
+    """Whether the labels of the last click are stored."""
+    store = Store(workspace)
+    try:
+        return store.load(store.objects()[0].id).present.segmentation_current
+    finally:
+        store.close()
+
+
 def test_nothing_is_lost_when_the_server_is_killed(tmp_path: Path, browser: Any) -> None:
     path, workspace = tmp_path / "cabinet.ply", tmp_path / "workspace"
     write_cabinet(path)
@@ -67,6 +77,8 @@ def test_nothing_is_lost_when_the_server_is_killed(tmp_path: Path, browser: Any)
         page.locator('[data-press=part][value="2"][aria-pressed=true]').wait_for()
         page.mouse.click(middle[0] + 80, middle[1] + 30)
         page.get_by_text("1 on this part, 2 in total", exact=False).wait_for()
+        # Else the next server stores them, and an object that changed isn't being accepted.
+        wait_until(lambda: labelled(workspace), "the labels are stored")
     finally:
         os.kill(process.pid, signal.SIGKILL)
         process.wait()
