@@ -29,8 +29,9 @@ GROOVE = 7
 """Voxels; gaps up to this wide at which nothing was seen were not scanned."""
 ALIKE = 0.5
 """Cosine above which a point nearby is of the same surface: the border's normals are coarse."""
-TRIES = ((1.2, 1.1), (1.2, 1.17), (2.4, 1.1))
-"""Cells in spacings, and margins of their cube: some surfaces leak, or touch themselves."""
+TRIES = ((0.8, 1.1), (0.8, 1.17), (1.6, 1.1))
+"""Factors of the spacing, and margins of the cube of cells: some surfaces leak, or touch
+themselves."""
 SMALL = 0.002
 """Loose pieces below this share of the largest one's volume are noise."""
 

@@ -20,6 +20,9 @@ MAX_POINTS = 100_000
 _FEW = 300  # below, Poisson's smoothing eats the shape
 _VERY_FEW = 100  # below, neighbours don't determine the surface
 _REACH = 3.0  # largest distance of the surface from the points, in spacings
+_CELL = 3.0
+"""Size of Poisson's cells in spacings. With 2 surfaces are .0001 to .0002 of the diagonal closer to
+the truth, of scans whose noise is ten times that, with twice the faces in twice the time."""
 
 
 def mesh_from_cloud(
@@ -117,8 +120,7 @@ def poisson(
 
     low, high = cloud.bounds
     shift, scale = (low + high) / 2, float((high - low).max())
-    # Cells about as large as the spacing; finer ones only cost time.
-    depth = int(np.clip(np.rint(np.log2(margin * scale / (2.0 * spacing))), 5, 9))
+    depth = int(np.clip(np.rint(np.log2(margin * scale / (_CELL * spacing))), 5, 9))
     mesh, _ = o3d.geometry.TriangleMesh.create_from_point_cloud_poisson(
         _open3d_cloud(cloud, shift, scale), depth=depth, scale=margin, n_threads=1
     )

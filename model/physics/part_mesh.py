@@ -24,7 +24,7 @@ from model.physics.collision.store import fingerprint, load_arrays, save_arrays
 
 MAX_FILES = 48
 """Surfaces on disk, the least recently used go first; one of a whole scan has some megabytes."""
-VERSION = 1
+VERSION = 2
 """Counted up when the same cloud gets another surface."""
 
 _SURFACES: WeakKeyDictionary[PointCloud, Mesh] = WeakKeyDictionary()
