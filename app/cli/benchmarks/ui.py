@@ -18,6 +18,7 @@ from typing import Any
 import msgspec.msgpack
 import numpy as np
 import viser
+import zstandard
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
@@ -80,6 +81,7 @@ class SimulatedBrowser:
             "up_direction": (0.0, 0.0, 1.0),
         }
         self._socket.send(msgspec.msgpack.encode(camera))
+        self._asked = False
         self._thread = threading.Thread(target=self._read, daemon=True)
         self._thread.start()
 
@@ -88,8 +90,21 @@ class SimulatedBrowser:
             for message in self._socket:
                 self.received += len(message)
                 self.last = time.perf_counter()
+                if not self._asked:
+                    self._answer(message)
         except ConnectionClosed:
             return
+
+    def _answer(self, message: bytes) -> None:
+        """Say that nothing is stored, once the server asks; it waits for that before it draws."""
+        size = int.from_bytes(message[8:16], "little")
+        inner = msgspec.msgpack.decode(zstandard.decompress(message[16 : 16 + size]))
+        for each in inner["messages"]:
+            if each["type"] == "LocalStorageGetItemRequestMessage":
+                self._asked = True
+                answer = {"type": "LocalStorageGetItemResponseMessage", "value": None,
+                          "error": None, "request_uuid": each["request_uuid"]}  # fmt: skip
+                self._socket.send(msgspec.msgpack.encode(answer))
 
     def quiet(self, seconds: float = 0.25) -> int:
         """Wait until nothing has come for ``seconds``; return the bytes received so far."""
