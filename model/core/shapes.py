@@ -72,7 +72,9 @@ class Hull:
 
     def contains(self, points: FloatArray, margin: float = 0.0) -> npt.NDArray[np.bool_]:
         """(N,) whether (N, 3) points lie inside by ``margin`` metres or more."""
-        out = ((points >= self.bounds[0]) & (points <= self.bounds[1])).all(axis=1)
+        out = np.ones(len(points), bool)
+        for value, low, high in zip(points.T, *self.bounds, strict=True):
+            out &= (value >= low) & (value <= high)  # reducing rows of three takes far longer
         near = np.flatnonzero(out)
         heights = points[near] @ self.planes[:, :3].T + self.planes[:, 3]
         out[near] = (heights <= -margin).all(axis=1)

@@ -173,6 +173,11 @@ class _Surface:
         """Of all points."""
         return KDTree(self.points)
 
+    @cached_property
+    def size(self) -> float:
+        """Diagonal of the box round all points."""
+        return float(np.linalg.norm(np.ptp(self.points, axis=0)))
+
     def of_links(self, links: Sequence[str] | frozenset[str]) -> npt.NDArray[np.bool_]:
         """(N,) mask."""
         return np.isin(self.link, [self.number[k] for k in links])
@@ -428,8 +433,7 @@ class _Search:
 
     def _reached(self, poses: _Poses) -> npt.NDArray[np.bool_]:
         """Whether the hand comes straight from outside of the object."""
-        size = float(np.linalg.norm(np.ptp(self.surface.points, axis=0)))
-        rows = np.arange(FINGER[2] + PALM[2], size, 0.04)
+        rows = np.arange(FINGER[2] + PALM[2], self.surface.size, 0.04)
         at = np.column_stack([np.zeros((len(rows), 2)), -rows])
         at = np.repeat(at[None], len(poses), axis=0)
         return self._free(poses, at, np.full(len(rows), 0.025), 0.0)
@@ -440,11 +444,8 @@ class _Search:
         """(P,) whether (P, S, 3) spheres in tool frames meet nothing, ``share`` along the way."""
         if not len(poses):
             return np.zeros(0, bool)
-        tips = np.stack([
-            tip_of(_KINDS[k], c, a, x, OFF)
-            for k, c, a, x in zip(poses.kind, poses.center, poses.approach, poses.closing,
-                                  strict=True)
-        ])  # fmt: skip
+        kinds = np.array(_KINDS)[poses.kind]
+        tips = tip_of(kinds, poses.center, poses.approach, poses.closing, OFF)
         y = np.cross(poses.approach, poses.closing)
         frames = np.stack([poses.closing, y, poses.approach], axis=2)  # columns
         world = np.einsum("pij,psj->psi", frames, spheres) + tips[:, None]

@@ -47,15 +47,17 @@ def tool_pose(affordance: Affordance, gap: float = 0.0) -> Array:
 
 
 def tip_of(
-    kind: AffordanceKind, center: Array, approach: Array, closing: Array, gap: float
+    kind: AffordanceKind | npt.NDArray[np.str_],
+    center: Array,
+    approach: Array,
+    closing: Array,
+    gap: float,
 ) -> Array:
-    """(3,) between the fingertips, for unit directions; see :func:`tool_pose`."""
-    if kind == "push":
-        return center - gap * approach
-    if kind == "hook":
-        side = np.cross(approach, closing)
-        return center - (FINGER[1] / 2 + gap) * side + DEPTH * approach
-    return center + DEPTH * approach
+    """(..., 3) between the fingertips, for (...) kinds, as in :func:`tool_pose`."""
+    kinds = np.asarray(kind)[..., None]
+    off = np.where(kinds == "hook", FINGER[1] / 2 + gap, 0.0)
+    ahead = np.where(kinds == "push", -gap, DEPTH)
+    return np.asarray(center - off * np.cross(approach, closing) + ahead * approach)
 
 
 def finger_spheres(rows: Sequence[float], opening: Array) -> tuple[Array, Array]:

@@ -90,7 +90,7 @@ class SimulatedBrowser:
             for message in self._socket:
                 self.received += len(message)
                 self.last = time.perf_counter()
-                if not self._asked:
+                if not self._asked and isinstance(message, bytes):
                     self._answer(message)
         except ConnectionClosed:
             return
