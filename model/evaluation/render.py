@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 from PIL import Image, ImageDraw
+from scipy.ndimage import maximum_filter
 
 from model.core.articulated_object import ArticulatedObject, Part
 from model.core.joint import Joint
@@ -149,19 +150,18 @@ class _Camera:
 
     def splat(self, pieces: Sequence[_Piece]) -> Image.Image:
         width, height = self.view.width, self.view.height
-        canvas = np.full((height * width, 3), BACKGROUND, np.uint8)
         points = self.project(np.concatenate([p.points for p in pieces]))
         colors = np.concatenate([p.colors for p in pieces])
-        order = np.argsort(points[:, 2], kind="stable")  # far to near: the last one stays
-        pixel = np.floor(points[order, :2]).astype(np.int64)
-        steps = np.arange(-SPLAT, SPLAT + 1)
-        offsets = np.array([(i, j) for i in steps for j in steps])
-        spread = (pixel[:, None] + offsets[None]).reshape(-1, 2)
-        inside = ((spread >= 0) & (spread < (width, height))).all(axis=1)
-        index = spread[:, 1] * width + spread[:, 0]
-        painted = np.repeat(colors[order], len(offsets), axis=0)
-        canvas[index[inside]] = np.clip(painted[inside], 0, 255).astype(np.uint8)
-        return Image.fromarray(canvas.reshape(height, width, 3))
+        order = np.argsort(points[:, 2], kind="stable")  # far to near
+        x, y = np.floor(points[order, :2]).astype(np.int64).T + SPLAT
+        inside = (x >= 0) & (x < width + 2 * SPLAT) & (y >= 0) & (y < height + 2 * SPLAT)
+        nearest = np.full((height + 2 * SPLAT, width + 2 * SPLAT), -1)
+        nearest[y[inside], x[inside]] = np.flatnonzero(inside)  # the last one stays
+        nearest = maximum_filter(nearest, 2 * SPLAT + 1)[SPLAT:-SPLAT, SPLAT:-SPLAT]
+        canvas = np.full((height, width, 3), BACKGROUND, np.uint8)
+        shown = nearest >= 0
+        canvas[shown] = np.clip(colors[order[nearest[shown]]], 0, 255).astype(np.uint8)
+        return Image.fromarray(canvas)
 
 
 def _counts(parts: Sequence[Part], view: View) -> list[int]:
