@@ -157,7 +157,8 @@ class _Camera:
         inside = (x >= 0) & (x < width + 2 * SPLAT) & (y >= 0) & (y < height + 2 * SPLAT)
         nearest = np.full((height + 2 * SPLAT, width + 2 * SPLAT), -1)
         nearest[y[inside], x[inside]] = np.flatnonzero(inside)  # the last one stays
-        nearest = maximum_filter(nearest, 2 * SPLAT + 1)[SPLAT:-SPLAT, SPLAT:-SPLAT]
+        nearest = np.asarray(maximum_filter(nearest, 2 * SPLAT + 1), np.int64)
+        nearest = nearest[SPLAT:-SPLAT, SPLAT:-SPLAT]
         canvas = np.full((height, width, 3), BACKGROUND, np.uint8)
         shown = nearest >= 0
         canvas[shown] = np.clip(colors[order[nearest[shown]]], 0, 255).astype(np.uint8)
