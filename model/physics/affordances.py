@@ -62,6 +62,8 @@ ALONG = (0.0, 0.5 * REACHED, REACHED)
 """Shares of the range at which the hand must be free."""
 EXACTLY = tuple(np.linspace(0.0, REACHED, 7).tolist())
 """Those at which it must be free of the shapes themselves, not of their samples."""
+_SOME = 6
+"""One sphere in so many is looked at first."""
 FREE_TURN = np.pi
 """Radians that a joint without limits is turned."""
 
@@ -257,10 +259,13 @@ class _Search:
         poses.score *= np.where(poses.approach[:, 2] > 0.5, FROM_BELOW, 1.0)
         poses = poses.take(np.argsort(-poses.score, kind="stable"))
         taken: list[_Poses] = []
-        for shares in (ALONG, ALONG[:1]):  # then those that must let go early
-            exactly = EXACTLY if len(shares) > 1 else shares
-            for batch in poses.batches(BATCH):
-                for few in self._clear(batch, shares).batches(FEW):
+        at_rest: list[_Poses] = []
+        free = self._free_at_rest(poses, at_rest)
+        along = (self._free_along(batch, ALONG[1:]) for batch in free)
+        # Then those that must let go early; all of them have been looked at by then.
+        for batches, exactly in ((along, EXACTLY), (at_rest, ALONG[:1])):
+            for batch in batches:
+                for few in batch.batches(FEW):
                     for one in self._clear(few, exactly, exact=True).batches(1):
                         if all(self._differ(one, other) for other in taken):
                             taken.append(one)
@@ -269,6 +274,12 @@ class _Search:
                             return
             if taken:
                 return
+
+    def _free_at_rest(self, poses: _Poses, found: list[_Poses]) -> Iterator[_Poses]:
+        """Those of each batch whose hand is free of all samples at rest; also kept in ``found``."""
+        for batch in poses.batches(BATCH):
+            found.append(self._clear(batch, ALONG[:1]))
+            yield found[-1]
 
     def _differ(self, a: _Poses, b: _Poses) -> bool:
         apart = np.linalg.norm(a.center[0] - b.center[0]) > CLOSE
@@ -414,10 +425,14 @@ class _Search:
         """
         self.exact = exact
         poses = poses.take(self._fingers_free(poses, ROWS[:2]))
+        poses = self._free_along(poses, shares)
+        return poses.take(self._reached(poses))
+
+    def _free_along(self, poses: _Poses, shares: Sequence[float]) -> _Poses:
         for share in shares:
             poses = poses.take(self._fingers_free(poses, ROWS[1:], share))
             poses = poses.take(self._palm_free(poses, share))
-        return poses.take(self._reached(poses))
+        return poses
 
     def _fingers_free(
         self, poses: _Poses, rows: Sequence[float], share: float = 0.0
@@ -449,15 +464,14 @@ class _Search:
         y = np.cross(poses.approach, poses.closing)
         frames = np.stack([poses.closing, y, poses.approach], axis=2)  # columns
         world = np.einsum("pij,psj->psi", frames, spheres) + tips[:, None]
-        flat, least = world.reshape(-1, 3), np.tile(radii, len(poses)) + 5e-4
-        free = np.ones(len(flat), bool)
+        flat, room = world.reshape(-1, 3), radii + 5e-4
         matrix = motion(self.joint, share * self.end)
         posed = flat @ matrix[:3, :3].T + matrix[:3, 3]
         if self.exact:
-            room = float(least.max())
+            free, least = np.ones(len(flat), bool), np.tile(room, len(poses))
             low, high = (np.stack([end(flat, 0), end(posed, 0)]).T for end in (np.min, np.max))
-            meets = (self.bounds[:, 0] < high.max(axis=1) + room) & (
-                self.bounds[:, 1] > low.min(axis=1) - room
+            meets = (self.bounds[:, 0] < high.max(axis=1) + room.max()) & (
+                self.bounds[:, 1] > low.min(axis=1) - room.max()
             )
             for k in np.flatnonzero(meets.all(axis=1)):
                 moves, hull = self.shapes[k]
@@ -465,9 +479,15 @@ class _Search:
                     free &= _apart(hull, flat if moves else posed, least)
             return np.asarray(free.reshape(len(poses), -1).all(axis=1))
         tree = self.surface.tree if share == 0.0 else self.static
-        if tree is not None:
-            free &= tree.query(posed, distance_upper_bound=float(least.max()))[0] > least
-        return np.asarray(free.reshape(len(poses), -1).all(axis=1))
+        out = np.ones(len(poses), bool)
+        if tree is None:
+            return out
+        posed = posed.reshape(len(poses), -1, 3)
+        for some in (slice(0, None, _SOME), slice(None)):
+            left = np.flatnonzero(out)  # most hands meet something with one sphere of a few
+            off = tree.query(posed[left, some], distance_upper_bound=float(room.max()))[0]
+            out[left] = (off > room[some]).all(axis=1)
+        return out
 
 
 def _apart(hull: Hull, points: Array, least: Array) -> npt.NDArray[np.bool_]:
