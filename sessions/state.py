@@ -56,12 +56,12 @@ class SessionState:
 
     @property
     def undo_label(self) -> str:
-        """ "Undo: add click, part 1", or "" where there is nothing to undo."""
+        """What undo takes back, as "Undo: add click, part 1"; "" where there is nothing."""
         return f"Undo: {self.present.label}" if self.past else ""
 
     @property
     def redo_label(self) -> str:
-        """ "Redo: add click, part 1", or "" where there is nothing to redo."""
+        """What redo brings back, as "Redo: add click, part 1"; "" where there is nothing."""
         return f"Redo: {self.future[-1].label}" if self.future else ""
 
 

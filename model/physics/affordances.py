@@ -62,8 +62,8 @@ ALONG = (0.0, 0.5 * REACHED, REACHED)
 """Shares of the range at which the hand must be free."""
 EXACTLY = tuple(np.linspace(0.0, REACHED, 7).tolist())
 """Those at which it must be free of the shapes themselves, not of their samples."""
-_SOME = 6
-"""One sphere in so many is looked at first."""
+STRIDE = 6
+"""Every so many spheres of a hand are tested first: most hands meet something there."""
 FREE_TURN = np.pi
 """Radians that a joint without limits is turned."""
 
@@ -429,6 +429,7 @@ class _Search:
         return poses.take(self._reached(poses))
 
     def _free_along(self, poses: _Poses, shares: Sequence[float]) -> _Poses:
+        """Those whose fingers and palm are free at shares of the motion."""
         for share in shares:
             poses = poses.take(self._fingers_free(poses, ROWS[1:], share))
             poses = poses.take(self._palm_free(poses, share))
@@ -483,8 +484,8 @@ class _Search:
         if tree is None:
             return out
         posed = posed.reshape(len(poses), -1, 3)
-        for some in (slice(0, None, _SOME), slice(None)):
-            left = np.flatnonzero(out)  # most hands meet something with one sphere of a few
+        for some in (slice(0, None, STRIDE), slice(None)):
+            left = np.flatnonzero(out)
             off = tree.query(posed[left, some], distance_upper_bound=float(room.max()))[0]
             out[left] = (off > room[some]).all(axis=1)
         return out

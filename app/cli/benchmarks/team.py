@@ -97,7 +97,7 @@ def _row(
 
 
 def _percentile(seconds: list[float], q: float, scale: float = 1.0) -> float | None:
-    """None where every click failed."""
+    """Percentile ``q`` of times, multiplied by ``scale``; None without any."""
     return round(float(np.percentile(seconds, q)) * scale, 1) if seconds else None
 
 
