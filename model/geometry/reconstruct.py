@@ -21,9 +21,9 @@ _FEW = 300  # below, Poisson's smoothing eats the shape
 _VERY_FEW = 100  # below, neighbours don't determine the surface
 _REACH = 3.0  # largest distance of the surface from the points, in spacings
 _CELL = 3.0
-"""Size of Poisson's cells in spacings. With 2 it takes twice the time for twice the faces, which lie
-1.3 to 3.1 thousandths of the object's diagonal from the truth instead of 1.4 to 3.4 (parts of 36
-objects, by simulated depth cameras and drifting ones)."""
+"""Size of Poisson's cells in spacings. With 2 it takes twice the time for twice the faces, which
+lie 1.3 to 3.1 thousandths of the object's diagonal from the truth instead of 1.4 to 3.4 (parts of
+36 objects, by simulated depth cameras and drifting ones)."""
 
 
 def mesh_from_cloud(
