@@ -75,7 +75,7 @@ def export_one(task: ExportTask, progress: Progress = no_progress) -> dict[str, 
             source = about_asset(task.asset)["source"] or task.asset.name
             exporter = SimReadyExporter(replace(task.package, source=source))
         files = write_object(obj, exporter, folder, physics=physics, progress=span)
-        own_notes = [*notes, *(losses_of(name, obj))]
+        own_notes = [*notes, *(losses_of(name, obj, physics))]
         about = write_about(folder, task.asset, name, own_notes)
         entry: dict[str, Any] = {
             "format": name,

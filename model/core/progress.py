@@ -1,8 +1,14 @@
-"""Progress of long work, and its cancellation."""
+"""Progress of long work, its cancellation, and steps that may fail without ending it."""
 
 from __future__ import annotations
 
-from typing import Protocol
+import logging
+from collections.abc import Callable
+from typing import Protocol, TypeVar
+
+T = TypeVar("T")
+
+log = logging.getLogger(__name__)
 
 
 class Cancelled(Exception):
@@ -28,3 +34,18 @@ def scaled_progress(progress: Progress, start: float, end: float) -> Progress:
         progress(start + (end - start) * fraction, message)
 
     return scaled
+
+
+def attempt(remarks: list[str], name: str, step: Callable[[], T], default: T) -> T:
+    """Return ``step()``; where it fails, log it, add a remark, and return ``default``.
+
+    For one rule among many, and for extras that must not cost the result.
+    """
+    try:
+        return step()
+    except Cancelled:
+        raise
+    except Exception as error:
+        log.exception("an optional step failed: %s", name)
+        remarks.append(f"{name} failed ({type(error).__name__}: {error}): left out")
+        return default

@@ -18,7 +18,7 @@ from model.core.articulated_object import ArticulatedObject, Part
 from model.core.joint import Joint, canonical_axis_sign, motion
 from model.core.mesh import Mesh
 from model.core.point_cloud import PointCloud
-from model.core.progress import Progress, no_progress
+from model.core.progress import Progress, attempt, no_progress
 from model.geometry.closing import box, closed_solid, largest
 from model.geometry.denoise import denoised, noise_level
 from model.geometry.display import thin
@@ -43,6 +43,8 @@ LEAST = 800
 """Points of a part that are not thinned."""
 BOARD = 0.02
 """Metres, the usual thickness of furniture's boards; less for panels below 16 cm."""
+SMALL = 0.05
+"""Of the object's diagonal: no board of a small object is thicker."""
 GAP = 0.004
 """Of the object's diagonal, between what is made up and the body: the error of convex shapes."""
 FLAT = 0.25
@@ -100,9 +102,21 @@ def complete(obj: ArticulatedObject, progress: Progress = no_progress) -> Articu
     Parts that can't be completed stay as they are, with a remark. The same object gives the same
     surfaces.
     """
+    remarks: list[str] = []
+    solids = attempt(remarks, "closing the surfaces", lambda: _solids(obj, progress), {})
+    first, *others = (_completed(p, solids.get(p.link)) for p in obj.parts)
+    progress(1.0, "completed")
+    first = replace(first, remarks=(*first.remarks, *remarks))
+    return replace(obj, parts=(first, *others))
+
+
+def _solids(
+    obj: ArticulatedObject, progress: Progress
+) -> dict[str, tuple[Manifold, tuple[str, ...]]]:
+    """Link → closed surface and the words for what of it was made up."""
     clouds = _clouds(obj, progress)
     if not clouds:
-        return completed_with(obj, {})
+        return {}
     diagonal = float(np.linalg.norm(np.ptp(np.concatenate(
         [c.points for c in clouds.values()]), axis=0)))  # fmt: skip
     gap = GAP * diagonal
@@ -115,7 +129,7 @@ def complete(obj: ArticulatedObject, progress: Progress = no_progress) -> Articu
     for i, (link, cloud) in enumerate(clouds.items()):
         progress(0.2 + 0.7 * i / len(clouds), f"closing {link}")
         fronts = [_front_points(clouds[k], p) for k, p in panels.items() if p.joint.parent == link]
-        solid = _closed(cloud, panels.get(link), fronts, BOARD)
+        solid = _closed(cloud, panels.get(link), fronts, min(BOARD, SMALL * diagonal))
         if solid is not None:
             solids[link] = solid, (THICKNESS if link in panels else SURFACE,)
     progress(0.9, "making room")
@@ -133,9 +147,7 @@ def complete(obj: ArticulatedObject, progress: Progress = no_progress) -> Articu
             opened = largest(host[0] - _cut(panel, room, gap))
             if opened is not None:
                 solids[parent] = opened, tuple(dict.fromkeys((*host[1], OPENING)))
-    parts = [_completed(p, solids.get(p.link)) for p in obj.parts]
-    progress(1.0, "completed")
-    return replace(obj, parts=tuple(parts))
+    return solids
 
 
 def _clouds(obj: ArticulatedObject, progress: Progress) -> dict[str, PointCloud]:
@@ -325,7 +337,8 @@ def _joined(clouds: Sequence[PointCloud]) -> PointCloud:
 def _room(panel: Panel, body: PointCloud, others: Sequence[Array], gap: float) -> float:
     """Metres behind a panel's front up to the body's far wall, or to what was seen before it."""
     depth = -panel.local(body.points)[:, 2]
-    room = float(np.percentile(depth, 99)) - BOARD - gap
+    side = float((panel.high - panel.low).min())
+    room = float(np.percentile(depth, 99)) - min(BOARD, side / 8) - gap
     assert body.normals is not None
     seen = body.points[body.normals @ panel.frame[:3, 2] > 0.5]  # of the inside
     area = float(np.prod(panel.high - panel.low))

@@ -21,6 +21,7 @@ from model.core.affordance import Affordance, AffordanceKind, belongs
 from model.core.articulated_object import ArticulatedObject, Part
 from model.core.joint import Joint, motion
 from model.core.mesh import Mesh
+from model.core.progress import attempt
 from model.core.shapes import Hull, Shape, hull_of_shape
 from model.core.tree import KinematicTree
 from model.geometry.sampling import sample_surface
@@ -82,33 +83,51 @@ def find_affordances(
     *,
     most: int = 3,
     seed: int = 0,
+    remarks: list[str] | None = None,
 ) -> tuple[Affordance, ...]:
     """Places for each joint that moves on its own, best first; none where no hand fits.
 
-    Affordances that ``obj`` has, of joints that it still has, are kept.
+    Affordances that ``obj`` has, of joints that it still has, are kept. A search that fails
+    leaves its joint without any.
 
     Args:
         collision: link → shapes, object frame: what a gripper meets. Links without any count by
             their meshes or clouds; where no link has one, nothing is looked for.
         most: of a joint.
         seed: of the samples.
+        remarks: gets one for each search that failed.
     """
+    said = [] if remarks is None else remarks
     found = _FOUND.get(obj)  # formats of one export ask for the same
     if found is not None and found[0] is collision and found[1] == (most, seed):
+        said += found[3]
         return found[2]
     kept = [a for a in obj.affordances if belongs(a, obj.tree)]
     known = {a.joint for a in kept}
     joints = [j for j in obj.tree.joints if _own(j) and j.name not in known] if collision else []
+    failed: list[str] = []
     if joints:
-        surface = _Surface.of(obj, collision, np.random.default_rng(seed))
-        kept += [a for j in joints for a in _Search(obj.tree, surface, j).best(most)]
-    _FOUND[obj] = (collision, (most, seed), tuple(kept))
+        surface = attempt(
+            failed,
+            "the surface that grippers touch",
+            lambda: _Surface.of(obj, collision, np.random.default_rng(seed)),
+            None,
+        )
+        for joint in joints if surface is not None else ():
+            kept += attempt(
+                failed,
+                f"{joint.name}: the search for affordances",
+                lambda j=joint: list(_Search(obj.tree, surface, j).best(most)),
+                [],
+            )
+    _FOUND[obj] = (collision, (most, seed), tuple(kept), failed)
+    said += failed
     return tuple(kept)
 
 
 _FOUND: WeakKeyDictionary[
     ArticulatedObject,
-    tuple[Mapping[str, Sequence[Shape]], tuple[int, int], tuple[Affordance, ...]],
+    tuple[Mapping[str, Sequence[Shape]], tuple[int, int], tuple[Affordance, ...], list[str]],
 ] = WeakKeyDictionary()
 
 
@@ -458,8 +477,8 @@ class _Search:
         self, poses: _Poses, spheres: Array, radii: Array, share: float
     ) -> npt.NDArray[np.bool_]:
         """(P,) whether (P, S, 3) spheres in tool frames meet nothing, ``share`` along the way."""
-        if not len(poses):
-            return np.zeros(0, bool)
+        if not len(poses) or not len(radii):
+            return np.ones(len(poses), bool)
         kinds = np.array(_KINDS)[poses.kind]
         tips = tip_of(kinds, poses.center, poses.approach, poses.closing, OFF)
         y = np.cross(poses.approach, poses.closing)

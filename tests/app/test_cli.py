@@ -23,6 +23,7 @@ from app.cli.main import main, make_parser, parse
 from app.cli.reference import arguments, parsers
 from app.server.crash_log import write_crash
 from model.core.errors import ConfigurationError, KinematicsError
+from model.io.assets.reader import read_provenance
 from tests.app.job_functions import crash_on
 from tests.app.run_cli import (
     BASE_CLICK,
@@ -411,6 +412,39 @@ def test_export_writes_files_that_other_programs_open(asset, form, tmp_path, cap
         assert stage.GetDefaultPrim()
     else:
         assert len(trimesh.load(first).geometry) >= 2
+
+
+@pytest.mark.parametrize("metres", [0.003, 0.03, 30.0])  # most tests have 0.3 to 3 m
+def test_objects_of_any_size_pass_every_command(metres, tmp_path):
+    parts, out = tmp_path / "parts", tmp_path / "out"
+    parts.mkdir()
+    for i, mesh in enumerate(cupboard()):
+        mesh.apply_scale(metres / 0.8)
+        mesh.export(parts / f"link_{i}.obj")
+    options = "--up-axis", "z", "--json"
+    done = artiworld("predict", parts, "--out", tmp_path / "asset", "--collision", *options)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["joints"][0]["type"] == "revolute"
+    done = artiworld("check", tmp_path / "asset", "--format", "urdf", "--no-cache", "--json")
+    assert done.returncode in (0, 1) and "error" not in json.loads(done.stdout), done.stdout
+    words = "--format", "all", "--check", "--out", out, "--no-cache", "--json"
+    done = artiworld("export", tmp_path / "asset", *words)
+    assert done.returncode == 0, done.stdout + done.stderr
+    for form in json.loads(done.stdout)["formats"]:
+        assert form["readers"] and not form["problems"]
+
+
+@pytest.mark.parametrize("metres", [0.003, 30.0])
+def test_scans_of_any_size_are_completed(metres, tmp_path):
+    parts = tmp_path / "parts"
+    parts.mkdir()
+    for i, mesh in enumerate(cupboard()):
+        mesh.apply_scale(metres / 0.8)
+        trimesh.PointCloud(mesh.sample(2000, seed=i)).export(parts / f"link_{i}.ply")
+    done = artiworld("predict", parts, "--out", tmp_path / "asset", "--complete", "--json")
+    assert done.returncode == 0, done.stderr
+    completed = read_provenance(tmp_path / "asset")["asset"]["completed"]
+    assert sorted(completed) == ["base", "link_1"]
 
 
 @pytest.fixture

@@ -246,7 +246,9 @@ def _write_texts(
     names: FileNames,
 ) -> None:
     write_urdf_of(obj, parts, folder / URDF, physics)
-    affordances = find_affordances(obj, {} if physics is None else physics.collision)
+    remarks = list(remarks_of(obj.parts))
+    collision = {} if physics is None else physics.collision
+    affordances = find_affordances(obj, collision, remarks=remarks)
     _write_json(folder / TREE, tree_to_json(obj.tree, affordances))
     files = sorted(p for p in folder.rglob("*") if p.is_file())
     entry = {
@@ -256,7 +258,7 @@ def _write_texts(
         "written": _now(),
         "parts": [_entry(p) for p in parts],
         "names": names.to_json(),
-        "remarks": list(remarks_of(obj.parts)),
+        "remarks": remarks,
         "original": None if original is None else _sums(original),
         "give_way": [j.name for j in obj.tree.joints if j.give_way],
         DECLARED: declared_entry(obj, () if physics is None else physics.declared_shapes),

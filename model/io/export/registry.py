@@ -11,6 +11,7 @@ from model.core.registry import Registry
 from model.io.assets.reader import load_object
 from model.io.export import mjcf, part_files, urdf
 from model.io.export.protocol import Exporter
+from model.physics.affordances import find_affordances
 from model.physics.simulation_values import Physics
 
 EXPORTERS = Registry[Exporter](
@@ -30,9 +31,17 @@ EXPORTERS = Registry[Exporter](
 """All export formats. A new built-in one is a line here and a file that fits the protocol."""
 
 
-def losses_of(name: str, obj: ArticulatedObject) -> tuple[str, ...]:
-    """Features that readers of a built-in format don't show, in words."""
+def losses_of(
+    name: str, obj: ArticulatedObject, physics: Physics | None = None
+) -> tuple[str, ...]:
+    """Features that files of a built-in format lack or that their readers don't show.
+
+    Args:
+        physics: which the files were written with.
+    """
     losses: list[str] = []
+    if name in ("mjcf", "usd") and physics is not None:
+        find_affordances(obj, physics.collision, remarks=losses)
     if name in ("urdf", "ros", "sdf"):
         losses += part_files.losses_of(obj)
     if name == "urdf":

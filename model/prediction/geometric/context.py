@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -12,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from model.core.part_names import category_key, mechanism_of, words
-from model.core.progress import Cancelled
+from model.core.progress import attempt
 from model.prediction.geometric.proposal import UP, unit
 from model.prediction.geometric.sampled_object import CONTACT_GAP, SampledObject
 from model.prediction.geometric.shape import PartShape, Protrusion
@@ -20,29 +19,12 @@ from model.prediction.geometric.shape import PartShape, Protrusion
 Array = npt.NDArray[np.float64]
 T = TypeVar("T")
 
-log = logging.getLogger(__name__)
-
 SQUARE = np.deg2rad(8)
 """Largest angle (rad) between a shut panel and the object's directions."""
 IN_FRONT = 0.1
 """Largest gap (diagonals) between a shut panel and its parent."""
 BAR = 0.2
 """Least size of a push bar over that of its door; buttons are smaller."""
-
-
-def attempt(faults: list[str], name: str, rule: Callable[[], T], default: T) -> T:
-    """Return ``rule()``; where it fails, log it, add a remark to ``faults``, return ``default``.
-
-    One rule among many must not cost the prediction.
-    """
-    try:
-        return rule()
-    except Cancelled:
-        raise
-    except Exception as error:
-        log.exception("a rule of the geometric predictor failed: %s", name)
-        faults.append(f"{name} failed ({type(error).__name__}: {error}): decided without it")
-        return default
 
 
 @dataclass(eq=False)

@@ -9,8 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from model.core.motion_lexicon import Mechanism
+from model.core.progress import attempt
 from model.prediction.explanation import Reason
-from model.prediction.geometric.context import Assembly, PartContext, attempt
+from model.prediction.geometric.context import Assembly, PartContext
 from model.prediction.geometric.edge_hinges import edge_proposals
 from model.prediction.geometric.edge_limits import with_swept_limits
 from model.prediction.geometric.pins import (

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from model.core.motion_lexicon import CATEGORY_PARENTS
 from model.core.part_names import base_score, category_key, known_word, mechanism_of, words
-from model.prediction.geometric.context import attempt
+from model.core.progress import attempt
 from model.prediction.geometric.sampled_object import CONTACT_GAP, SampledObject
 from model.prediction.geometric.shape import blades, same_extents
 

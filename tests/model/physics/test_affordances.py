@@ -12,10 +12,11 @@ import pytest
 from model.core.affordance import Affordance
 from model.core.errors import GeometryError, InputFileError
 from model.io.assets.asset_folder import write_asset
-from model.io.assets.reader import TREE, load_object
+from model.io.assets.reader import TREE, load_object, reading_notes
 from model.io.export.mjcf import MjcfExporter
+from model.io.export.registry import losses_of
 from model.io.export.usd import UsdExporter
-from model.physics.affordances import find_affordances, opened_range
+from model.physics.affordances import _Search, find_affordances, opened_range
 from model.physics.hand import DEPTH, tool_pose
 from model.physics.simulation_values import Physics, physics_of
 from tests.builders import box
@@ -53,6 +54,27 @@ def test_nothing_is_found_where_no_hand_fits():
     found = find_affordances(obj, physics_of(obj).collision)
     assert not [a for a in found if a.joint == "drawer"]
     assert find_affordances(obj, {}) == ()
+
+
+def test_a_search_that_fails_costs_its_joint_alone(monkeypatch, tmp_path: Path):
+    obj = with_handles(cabinet())
+    physics = physics_of(obj)
+    whole = _Search.best
+
+    def failing(self, most):
+        if self.joint.name == DOOR.name:
+            raise ValueError("a fault of ours")
+        return whole(self, most)
+
+    monkeypatch.setattr(_Search, "best", failing)
+    remarks: list[str] = []
+    found = find_affordances(obj, physics.collision, remarks=remarks)
+    assert {a.joint for a in found} == {DRAWER.name}
+    (remark,) = remarks
+    assert remark.startswith("door: the search for affordances failed (ValueError: a fault of ours")
+    assert remark in losses_of("usd", obj, physics)
+    folder = saved(obj, physics, tmp_path)
+    assert remark in reading_notes(folder, load_object(folder))
 
 
 def test_the_tool_stands_where_the_affordance_says():
