@@ -3,7 +3,7 @@
 #   make run ARGS=PATH…   start it with your own files
 #   make test             all tests, in a real browser too
 #   make test-fast        those that take a minute: no browser, physics or training
-#   make lint             style, types, layers
+#   make lint             style, types, layers, and the budget of lines
 #   make docs             build the documentation site into build/site
 #   make pictures         take the pictures of the documents anew
 
@@ -43,6 +43,7 @@ lint: $(VENV)/.lint
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright --pythonpath $(BIN)/python
 	$(BIN)/lint-imports
+	$(BIN)/python -m tests.budget
 
 format: $(VENV)/.lint
 	$(BIN)/ruff check --fix .

@@ -37,7 +37,7 @@ from sessions.scene_commands import DecideObjects, PickOut, SetArticulable
 from sessions.tool_commands import ApplyTool, CropOut, CutFaces, LeaveOut, Placed
 
 
-def describe(command: Command) -> str:
+def describe(command: Command) -> str:  # noqa: C901  # one case for each kind of command
     """Return what the command does, in a few words for an undo button or a list of edits."""
     match command:
         case AddClick(click=click):

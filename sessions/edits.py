@@ -139,7 +139,9 @@ def _with_new_parts(document: Document) -> Document:
     return replace(document, tree=tree, locked=_still_locked(document.locked, tree))
 
 
-def _changed(document: Document, command: Command, context: Context) -> tuple[Document, Action]:
+def _changed(  # noqa: C901  # one case for each kind of command
+    document: Document, command: Command, context: Context
+) -> tuple[Document, Action]:
     match command:
         case AddClick(click=click):
             return _add_prompt(document, click), "annotate"

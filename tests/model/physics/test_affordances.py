@@ -11,12 +11,14 @@ import pytest
 
 from model.core.affordance import Affordance
 from model.core.errors import GeometryError, InputFileError
+from model.core.joint import motion
 from model.io.assets.asset_folder import write_asset
 from model.io.assets.reader import TREE, load_object, reading_notes
 from model.io.export.mjcf import MjcfExporter
 from model.io.export.registry import losses_of
 from model.io.export.usd import UsdExporter
-from model.physics.affordances import _Search, find_affordances, opened_range
+from model.physics import affordances
+from model.physics.affordances import find_affordances, opened_range
 from model.physics.hand import DEPTH, tool_pose
 from model.physics.simulation_values import Physics, physics_of
 from tests.builders import box
@@ -59,14 +61,13 @@ def test_nothing_is_found_where_no_hand_fits():
 def test_a_search_that_fails_costs_its_joint_alone(monkeypatch, tmp_path: Path):
     obj = with_handles(cabinet())
     physics = physics_of(obj)
-    whole = _Search.best
 
-    def failing(self, most):
-        if self.joint.name == DOOR.name:
+    def failing(joint, q):
+        if joint.name == DOOR.name:
             raise ValueError("a fault of ours")
-        return whole(self, most)
+        return motion(joint, q)
 
-    monkeypatch.setattr(_Search, "best", failing)
+    monkeypatch.setattr(affordances, "motion", failing)
     remarks: list[str] = []
     found = find_affordances(obj, physics.collision, remarks=remarks)
     assert {a.joint for a in found} == {DRAWER.name}
