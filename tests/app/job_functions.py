@@ -195,3 +195,43 @@ def read_badly(path: Path, is_scene: bool) -> int:
         case b"blow-up":
             return len(bytearray(64 << 30))
     raise KeyError("chapter")
+
+
+ROOT = Path(__file__).parents[2]
+
+
+class PathTrace:
+    """A profile function: the files on the stack whenever a function of some files is called.
+
+    Attributes:
+        counting: whether calls count now.
+        files: those of ours, from the top of the repository.
+    """
+
+    def __init__(self, stations: Sequence[str], counting: bool = False) -> None:
+        self._stations = {str(ROOT / station) for station in stations}
+        self.counting, self.files = counting, set[str]()
+
+    def __call__(self, frame: Any, event: str, _: Any) -> None:
+        if event != "call" or not self.counting or frame.f_code.co_filename not in self._stations:
+            return
+        while frame is not None:
+            path = frame.f_code.co_filename.removeprefix(f"{ROOT}/")
+            if path.startswith(("app/", "model/", "sessions/")):
+                self.files.add(path)
+            frame = frame.f_back
+
+
+_traces: list[PathTrace] = []
+
+
+def begin_trace(stations: Sequence[str]) -> None:
+    """Trace what this worker calls from now on."""
+    _traces.append(PathTrace(stations, counting=True))
+    sys.setprofile(_traces[-1])
+
+
+def end_trace() -> set[str]:
+    """The files of the trace, which ends."""
+    sys.setprofile(None)
+    return _traces.pop().files

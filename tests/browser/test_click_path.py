@@ -1,0 +1,62 @@
+"""The way of a click: its files, trips to workers and commits, until its labels are drawn."""
+
+from __future__ import annotations
+
+import threading
+import tomllib
+from typing import Any
+
+import pytest
+
+from sessions.store import Store
+from tests.app.job_functions import PathTrace, begin_trace, end_trace
+from tests.budget import FILE, ROOT
+
+pytestmark = pytest.mark.browser
+
+STATIONS = (
+    "app/viewer/picture/label_overlay.py", "app/server/jobs.py", "sessions/store.py",
+    "model/geometry/picking.py", "model/segmentation/default.py",
+)  # fmt: skip
+"""Where a click arrives: the worker, the store, the surface, the segmenter, the picture."""
+
+
+def test_the_way_of_a_click_stays_within_the_budget(
+    start: Any, open_tab: Any, cabinet: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, points = cabinet
+    trace, jobs, commits = PathTrace(STATIONS), list[str](), list[str]()
+    append = Store.append
+
+    def counted(store: Store, *args: Any, **more: Any) -> Any:
+        commits.append(type(args[-1]).__name__)
+        return append(store, *args, **more)
+
+    monkeypatch.setattr(Store, "append", counted)
+    threading.setprofile(trace)  # in all threads that begin from now on
+    try:
+        tab = open_tab(start(path))
+        tab.prompt(points["door"])  # the first one has more to do
+        workers = tab.object.lane.geometry, tab.object.lane.segmentation
+        for worker in workers:
+            worker.submit(begin_trace, STATIONS).result(timeout=60)
+            submit = worker.submit
+
+            def noted(function: Any, *args: Any, submit: Any = submit, **more: Any) -> Any:
+                jobs.append(function.__name__)
+                return submit(function, *args, **more)
+
+            monkeypatch.setattr(worker, "submit", noted)
+        commits.clear()
+        trace.counting = True
+        tab.prompt(points["drawer"])
+        trace.counting = False
+    finally:
+        threading.setprofile(None)
+    trips = len(jobs)
+    files = trace.files.union(*(w.submit(end_trace).result(timeout=60) for w in workers))
+    told = tomllib.loads((ROOT / FILE).read_text())["click"]
+    assert set(STATIONS) <= files, "a station was renamed"
+    assert len(files) <= told["files"], sorted(files)
+    assert trips <= told["trips"], jobs
+    assert len(commits) <= told["commits"], commits
