@@ -108,8 +108,8 @@ def problems(now: Mapping[str, Mapping[str, int]], limits: Mapping[str, Any]) ->
 
 def raised(limits: Mapping[str, Any], before: Mapping[str, Any]) -> Iterator[str]:
     """One line for each limit above the one that it had before."""
-    for table, rows in before.items():
-        for row, limit in rows.items():
+    for table in ("house", "packages", "click"):
+        for row, limit in before.get(table, {}).items():
             if limits.get(table, {}).get(row, 0) > limit:
                 yield f"{row}: the limit rose from {limit:,} to {limits[table][row]:,}"
 

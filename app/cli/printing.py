@@ -18,6 +18,7 @@ from rich.progress import Progress as ProgressBar
 from rich.table import Table
 from rich.text import Text
 
+from model.core.joint import JOINT_KINDS
 from model.core.progress import Progress, no_progress
 
 if TYPE_CHECKING:
@@ -197,7 +198,7 @@ def limits_text(kind: str, limits: list[float] | None) -> str:
     """Limits with their unit: degrees or millimetres."""
     if limits is None:
         return ""
-    scale, unit = (1000.0, " mm") if kind == "prismatic" else (180.0 / math.pi, "°")
+    scale, unit = (1000.0, " mm") if JOINT_KINDS[kind].slides else (180.0 / math.pi, "°")
     low, high = (round(v * scale) + 0 for v in limits)
     return f"{low}…{high}{unit}"
 

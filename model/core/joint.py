@@ -15,6 +15,44 @@ JointType = Literal["revolute", "continuous", "prismatic", "fixed"]
 JOINT_TYPES: tuple[JointType, ...] = get_args(JointType)
 
 
+@dataclass(frozen=True)
+class JointKind:
+    """Properties of one joint type, and its words elsewhere. URDF, SDF and SAPIEN use our names.
+
+    Attributes:
+        unit: of q, "rad" or "m"; "" for a joint that doesn't move.
+        limited: True where it needs a lower and an upper limit.
+        noun: in the names that files give joints.
+        mjcf: value of MJCF's ``type``; "" for a joint that MJCF doesn't write.
+        usd: schema of UsdPhysics.
+    """
+
+    unit: Literal["rad", "m", ""]
+    limited: bool
+    noun: str
+    mjcf: str
+    usd: str
+
+    @property
+    def rotates(self) -> bool:
+        """True where q is an angle."""
+        return self.unit == "rad"
+
+    @property
+    def slides(self) -> bool:
+        """True where q is a length."""
+        return self.unit == "m"
+
+
+JOINT_KINDS: dict[str, JointKind] = {
+    "revolute": JointKind("rad", True, "hinge", "hinge", "PhysicsRevoluteJoint"),
+    "continuous": JointKind("rad", False, "spin", "hinge", "PhysicsRevoluteJoint"),
+    "prismatic": JointKind("m", True, "slide", "slide", "PhysicsPrismaticJoint"),
+    "fixed": JointKind("", False, "fixed", "", "PhysicsFixedJoint"),
+}
+"""Joint type → its row; a new type is one row, and the code that only it needs."""
+
+
 def value_text(q: float, rotates: bool) -> str:
     """A joint value as people read it: degrees or millimetres, to one decimal ("94.5°", "3 mm")."""
     shown = round(math.degrees(q) if rotates else 1000 * q, 1) + 0.0
@@ -133,7 +171,7 @@ class Joint:
                 out.append(f"{what} must be three finite numbers, got {getattr(self, what)}")
             elif what == "axis" and self.moves and np.linalg.norm(value) < 1e-9:
                 out.append("axis must not be zero")
-        if self.type in ("revolute", "prismatic"):
+        if self.limited:
             if self.lower is None or self.upper is None:
                 out.append(f"a {self.type} joint needs lower and upper limits")
             elif not (math.isfinite(self.lower) and math.isfinite(self.upper)):
@@ -145,18 +183,23 @@ class Joint:
 
     @property
     def moves(self) -> bool:
-        """Whether the joint has a degree of freedom."""
+        """True where the joint has a degree of freedom."""
         return self.type != "fixed"
 
     @property
     def limited(self) -> bool:
-        """Whether the joint has limits."""
-        return self.type in ("revolute", "prismatic")
+        """True where the joint has limits."""
+        return self.type in JOINT_KINDS and JOINT_KINDS[self.type].limited
 
     @property
     def rotates(self) -> bool:
-        """Whether q is an angle in radians (else metres)."""
-        return self.type in ("revolute", "continuous")
+        """True where q is an angle in radians."""
+        return self.type in JOINT_KINDS and JOINT_KINDS[self.type].rotates
+
+    @property
+    def slides(self) -> bool:
+        """True where q is a length in metres."""
+        return self.type in JOINT_KINDS and JOINT_KINDS[self.type].slides
 
     @property
     def motion_range(self) -> tuple[float, float]:
@@ -225,7 +268,7 @@ def motions(joint: Joint, q: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]
     if not joint.moves:
         return out
     axis = np.asarray(joint.axis, dtype=np.float64)
-    if joint.type == "prismatic":
+    if joint.slides:
         out[:, :3, 3] = q[:, None] * axis
         return out
     x, y, z = axis

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from model.core.errors import InputFileError
-from model.core.joint import Joint
+from model.core.joint import JOINT_KINDS, Joint
 from model.core.tree import KinematicTree
 from model.data.protocol import GroundTruth
 from model.io.formats.mtl import MaterialFiles
@@ -25,10 +25,12 @@ from model.io.urdf.model import UrdfModel
 from model.io.urdf.reader import read_urdf_model
 from model.io.urdf.sidecar import partnet_category, read_json_beside, semantic_names
 
-_TURNS, _STAYS = frozenset({"revolute", "continuous"}), frozenset({"fixed"})
+_TURNS = frozenset(kind for kind, row in JOINT_KINDS.items() if row.rotates)
+_SLIDES = frozenset(kind for kind, row in JOINT_KINDS.items() if row.slides)
+_STAYS = frozenset({"fixed"})
 _SAID = {
     "hinge": _TURNS,
-    "slider": frozenset({"prismatic"}),
+    "slider": _SLIDES,
     "heavy": _STAYS,
     "free": _STAYS,
     "static": _STAYS,

@@ -113,7 +113,7 @@ class Similarity:
         axis = tuple(self.rotation @ np.asarray(joint.axis))
         origin = tuple(self.points(np.asarray(joint.origin)[None])[0])
         lower, upper = joint.lower, joint.upper
-        if joint.type == "prismatic" and lower is not None and upper is not None:
+        if joint.slides and lower is not None and upper is not None:
             lower, upper = lower * self.scale, upper * self.scale
         return replace(joint, axis=axis, origin=origin, lower=lower, upper=upper)
 

@@ -35,7 +35,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from model.core.articulated_object import ArticulatedObject
-from model.core.joint import Joint
+from model.core.joint import JOINT_KINDS, Joint
 from model.core.tree import KinematicTree
 from model.evaluation.executability import Execution
 from model.evaluation.part_matching import PartMatch
@@ -124,7 +124,7 @@ class JointScore:
     @property
     def rotates(self) -> bool:
         """Whether the true joint turns."""
-        return self.true_type in ("revolute", "continuous")
+        return JOINT_KINDS[self.true_type].rotates
 
 
 @dataclass(frozen=True)

@@ -223,7 +223,7 @@ def _spread(items: Sequence[Any], most: int) -> list[Any]:
 
 def kind_of(joint: Joint) -> JointKind:
     """The row of a joint."""
-    if joint.type == "prismatic":
+    if joint.slides:
         return "button" if np.ptp(joint.motion_range) <= BUTTON else "slide"
     return "hinge" if joint.limited else "knob or wheel"
 

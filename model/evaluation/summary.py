@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from model.core.joint import JOINT_KINDS
 from model.evaluation.joint_metrics import (
     WORST_ANGLE,
     WORST_DISTANCE,
@@ -82,7 +83,7 @@ def _hits(score: ObjectScore, level: str) -> int:
     """True joints that S2O would call found: same motion (M), also axis (MA), also origin (MAO)."""
     out = 0
     for j in score.joints:
-        if not j.present or (j.type == "prismatic") != (j.true_type == "prismatic"):
+        if not j.present or JOINT_KINDS[j.type].slides != JOINT_KINDS[j.true_type].slides:
             continue
         axis = "A" not in level or (j.apd is not None and j.apd < S2O_AXIS)
         origin = "O" not in level or j.opd_part is None or j.opd_part < S2O_ORIGIN

@@ -216,7 +216,7 @@ def panel_of(cloud: PointCloud, joint: Joint, gap: float) -> Panel | None:
     if outward is None:
         return None
     along = float(outward @ axis)
-    drawer = joint.type == "prismatic" and along > 0.8
+    drawer = joint.slides and along > 0.8
     if drawer:
         outward = axis
     elif abs(along) > 0.5:

@@ -272,7 +272,7 @@ def carried_joint(
     factor = np.ptp(new, axis=0) / np.maximum(high - low, 1e-9)
     origin = new[0] + (place - low) * np.where(high - low > 1e-6, factor, 1.0)
     limits = (joint.lower, joint.upper)
-    if joint.type == "prismatic":
+    if joint.slides:
         limits = tuple(None if v is None else v * growth for v in limits)  # type: ignore[assignment]
     return replace(
         joint, name=f"joint_{child}", child=child, parent=parent,

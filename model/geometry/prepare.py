@@ -239,7 +239,7 @@ def _moved_tree(tree: KinematicTree, rotation: Array, scale: float, shift: Array
     def moved_joint(joint: Joint) -> Joint:
         ax, ay, az = (rotation @ joint.axis).tolist()
         ox, oy, oz = (scale * (rotation @ joint.origin) + shift).tolist()
-        far = scale if joint.type == "prismatic" else 1.0
+        far = scale if joint.slides else 1.0
         low, high = (None if v is None else far * v for v in (joint.lower, joint.upper))
         return replace(joint, axis=(ax, ay, az), origin=(ox, oy, oz), lower=low, upper=high)
 

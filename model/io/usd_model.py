@@ -24,7 +24,7 @@ from model.core.errors import GeometryError, InputFileError, KinematicsError
 from model.core.files import free_name
 from model.core.inertial import Inertial, inertial_problems
 from model.core.installing import require
-from model.core.joint import DeclaredDynamics, Joint, JointType, Mimic
+from model.core.joint import JOINT_KINDS, JOINT_TYPES, DeclaredDynamics, Joint, JointType, Mimic
 from model.core.tree import KinematicTree
 from model.io.export.usd import AFFORDANCE, FRICTION, NAME_KEY
 from model.io.formats.loaded import DEFAULT_MAX_BYTES, size_of
@@ -43,9 +43,9 @@ FULL_TURN = 2 * math.pi - 1e-6
 APART = 1e-3
 """Difference of two joint frames in metres, beside the joint's own motion, that is remarked."""
 _TYPES: dict[str, JointType] = {
-    "PhysicsRevoluteJoint": "revolute", "PhysicsPrismaticJoint": "prismatic",
-    "PhysicsFixedJoint": "fixed", "PhysicsSphericalJoint": "revolute",
-}  # fmt: skip
+    **{JOINT_KINDS[kind].usd: kind for kind in JOINT_TYPES if kind != "continuous"},
+    "PhysicsSphericalJoint": "revolute",
+}
 _LABEL = "semantics:labels:class"
 
 FloatArray = npt.NDArray[np.float64]
@@ -219,9 +219,9 @@ class _Reader:
         """Where the joint stands; a remark where its frames differ by anything else."""
         apart = np.linalg.inv(zero) @ one
         shift, turn = apart[:3, 3].copy(), Rotation.from_matrix(apart[:3, :3]).as_rotvec()
-        value = {"revolute": turn[0], "prismatic": shift[0]}.get(type_, 0.0)
-        if type_ == "prismatic":
-            shift[0] = 0.0
+        value = turn[0] if JOINT_KINDS[type_].rotates else 0.0
+        if JOINT_KINDS[type_].slides:
+            value, shift[0] = shift[0], 0.0
         if type_ != "fixed" and np.linalg.norm(shift) > APART:
             away = np.linalg.norm(shift)
             self.notes.append(

@@ -24,7 +24,7 @@ import numpy.typing as npt
 from model.core import codec
 from model.core.articulated_object import ArticulatedObject, SegmentedObject
 from model.core.errors import InputFileError
-from model.core.joint import JointType
+from model.core.joint import JOINT_KINDS, JointType
 from model.prediction.geometric.sampled_object import SampledObject, sample_object
 
 Array = npt.NDArray[np.float64]
@@ -70,7 +70,7 @@ class JointExample:
     @property
     def rotates(self) -> bool:
         """Whether it turns."""
-        return self.type in ("revolute", "continuous")
+        return JOINT_KINDS[self.type].rotates
 
 
 @dataclass(frozen=True)

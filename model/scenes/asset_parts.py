@@ -135,8 +135,8 @@ def scaled_tree(tree: KinematicTree, factors: FloatArray) -> KinematicTree:
     for joint in tree.joints:
         along = np.asarray(joint.axis) * factors
         length = float(np.linalg.norm(along))
-        slide = length if joint.type == "prismatic" else 1.0
-        way = 1.0 if joint.type == "prismatic" else handed
+        slide = length if joint.slides else 1.0
+        way = 1.0 if joint.slides else handed
         x, y, z = (way * along / length + 0.0).tolist() if length > 0 else joint.axis
         ox, oy, oz = (np.asarray(joint.origin) * factors).tolist()
         joints.append(replace(

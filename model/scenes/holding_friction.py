@@ -9,7 +9,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from model.core.inertial import Inertial
-from model.core.joint import Joint, Mimic
+from model.core.joint import JOINT_KINDS, JOINT_TYPES, Joint, Mimic
 from model.core.tree import KinematicTree
 from model.physics.simulation_values import resisting
 from model.scenes.readers.lisdf import parse_xml
@@ -86,8 +86,9 @@ def _joint(
     ends = limits.get(name)
     if ends is None and made.get("range") is not None:
         ends = _numbers(made.get("range"), (0.0, 0.0))
-    kind = "prismatic" if made.get("type") == "slide" else "revolute"
-    if ends is None and kind == "revolute":
+    tag = made.get("type", "hinge")
+    kind = next(k for k in JOINT_TYPES if JOINT_KINDS[k].mjcf == tag)
+    if ends is None and JOINT_KINDS[kind].rotates:
         return Joint(name, "continuous", parent, link, axis, tuple(at), mimic=mimics.get(name))
     low, high = (0.0, 0.0) if ends is None else (float(v) for v in ends)
     return Joint(name, kind, parent, link, axis, tuple(at), low, high, mimics.get(name))

@@ -217,7 +217,7 @@ def _kind(made: ProceduralObject, link: str) -> str:
         return (
             "heavy" if made.category in HEAVY else "static" if made.category in STATIC else "free"
         )
-    if joint.type == "prismatic":
+    if joint.slides:
         return "slider" if joint.parent.startswith("link_") else "slider+"
     return "hinge" if joint.rotates else "static"
 

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from model.core.articulated_object import ArticulatedObject
 from model.core.inertial import Inertial
-from model.core.joint import Joint
+from model.core.joint import JOINT_KINDS, Joint
 from model.core.mesh import Material, Mesh
 from model.core.progress import Progress, no_progress
 from model.core.shapes import Primitive
@@ -119,9 +119,12 @@ class _Writer:
         offset = self.origins[joint.child] - self.origins[joint.parent]
         body = ET.SubElement(parent, "body", name=xml_name(joint.child), pos=vector(offset))
         if joint.moves:
-            kind = "hinge" if joint.rotates else "slide"
             made = ET.SubElement(
-                body, "joint", name=xml_name(joint.name), type=kind, axis=vector(joint.axis)
+                body,
+                "joint",
+                name=xml_name(joint.name),
+                type=JOINT_KINDS[joint.type].mjcf,
+                axis=vector(joint.axis),
             )
             dynamics = self.physics.dynamics.get(joint.name)
             if dynamics is not None:

@@ -31,9 +31,7 @@ EXPORTERS = Registry[Exporter](
 """All export formats. A new built-in one is a line here and a file that fits the protocol."""
 
 
-def losses_of(
-    name: str, obj: ArticulatedObject, physics: Physics | None = None
-) -> tuple[str, ...]:
+def losses_of(name: str, obj: ArticulatedObject, physics: Physics | None = None) -> tuple[str, ...]:
     """Features that files of a built-in format lack or that their readers don't show.
 
     Args:

@@ -24,7 +24,7 @@ from model.core.articulated_object import ArticulatedObject
 from model.core.files import free_name
 from model.core.inertial import Inertial
 from model.core.installing import require
-from model.core.joint import Joint, Mimic
+from model.core.joint import JOINT_KINDS, Joint, Mimic
 from model.core.mesh import Material, Mesh
 from model.core.progress import Progress, no_progress
 from model.core.shapes import Primitive, Shape
@@ -410,10 +410,8 @@ class _Writer:
             api.CreateFilteredPairsRel().AddTarget(self.links[b].GetPath())
 
     def _joint(self, path: str, joint: Joint) -> Any:
-        kinds = {"prismatic": "PrismaticJoint", "fixed": "FixedJoint"}
-        made = getattr(self.UsdPhysics, kinds.get(joint.type, "RevoluteJoint")).Define(
-            self.stage, path
-        )
+        schema = JOINT_KINDS[joint.type].usd.removeprefix("Physics")
+        made = getattr(self.UsdPhysics, schema).Define(self.stage, path)
         prim = made.GetPrim()
         prim.SetCustomDataByKey(NAME_KEY, joint.name)
         made.CreateBody0Rel().SetTargets([self.links[joint.parent].GetPath()])

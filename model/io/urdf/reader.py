@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from model.core.articulated_object import ArticulatedObject
 from model.core.composite_joints import LIFT, Composite, composite_joints, free_helpers
 from model.core.errors import InputFileError, KinematicsError
-from model.core.joint import Joint, JointType, Mimic
+from model.core.joint import JOINT_KINDS, JOINT_TYPES, Joint, JointType, Mimic
 from model.core.mesh import Material
 from model.core.progress import Progress, no_progress
 from model.core.rotations import rotation_from_rpy
@@ -44,9 +44,7 @@ MOST_LINKS = 5000
 """More are no object; checking that they are a tree would take minutes."""
 LARGEST = 1e6
 """Metres of a size, an offset or a limit; with more, numbers are damaged and sums overflow."""
-_MOVING: dict[str, JointType] = {
-    "revolute": "revolute", "continuous": "continuous", "prismatic": "prismatic",
-}  # fmt: skip
+_MOVING: dict[str, JointType] = {kind: kind for kind in JOINT_TYPES if kind != "fixed"}
 _TO_FIXED = ("planar", "floating")
 _REMEDIES = {
     "at least one link": "of a xacro file, give the URDF that xacro makes of it",
@@ -348,7 +346,7 @@ class _Reader:
         self, element: Element, type_: JointType, where: str
     ) -> tuple[float | None, float | None]:
         """Lower and upper limit; a revolute joint without an upper one is continuous."""
-        if type_ not in ("revolute", "prismatic"):
+        if not JOINT_KINDS[type_].limited:
             return None, None
         limit = element.find("limit")
         stated = limit is not None and ("lower" in limit.attrib or "upper" in limit.attrib)

@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from model.core.composite_joints import Composite, composite_joints, free_helpers
 from model.core.errors import InputFileError, KinematicsError
-from model.core.joint import Joint
+from model.core.joint import JOINT_KINDS, Joint
 from model.core.rotations import affine, rotation_from_rpy, rpy_from_rotation
 from model.io.urdf.files import MODEL_URI, PACKAGE_URI
 from model.io.xml_file import parse
@@ -35,8 +35,6 @@ UNLIMITED = 1e6
 """Limits beyond it stand for none; the specification's default is 1e16."""
 _HEAD = 1 << 16
 _BEGINS = re.compile(rb"<sdf\b[^>]*>(?:\s|<!--.*?-->)*<model\b", re.DOTALL)
-_KINDS = {"revolute": "revolute", "continuous": "continuous", "prismatic": "prismatic",
-          "fixed": "fixed"}  # fmt: skip
 _TWO_AXES = ("universal", "revolute2")
 _SHAPES = {"box": ("size",), "cylinder": ("radius", "length"), "sphere": ("radius",),
            "capsule": ("radius", "length")}  # fmt: skip
@@ -258,8 +256,8 @@ class _Model:
                               multiplier=repr(one.mimic.multiplier), offset="0")  # fmt: skip
         if chain:
             return
-        kind = _KINDS.get(given, "fixed")
-        if given not in _KINDS:
+        kind = given if given in JOINT_KINDS else "fixed"
+        if given not in JOINT_KINDS:
             self.notes.append(f"joint {name!r}: {given} joints are not supported; it became fixed")
         axis = joint.find("axis")
         limits = self._limits(axis)
@@ -269,7 +267,7 @@ class _Model:
         if kind == "fixed" or axis is None:
             return
         ET.SubElement(made, "axis", xyz=" ".join(map(repr, self._axis(axis, frame))))
-        if limits is None and kind == "prismatic":
+        if limits is None and JOINT_KINDS[kind].slides:
             self.notes.append(f"joint {name!r} slides without limits: its range is taken as 0")
             limits = (0.0, 0.0)
         self._resisting(made, axis, limits)

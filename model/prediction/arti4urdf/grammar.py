@@ -133,7 +133,7 @@ class Grammar:
             given = lock is not None and lock.type >= 0
             words[[v.TYPE_IDS[lock.type]] if lock is not None and given else v.TYPE_IDS] = True
         elif kind == "slot":
-            turning = v.TYPES[self.decisions[part].type] != "prismatic"
+            turning = self.decisions[part].type != v.PRISMATIC
             words[v.SLOT_IDS[self._present[part] & (self._rotates[part] == turning)]] = True
             words[v.ID["<free>"]] = True
         elif kind == "number":

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from model.core.joint import JOINT_KINDS
 from model.core.resources import static_assets
 from model.prediction.arti4urdf import vocabulary as v
 from model.prediction.arti4urdf.decoding import Answer
@@ -55,8 +56,7 @@ NAMES: tuple[str, ...] = (
 )  # fmt: skip
 """Features of a candidate; lengths in diagonals of the object."""
 _FIXED = v.TYPES.index("fixed")
-_TURNING = [v.TYPES.index(kind) for kind in ("revolute", "continuous", "screw")]
-_SLIDING = v.TYPES.index("prismatic")
+_TURNING = [v.REVOLUTE, v.CONTINUOUS, v.SCREW]
 
 
 def motion_features(
@@ -114,7 +114,7 @@ def _expert(
     own = _log_softmax(words[v.SLOT_IDS][slots])
     motion = np.log(np.maximum(same[np.ix_(slots, slots)] @ np.exp(own), 1e-6))
     turning = np.logaddexp.reduce(kinds[_TURNING])
-    kind = np.where(turns, turning, kinds[_SLIDING])
+    kind = np.where(turns, turning, kinds[v.PRISMATIC])
     return np.stack([own, motion, kind, np.full(len(slots), kinds[_FIXED])], 1)
 
 
@@ -225,8 +225,8 @@ def with_candidate(structure: Structure, part: int, decision: Decision, slot: in
     """The decision with another candidate, its type and its limits."""
     found = structure.slots[part][slot]
     assert found is not None
-    stays = v.TYPES[decision.type] == "screw" and found.type != "prismatic"
-    kind = "screw" if stays else found.type
+    stays = decision.type == v.SCREW and not JOINT_KINDS[found.type].slides
+    kind = v.TYPES[v.SCREW] if stays else found.type
     return replace(decision, slot=slot, type=v.TYPES.index(kind), lower=-1, upper=-1, numbers=[])
 
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from model.core.joint import Joint
+from model.core.joint import JOINT_KINDS, Joint
 from model.prediction.arti4urdf import vocabulary as v
 from model.prediction.arti4urdf.decoding import Answer
 from model.prediction.arti4urdf.grammar import Decision
@@ -68,7 +68,7 @@ def _motions(structure: Structure, answer: Answer, part: int) -> Motions:
     slots, odds = answer.motions[part]
     found = [structure.slots[part][slot] for slot in slots.tolist()]
     lines = [in_part(structure.sampled, part, p.axis, p.origin) for p in found if p is not None]
-    turns = np.array([p is not None and p.type != "prismatic" for p in found])
+    turns = np.array([p is not None and not JOINT_KINDS[p.type].slides for p in found])
     axes, arms = (np.array(side) for side in zip(*lines, strict=True))
     return Motions(structure.sampled.shapes[part].name, axes, arms, turns, odds.astype(np.float64))
 

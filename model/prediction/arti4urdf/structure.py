@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from model.core.articulated_object import SegmentedObject
+from model.core.joint import JOINT_KINDS
 from model.core.motion_lexicon import MECHANISMS as ALL_MECHANISMS
 from model.core.motion_lexicon import Mechanism
 from model.core.part_names import mechanism_of
@@ -347,7 +348,7 @@ def _candidates(slots: list[JointProposal | None], center: Array) -> tuple[Float
     for k, h in enumerate(slots):
         if h is None:
             continue
-        rotates = h.type in ("revolute", "continuous")
+        rotates = JOINT_KINDS[h.type].rotates
         # A prismatic axis has only a direction.
         arm = (h.origin - center) - h.axis * float((h.origin - center) @ h.axis)
         best = slots[k - k % RANKS]

@@ -30,7 +30,6 @@ from model.prediction.arti4urdf.grammar import Choice, Grammar, Lock
 from model.prediction.arti4urdf.structure import SLOTS
 
 WHOLE_DIGITS = 3
-SCREW = v.TYPES.index("screw")
 
 
 @dataclass(frozen=True)
@@ -265,7 +264,7 @@ class AnswerScript:
                 text += json.joint_type(k) + joint.type + json.joint(joint.name, k)
                 self.joints[joint.child] = joint
             json.pushed(len(chain))
-            return (SCREW if screw else v.TYPES.index(chain[-1].type)), text
+            return (v.SCREW if screw else v.TYPES.index(chain[-1].type)), text
         yield json.joint_type(0)
         name = json.joint(f"joint_{link}", 0)
         kinds: dict[str, JointType] = {t + name: t for t in JOINT_TYPES}

@@ -14,6 +14,7 @@ from model.core.part_names import category_key, known_word, words
 from model.prediction.arti4urdf.structure import MECHANISMS, RANKS, SLOTS
 
 TYPES = ("revolute", "continuous", "prismatic", "screw", "fixed")
+REVOLUTE, CONTINUOUS, PRISMATIC, SCREW, FIXED = range(len(TYPES))
 """``screw`` stands for two joints along one axis, prismatic and continuous, with a helper link."""
 
 _STRUCTURAL = (

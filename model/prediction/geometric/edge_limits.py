@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from model.core.joint import JOINT_KINDS
 from model.core.part_names import mechanism_of
 from model.prediction.explanation import Reason
 from model.prediction.geometric.context import PartContext
@@ -116,7 +117,7 @@ def shut_front(context: PartContext, motion: JointProposal) -> bool:
 
 def from_zero(context: PartContext, motion: JointProposal) -> JointProposal:
     """The motion with 0 as its lower limit if the part was scanned shut."""
-    two_ways = motion.lower < 0 < motion.upper and motion.type in ("revolute", "prismatic")
+    two_ways = motion.lower < 0 < motion.upper and JOINT_KINDS[motion.type].limited
     return replace(motion, lower=0.0) if two_ways and shut_front(context, motion) else motion
 
 

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from scipy.special import softmax
 
 from model.core.files import read_json
-from model.core.joint import Joint, JointType, canonical_axis_sign
+from model.core.joint import JOINT_KINDS, Joint, JointType, canonical_axis_sign
 from model.core.motion_lexicon import Mechanism
 from model.core.part_names import known_word, words
 from model.core.resources import static_assets
@@ -84,7 +84,7 @@ def distinct_motions(
             k.type == p.type
             and (float(k.axis @ p.axis) if signed else abs(float(k.axis @ p.axis))) > 0.99
             and (
-                p.type == "prismatic"
+                JOINT_KINDS[p.type].slides
                 or np.linalg.norm(np.cross(k.axis, p.origin - k.origin)) < 0.02
             )
             for k in kept
@@ -109,9 +109,9 @@ def joints_of(
     link, above = sampled.shapes[part].link, sampled.shapes[parent].link
     axis = _three(frame.direction_in_object(proposal.axis))
     origin = _three(frame.point_in_object(proposal.origin))
-    scale = 1.0 if proposal.type in ("revolute", "continuous") else frame.diagonal
+    scale = 1.0 if JOINT_KINDS[proposal.type].rotates else frame.diagonal
     lower, upper = proposal.lower * scale, proposal.upper * scale
-    if proposal.type == "prismatic":
+    if JOINT_KINDS[proposal.type].slides:
         stop = usual_stop(sampled.shapes[part].name)
         lower, upper = max(lower, -stop), min(upper, stop)
     joint = Joint(f"joint_{link}", proposal.type, above, link, axis, origin, lower, upper)

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from model.core.articulated_object import SegmentedObject
-from model.core.joint import Joint, JointType, canonical_axis_sign
+from model.core.joint import JOINT_KINDS, Joint, JointType, canonical_axis_sign
 from model.core.motion_lexicon import MECHANISMS, SLIDING, TURNING, Mechanism
 from model.core.tree import KinematicTree, moving_chain
 from model.prediction.geometric.context import Assembly, PartContext
@@ -64,7 +64,7 @@ def change_joint_type(
     joint = tree.joint_of[child]
     if kind == joint.type:
         return joint
-    usual = TURN if kind != "prismatic" else SLIDE * _diagonal(segmented)
+    usual = TURN if not JOINT_KINDS[kind].slides else SLIDE * _diagonal(segmented)
     # The ratio of a mimic means nothing for another type.
     bare = replace(joint, type=kind, lower=0.0, upper=usual, mimic=None, give_way=False)
     if joint.rotates != bare.rotates:  # nor does a damping in N s/m
@@ -168,7 +168,7 @@ def _mechanism(context: PartContext, kind: JointType) -> Mechanism:
     }
     scores = mechanism_scores(context, unnamed[context.part], unnamed)
     if named is not None:
-        other = (SLIDING if kind == "prismatic" else TURNING).get(named)
+        other = (SLIDING if JOINT_KINDS[kind].slides else TURNING).get(named)
         if other is not None:
             scores[other] = scores.get(other, 0.0) + NAMED
     if context.shape.size > ROCKER:

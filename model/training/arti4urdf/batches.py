@@ -132,7 +132,7 @@ def _turned(labels: Labels, quarter: int, mirrored: bool) -> Labels:
         m = m @ np.diag([-1.0, 1.0, 1.0])
     axis = labels.axis @ m.T
     if mirrored:
-        slides = labels.types == v.TYPES.index("prismatic")
+        slides = labels.types == v.PRISMATIC
         axis = axis * np.where(slides, 1.0, -1.0)[:, None]
     return replace(
         labels, axis=axis.astype(np.float32), line=(labels.line @ m.T).astype(np.float32)

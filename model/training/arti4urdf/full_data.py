@@ -240,7 +240,7 @@ def _is_screw(tree: KinematicTree, helper: str) -> bool:
     first, below = tree.joint_of.get(helper), tree.children(helper)
     return (
         first is not None
-        and first.type == "prismatic"
+        and first.slides
         and len(below) == 1
         and below[0].startswith("link_")
         and tree.joint_of[below[0]].type == "continuous"

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from model.core.articulated_object import ArticulatedObject
-from model.core.joint import Joint
+from model.core.joint import JOINT_KINDS, Joint
 from model.evaluation.joint_metrics import UsableLimits, chain, interval_iou
 from model.prediction.arti4urdf.structure import SLOTS, Structure
 from model.prediction.arti4urdf.vocabulary import TYPES
@@ -80,7 +80,7 @@ def label(structure: Structure, truth: ArticulatedObject) -> Labels | None:
         axes[i], limits[i] = axis, true_limits
         lines[i] = arm if joint.rotates else 0.0
         for slot, h in enumerate(structure.slots[i]):
-            if h is None or (h.type == "prismatic") == joint.rotates:
+            if h is None or JOINT_KINDS[h.type].slides == joint.rotates:
                 continue
             right[i, slot], same[i, slot] = _agrees(h, axis, origin, joint.rotates)
             if not right[i, slot]:
