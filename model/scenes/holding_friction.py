@@ -9,7 +9,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from model.core.inertial import Inertial
-from model.core.joint import JOINT_KINDS, JOINT_TYPES, Joint, Mimic
+from model.core.joint import JOINT_KINDS, JOINT_TYPES, Joint, JointType, Mimic
 from model.core.tree import KinematicTree
 from model.physics.simulation_values import resisting
 from model.scenes.readers.lisdf import parse_xml
@@ -87,7 +87,7 @@ def _joint(
     if ends is None and made.get("range") is not None:
         ends = _numbers(made.get("range"), (0.0, 0.0))
     tag = made.get("type", "hinge")
-    kind = next(k for k in JOINT_TYPES if JOINT_KINDS[k].mjcf == tag)
+    kind: JointType = next(k for k in JOINT_TYPES if JOINT_KINDS[k].mjcf == tag)
     if ends is None and JOINT_KINDS[kind].rotates:
         return Joint(name, "continuous", parent, link, axis, tuple(at), mimic=mimics.get(name))
     low, high = (0.0, 0.0) if ends is None else (float(v) for v in ends)
