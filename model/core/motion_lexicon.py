@@ -26,7 +26,10 @@ fixed           doesn't move on its own
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Literal, get_args
+
+from model.core.joint import JointType
 
 # Weights know mechanisms by their place: add new ones before "fixed".
 Mechanism = Literal[
@@ -49,6 +52,46 @@ Mechanism = Literal[
     "fixed",
 ]
 MECHANISMS: tuple[Mechanism, ...] = get_args(Mechanism)
+
+
+@dataclass(frozen=True)
+class MechanismRow:
+    """Properties of a mechanism.
+
+    Attributes:
+        title: on screen.
+        group: mechanisms that fail in the same way, such as the side of a door; a key of
+            ``confidence.json``, "" for none.
+        types: joint types that it can become when a person changes the type.
+        noun: of its revolute joint in the names that files give joints.
+    """
+
+    title: str
+    group: str
+    types: tuple[JointType, ...] = ("revolute",)
+    noun: str = "hinge"
+
+
+_ROUND: tuple[JointType, ...] = ("revolute", "continuous")
+MECHANISM_TABLE: dict[Mechanism, MechanismRow] = {
+    "hinge": MechanismRow("Hinge", "panel"),
+    "flap": MechanismRow("Lid hinge", "panel"),
+    "drop": MechanismRow("Bottom hinge", "panel"),
+    "temple": MechanismRow("Folding arm", "arm"),
+    "pivot": MechanismRow("Pin joint", "arm"),
+    "swing": MechanismRow("Bail", "arm"),
+    "lever": MechanismRow("Lever", "arm", noun="turn"),
+    "toggle": MechanismRow("Rocker", "rocker", noun="turn"),
+    "tilt": MechanismRow("Tilt", "arm"),
+    "spin": MechanismRow("Rotation", "round", _ROUND, "turn"),
+    "swivel": MechanismRow("Swivel", "round", _ROUND, "turn"),
+    "screw": MechanismRow("Screw", "screw", _ROUND, "turn"),
+    "slide_out": MechanismRow("Drawer", "drawer", ("prismatic",)),
+    "slide_along": MechanismRow("Slider", "slider", ("prismatic",)),
+    "lift": MechanismRow("Lift", "slider", ("prismatic",)),
+    "press": MechanismRow("Push button", "button", ("prismatic",)),
+    "fixed": MechanismRow("Fixed", "", ()),
+}
 
 WORDS: dict[str, Mechanism] = {
     "door": "hinge",

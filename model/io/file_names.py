@@ -28,6 +28,7 @@ from model.core.articulated_object import ArticulatedObject
 from model.core.display_names import BASE
 from model.core.files import free_name
 from model.core.joint import JOINT_KINDS, Joint
+from model.core.motion_lexicon import MECHANISM_TABLE
 from model.core.part_names import mechanism_of
 from model.core.tree import KinematicTree, moving_chain
 from model.physics.simulation_values import Physics
@@ -37,7 +38,6 @@ V = TypeVar("V")
 _PART = re.compile(r"link_(\d+)")
 _LONGEST = 60
 """Letters of a part's name in a file's; file systems take 255 bytes with suffix and number."""
-_TURNS = ("spin", "swivel", "lever", "toggle", "screw")
 _OWN_JOINT = re.compile(
     r"joint_(link|helper)_\d+|(base|.+_\d+)_(hinge|turn|spin|slide|fixed)(_\d+)?"
 )
@@ -151,10 +151,11 @@ def _joints(
     out: dict[str, str] = {}
     for joint in (j for j in own if j.name not in taken):
         moved = moving_chain(tree, joint.child, names.__contains__)[-1]
-        motion = JOINT_KINDS[joint.type].noun
-        if joint.type == "revolute" and mechanism_of(names.get(moved), category)[0] in _TURNS:
-            motion = "turn"
-        free = free_name(f"{links.get(moved, moved)}_{motion}", {*taken, *out.values()})
+        mechanism = mechanism_of(names.get(moved), category)[0]
+        row = JOINT_KINDS[joint.type]
+        if joint.type == "revolute" and mechanism is not None:
+            row = MECHANISM_TABLE[mechanism]
+        free = free_name(f"{links.get(moved, moved)}_{row.noun}", {*taken, *out.values()})
         out[joint.name] = free
     return out
 

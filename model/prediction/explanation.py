@@ -5,28 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 from enum import StrEnum
 
-from model.core.motion_lexicon import Mechanism
-
-MECHANISM_TITLES: dict[Mechanism, str] = {
-    "hinge": "Hinge",
-    "flap": "Lid hinge",
-    "drop": "Bottom hinge",
-    "temple": "Folding arm",
-    "pivot": "Pin joint",
-    "swing": "Bail",
-    "lever": "Lever",
-    "toggle": "Rocker",
-    "tilt": "Tilt",
-    "spin": "Rotation",
-    "swivel": "Swivel",
-    "screw": "Screw",
-    "slide_out": "Drawer",
-    "slide_along": "Slider",
-    "lift": "Lift",
-    "press": "Push button",
-    "fixed": "Fixed",
-}
-
 
 class Reason(StrEnum):
     """Why a joint was placed where it is."""

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from model.core.articulated_object import Prediction, SegmentedObject
 from model.core.joint import Joint, same_motion
+from model.core.motion_lexicon import MECHANISM_TABLE
 from model.core.progress import Progress, no_progress
 from model.prediction.arti4urdf import vocabulary as v
 from model.prediction.arti4urdf.answer import joints_of_decision, write_answer
@@ -37,7 +38,6 @@ from model.prediction.experience import FILE, Experience, Recalled, load_experie
 from model.prediction.explanation import (
     COLLISION_FREE,
     FREE_AXIS,
-    MECHANISM_TITLES,
     as_on,
     explain,
 )
@@ -248,10 +248,10 @@ def _note(structure: Structure, answer: Answer, part: int) -> str:
     if proposal is None:
         return explain(kind.capitalize(), (), "" if decision.slot < 0 else FREE_AXIS)
     mechanism = MECHANISMS[decision.slot // RANKS]
-    swept = mechanism in SWEPT_LIMITS and decision.lower < 0 and kind != "continuous"
-    title = MECHANISM_TITLES["spin" if mechanism == "screw" else mechanism]
-    if kind == "screw":
-        title = MECHANISM_TITLES["screw"]
+    swept = mechanism in SWEPT_LIMITS and decision.lower < 0 and decision.type != v.CONTINUOUS
+    title = MECHANISM_TABLE["spin" if mechanism == "screw" else mechanism].title
+    if decision.type == v.SCREW:
+        title = MECHANISM_TABLE["screw"].title
     return explain(title, proposal.reasons, COLLISION_FREE if swept else "")
 
 

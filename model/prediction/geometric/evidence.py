@@ -4,23 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from model.core.motion_lexicon import Mechanism
+from model.core.motion_lexicon import MECHANISM_TABLE, Mechanism
 from model.core.part_names import mechanism_of
 from model.prediction.geometric.context import PartContext
 from model.prediction.geometric.sampled_object import CONTACT_GAP
 
-# Keys of confidence.json.
-GROUPS: dict[str, tuple[Mechanism, ...]] = {
-    "panel": ("hinge", "flap", "drop"),
-    "arm": ("temple", "pivot", "swing", "lever", "tilt"),
-    "rocker": ("toggle",),
-    "round": ("spin", "swivel"),
-    "screw": ("screw",),
-    "drawer": ("slide_out",),
-    "slider": ("slide_along", "lift"),
-    "button": ("press",),
-}
-"""Mechanisms that fail in the same way: the side of a door, the travel of a cap."""
+GROUPS = tuple(dict.fromkeys(row.group for row in MECHANISM_TABLE.values() if row.group))
 
 
 def part_evidence(context: PartContext, mechanism: Mechanism | None) -> dict[str, float]:
@@ -31,7 +20,8 @@ def part_evidence(context: PartContext, mechanism: Mechanism | None) -> dict[str
     """
     sampled, shape = context.sampled, context.shape
     named, _ = mechanism_of(shape.name, sampled.category)
-    panel = mechanism in GROUPS["panel"]
+    group = "" if mechanism is None else MECHANISM_TABLE[mechanism].group
+    panel = group == "panel"
     out = {
         "named": float(named is not None),
         "scanned": float(sampled.scanned),
@@ -42,4 +32,4 @@ def part_evidence(context: PartContext, mechanism: Mechanism | None) -> dict[str
         "shut panel": float(panel and context.closed),
         "panel with a handle": float(panel and bool(context.grips)),
     }
-    return out | {name: float(mechanism in group) for name, group in GROUPS.items()}
+    return out | {name: float(name == group) for name in GROUPS}

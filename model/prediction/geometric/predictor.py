@@ -6,10 +6,11 @@ from functools import partial
 
 from model.core.articulated_object import Prediction, SegmentedObject
 from model.core.joint import Joint
+from model.core.motion_lexicon import MECHANISM_TABLE
 from model.core.progress import Progress, no_progress
 from model.prediction.builder import PredictionBuilder, unknown_link
 from model.prediction.confidence import MAX_LOG_ODDS, Evidence, load_confidence, log_odds
-from model.prediction.explanation import MECHANISM_TITLES, explain
+from model.prediction.explanation import explain
 from model.prediction.geometric.context import Assembly, PartContext
 from model.prediction.geometric.edge_limits import from_zero
 from model.prediction.geometric.evidence import part_evidence
@@ -103,7 +104,7 @@ def _fixed(context: PartContext) -> tuple[list[Joint], Evidence, str]:
 
 
 def _title(proposal: JointProposal) -> str:
-    return MECHANISM_TITLES[proposal.mechanism or "fixed"]
+    return MECHANISM_TABLE[proposal.mechanism or "fixed"].title
 
 
 def _tree(

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from model.core.articulated_object import SegmentedObject
 from model.core.joint import JOINT_KINDS, Joint, JointType, canonical_axis_sign
-from model.core.motion_lexicon import MECHANISMS, SLIDING, TURNING, Mechanism
+from model.core.motion_lexicon import MECHANISM_TABLE, SLIDING, TURNING, Mechanism
 from model.core.tree import KinematicTree, moving_chain
 from model.prediction.geometric.context import Assembly, PartContext
 from model.prediction.geometric.edge_hinges import edge_proposals
@@ -23,17 +23,6 @@ from model.prediction.geometric.sampled_object import SampledObject, sample_obje
 
 Array = npt.NDArray[np.float64]
 
-PRISMATIC: tuple[Mechanism, ...] = ("slide_out", "slide_along", "lift", "press")
-CONTINUOUS: tuple[Mechanism, ...] = ("spin", "swivel", "screw")
-REVOLUTE: tuple[Mechanism, ...] = tuple(
-    m for m in MECHANISMS if m not in (*PRISMATIC, *CONTINUOUS, "fixed")
-)
-MECHANISMS_OF: dict[JointType, tuple[Mechanism, ...]] = {
-    "prismatic": PRISMATIC,
-    "revolute": (*REVOLUTE, *CONTINUOUS),
-    "continuous": CONTINUOUS,
-}
-"""Mechanisms of each joint type."""
 ROCKER = 0.6
 """Size over the object's above which a part is no rocker, but a front."""
 NAMED = 1.0
@@ -156,7 +145,7 @@ def _assembly(sampled: SampledObject, tree: KinematicTree) -> Assembly:
 
 def _mechanism(context: PartContext, kind: JointType) -> Mechanism:
     """The likeliest mechanism of a joint type for a part: by its name, else by its features."""
-    fit = MECHANISMS_OF[kind]
+    fit: list[Mechanism] = [m for m, row in MECHANISM_TABLE.items() if kind in row.types]
     named = named_mechanism(context)
     if named in fit:
         return named
