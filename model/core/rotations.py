@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial.transform import Rotation
 
 
 def affine(
@@ -18,6 +19,29 @@ def affine(
     if shift is not None:
         out[:3, 3] = shift
     return out
+
+
+def axis_scales(linear: npt.NDArray[np.floating]) -> npt.NDArray[np.float64]:
+    """(3,) scales above 0 along the axes, before a rotation, in a (3, 3) map; to 12 digits.
+
+    So scales that somebody asked for come back as they were, on every processor.
+    """
+    return np.array([float(f"{v:.12g}") for v in np.linalg.norm(linear, axis=0)])
+
+
+def uniform_scale(linear: npt.NDArray[np.floating]) -> float:
+    """The scale above 0 of a (3, 3) rotation and uniform scale, as :func:`axis_scales`."""
+    return float(np.median(axis_scales(linear)))
+
+
+def quaternion_wxyz(pose: npt.NDArray[np.float64]) -> tuple[float, float, float, float]:
+    """Unit quaternion of a (3, 3) rotation or a (4, 4) rigid pose; its first number that isn't 0
+    is positive, as the signs of halves of turns would differ between processors.
+    """
+    x, y, z, w = Rotation.from_matrix(pose[:3, :3]).as_quat()
+    exact = np.round([w, x, y, z], 12)
+    w, x, y, z = (exact * np.sign(exact[exact != 0][0]) + 0.0).tolist()
+    return w, x, y, z
 
 
 def rotation_from_rpy(rpy: npt.ArrayLike) -> npt.NDArray[np.float64]:

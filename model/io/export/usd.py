@@ -17,7 +17,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import Rotation
 
 from model.core.affordance import Affordance
 from model.core.articulated_object import ArticulatedObject
@@ -27,11 +26,12 @@ from model.core.installing import require
 from model.core.joint import Joint, Mimic
 from model.core.mesh import Material, Mesh
 from model.core.progress import Progress, no_progress
+from model.core.rotations import quaternion_wxyz
 from model.core.shapes import Primitive, Shape
 from model.core.surface_maps import ImageFile, SurfaceMaps
 from model.core.textures import encode
 from model.geometry.shading import corner_normals
-from model.io.urdf.writer import direct_mimics, link_origins
+from model.io.urdf.writer import direct_mimics, link_origins, rounded
 from model.physics.affordances import find_affordances
 from model.physics.materials import read_materials
 from model.physics.part_mesh import part_mesh
@@ -142,7 +142,7 @@ class _Writer:
     def _link(self, link: str) -> Any:
         path = f"{self.top}/{self._identifier(self.top, link)}"
         xform = self.UsdGeom.Xform.Define(self.stage, path)
-        xform.AddTranslateOp().Set(self.Gf.Vec3d(*self.origins[link].tolist()))
+        xform.AddTranslateOp().Set(self.Gf.Vec3d(*rounded(self.origins[link])))
         prim = xform.GetPrim()
         prim.SetCustomDataByKey(NAME_KEY, link)
         self.UsdPhysics.RigidBodyAPI.Apply(prim)
@@ -160,8 +160,8 @@ class _Writer:
 
     def _mass(self, prim: Any, inertial: Inertial, origin: FloatArray) -> None:
         values, axes = np.linalg.eigh(inertial.tensor)
-        if np.linalg.det(axes) < 0:
-            axes[:, 0] *= -1
+        axes *= np.sign(axes[np.abs(axes).argmax(0), range(3)])
+        axes[:, 0] *= np.sign(np.linalg.det(axes))
         api = self.UsdPhysics.MassAPI.Apply(prim)
         api.CreateMassAttr(float(inertial.mass))
         api.CreateCenterOfMassAttr(self._vec3f(inertial.center - origin))
@@ -172,8 +172,7 @@ class _Writer:
         return self.Gf.Vec3f(*np.asarray(values, np.float64).tolist())
 
     def _quatf(self, rotation: FloatArray) -> Any:
-        x, y, z, w = Rotation.from_matrix(rotation).as_quat().tolist()
-        return self.Gf.Quatf(w, x, y, z)
+        return self.Gf.Quatf(*quaternion_wxyz(rotation))
 
     # Looks
 
@@ -346,15 +345,16 @@ class _Writer:
         pose = shape.object_from_shape
         kinds = {"box": "Cube", "cylinder": "Cylinder", "sphere": "Sphere", "capsule": "Capsule"}
         made = getattr(self.UsdGeom, kinds[shape.kind]).Define(self.stage, path)
-        made.AddTranslateOp().Set(self.Gf.Vec3d(*(pose[:3, 3] - origin).tolist()))
+        made.AddTranslateOp().Set(self.Gf.Vec3d(*rounded(pose[:3, 3] - origin)))
         made.AddOrientOp().Set(self._quatf(pose[:3, :3]))
         if shape.kind == "box":
             made.CreateSizeAttr(1.0)
             made.AddScaleOp().Set(self._vec3f(shape.sizes))
             return made
-        made.CreateRadiusAttr(shape.sizes[0])
+        sizes = rounded(shape.sizes)
+        made.CreateRadiusAttr(sizes[0])
         if shape.kind != "sphere":
-            made.CreateHeightAttr(shape.sizes[1])
+            made.CreateHeightAttr(sizes[1])
             made.CreateAxisAttr(self.UsdGeom.Tokens.z)
         return made
 
