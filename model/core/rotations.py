@@ -57,7 +57,7 @@ def rotation_from_rpy(rpy: npt.ArrayLike) -> npt.NDArray[np.float64]:
 
 def rpy_from_rotation(rotation: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     """(3,) roll, pitch, yaw of (3, 3); the inverse of :func:`rotation_from_rpy`."""
-    r = rotation
+    r = np.where(np.abs(rotation) < 1e-15, 0.0, rotation)  # a residue's sign would turn pi round
     flat = float(np.hypot(r[0, 0], r[1, 0]))
     pitch = np.arctan2(-r[2, 0], flat)
     if flat < 1e-9:  # roll and yaw turn about the same line

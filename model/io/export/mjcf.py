@@ -133,7 +133,7 @@ class _Writer:
         return body
 
     def _inertial(self, body: ET.Element, inertial: Inertial, link: str) -> None:
-        t = inertial.tensor
+        t = inertial.exact_tensor
         six = (t[0, 0], t[1, 1], t[2, 2], t[0, 1], t[0, 2], t[1, 2])
         ET.SubElement(
             body, "inertial", pos=vector(inertial.center - self.origins[link]),

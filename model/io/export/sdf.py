@@ -159,7 +159,7 @@ def _inertial(link: ET.Element, inertial: Inertial, origin: npt.NDArray[np.float
     tensor = ET.SubElement(element, "inertia")
     for i, j, key in ((0, 0, "ixx"), (0, 1, "ixy"), (0, 2, "ixz"), (1, 1, "iyy"), (1, 2, "iyz"),
                       (2, 2, "izz")):  # fmt: skip
-        _text(tensor, key, number(inertial.tensor[i, j]))
+        _text(tensor, key, number(inertial.exact_tensor[i, j]))
 
 
 def _geometry(

@@ -159,17 +159,17 @@ class _Writer:
         attribute.Set([text.strip().lower()])
 
     def _mass(self, prim: Any, inertial: Inertial, origin: FloatArray) -> None:
-        values, axes = np.linalg.eigh(inertial.tensor)
+        values, axes = np.linalg.eigh(inertial.exact_tensor)
         axes *= np.sign(axes[np.abs(axes).argmax(0), range(3)])
         axes[:, 0] *= np.sign(np.linalg.det(axes))
         api = self.UsdPhysics.MassAPI.Apply(prim)
         api.CreateMassAttr(float(inertial.mass))
         api.CreateCenterOfMassAttr(self._vec3f(inertial.center - origin))
-        api.CreateDiagonalInertiaAttr(self._vec3f(values))
+        api.CreateDiagonalInertiaAttr(self.Gf.Vec3f(*values.tolist()))
         api.CreatePrincipalAxesAttr(self._quatf(axes))
 
     def _vec3f(self, values: npt.ArrayLike) -> Any:
-        return self.Gf.Vec3f(*np.asarray(values, np.float64).tolist())
+        return self.Gf.Vec3f(*rounded(values))
 
     def _quatf(self, rotation: FloatArray) -> Any:
         return self.Gf.Quatf(*quaternion_wxyz(rotation))
@@ -419,7 +419,7 @@ class _Writer:
         made.CreateBody0Rel().SetTargets([self.links[joint.parent].GetPath()])
         made.CreateBody1Rel().SetTargets([self.links[joint.child].GetPath()])
         offset = self.origins[joint.child] - self.origins[joint.parent]
-        turn = self._quatf(x_onto(np.asarray(joint.axis)) if joint.moves else np.eye(3))
+        turn = self._quatf(x_onto(np.asarray(rounded(joint.axis))) if joint.moves else np.eye(3))
         made.CreateLocalPos0Attr(self._vec3f(offset))
         made.CreateLocalPos1Attr(self._vec3f(np.zeros(3)))
         made.CreateLocalRot0Attr(turn)

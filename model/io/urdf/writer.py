@@ -187,9 +187,7 @@ def _mujoco_lines(visuals: bool) -> list[str]:
 
 
 def _inertial_lines(inertial: Inertial, origin: npt.NDArray[np.float64]) -> list[str]:
-    t = inertial.tensor
-    # Products of inertia that are rounding errors of a symmetric body.
-    t = np.where(np.abs(t) < 1e-12 * np.abs(t).max(), 0.0, t)
+    t = inertial.exact_tensor
     return [
         "    <inertial>",
         f'      <origin xyz="{vector(inertial.center - origin)}" rpy="0 0 0"/>',
