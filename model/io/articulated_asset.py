@@ -169,8 +169,8 @@ def _opened(
         points = whole.points @ matrix[:3, :3].T
         normals = whole.normals
         if normals is not None:
-            turn = matrix[:3, :3] / uniform_scale(matrix[:3, :3])
-            normals = normals @ turn.T.astype(np.float32)
+            turned = normals @ matrix[:3, :3].T / uniform_scale(matrix[:3, :3])
+            normals = turned.astype(np.float32)
         cloud = PointCloud(points.astype(np.float32), normals, whole.colors)
     tree = _without_bare_ends(obj.tree, {p.link for p in obj.parts}, said)
     moves = any(j.moves for j in tree.joints)

@@ -166,13 +166,10 @@ class _Writer:
         api.CreateMassAttr(float(inertial.mass))
         api.CreateCenterOfMassAttr(self._vec3f(inertial.center - origin))
         api.CreateDiagonalInertiaAttr(self.Gf.Vec3f(*values.tolist()))
-        api.CreatePrincipalAxesAttr(self._quatf(axes))
+        api.CreatePrincipalAxesAttr(self.Gf.Quatf(*quaternion_wxyz(axes)))
 
     def _vec3f(self, values: npt.ArrayLike) -> Any:
         return self.Gf.Vec3f(*rounded(values))
-
-    def _quatf(self, rotation: FloatArray) -> Any:
-        return self.Gf.Quatf(*quaternion_wxyz(rotation))
 
     # Looks
 
@@ -346,7 +343,7 @@ class _Writer:
         kinds = {"box": "Cube", "cylinder": "Cylinder", "sphere": "Sphere", "capsule": "Capsule"}
         made = getattr(self.UsdGeom, kinds[shape.kind]).Define(self.stage, path)
         made.AddTranslateOp().Set(self.Gf.Vec3d(*rounded(pose[:3, 3] - origin)))
-        made.AddOrientOp().Set(self._quatf(pose[:3, :3]))
+        made.AddOrientOp().Set(self.Gf.Quatf(*quaternion_wxyz(pose)))
         if shape.kind == "box":
             made.CreateSizeAttr(1.0)
             made.AddScaleOp().Set(self._vec3f(shape.sizes))
@@ -419,11 +416,11 @@ class _Writer:
         made.CreateBody0Rel().SetTargets([self.links[joint.parent].GetPath()])
         made.CreateBody1Rel().SetTargets([self.links[joint.child].GetPath()])
         offset = self.origins[joint.child] - self.origins[joint.parent]
-        turn = self._quatf(x_onto(np.asarray(rounded(joint.axis))) if joint.moves else np.eye(3))
+        turn = x_onto(np.asarray(rounded(joint.axis))) if joint.moves else np.eye(3)
         made.CreateLocalPos0Attr(self._vec3f(offset))
         made.CreateLocalPos1Attr(self._vec3f(np.zeros(3)))
-        made.CreateLocalRot0Attr(turn)
-        made.CreateLocalRot1Attr(turn)
+        made.CreateLocalRot0Attr(self.Gf.Quatf(*quaternion_wxyz(turn)))
+        made.CreateLocalRot1Attr(self.Gf.Quatf(*quaternion_wxyz(turn)))
         if joint.moves:
             made.CreateAxisAttr(self.UsdPhysics.Tokens.x)
             unit = 180.0 / math.pi if joint.rotates else 1.0

@@ -42,8 +42,6 @@ __all__ = [
 
 CollisionGeometry: TypeAlias = str | Primitive
 """A file in object-frame coordinates, or a box, cylinder or sphere."""
-RESIDUE = 1e-12
-"""Metres, radians or parts of a unit that rounding leaves of nothing, and nobody means."""
 
 
 def link_origins(tree: KinematicTree) -> dict[str, npt.NDArray[np.float64]]:
@@ -132,17 +130,14 @@ def write_urdf(
 
 
 def number(value: float) -> str:
-    """The shortest text that keeps a billionth of the value; never ``-0``.
-
-    So the last bits, which differ between processors, don't change a file.
-    """
+    """The shortest text that keeps a billionth of the value, not its last bits; never ``-0``."""
     return f"{float(value) + 0.0:.10g}"
 
 
 def vector(values: npt.ArrayLike) -> str:
-    """Metres, radians or parts of a direction, separated by blanks."""
+    """Metres, radians or parts of a direction, separated by blanks; below 1e-12 is rounding's."""
     exact = np.asarray(values, np.float64)
-    return " ".join(number(v) for v in np.where(np.abs(exact) < RESIDUE, 0.0, exact))
+    return " ".join(number(v) for v in np.where(np.abs(exact) < 1e-12, 0.0, exact))
 
 
 def rounded(values: npt.ArrayLike) -> list[float]:

@@ -90,10 +90,7 @@ def _rank(values: Float) -> Int64:
 
 
 def rounded(columns: Sequence[npt.ArrayLike]) -> Float32:
-    """(H, K) features from columns (H,), without residues that depend on the processor.
-
-    Trees compare features with 0, so a residue of 1e-16 would count.
-    """
+    """(H, K) features from columns (H,), without residues, which trees would compare with 0."""
     return np.round(np.stack([np.asarray(c, np.float64) for c in columns], 1), 9).astype(np.float32)
 
 

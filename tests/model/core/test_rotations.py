@@ -16,7 +16,7 @@ SCALES = (1.5, 0.1, 0.001, 0.0254, 0.3, 2.7, 1 / 3, 1000.0)
 @pytest.mark.parametrize("scale", SCALES)
 def test_a_scale_comes_back_as_it_was(scale: float) -> None:
     exact = float(f"{scale:.12g}")
-    for turn in (np.eye(3), *Rotation.random(50, rng=0).as_matrix()):
+    for turn in (np.eye(3), *Rotation.random(50, np.random.default_rng(0)).as_matrix()):
         assert uniform_scale(scale * turn) == exact
         assert axis_scales(turn * [scale, 1.0, 2 * exact]).tolist()[:2] == [exact, 1.0]
         sphere = moved_shape(Primitive("sphere", np.eye(4), (0.03,)), affine(scale * turn))
@@ -25,7 +25,7 @@ def test_a_scale_comes_back_as_it_was(scale: float) -> None:
 
 def test_a_frame_keeps_the_scale_that_was_asked_for() -> None:
     frame = ObjectFrame(scale=0.001)
-    for turn in Rotation.random(20, rng=1).as_matrix():
+    for turn in Rotation.random(20, np.random.default_rng(1)).as_matrix():
         frame = frame.then(affine(turn))
         assert frame.scale == 0.001
     assert frame.then(affine(1.5 * np.eye(3))).scale == 0.001 * 1.5
