@@ -2,7 +2,8 @@
 #   make run              start the server with the bundled examples
 #   make run ARGS=PATH…   start it with your own files
 #   make test             all tests, in a real browser too
-#   make test-fast        those that take a minute: no browser, physics or training
+#   make test-fast        those that take a minute: no browser, physics or training;
+#                         KERNEL=other: as on a processor without AVX
 #   make lint             style, types, layers, and the budget of lines
 #   make docs             build the documentation site into build/site
 #   make pictures         take the pictures of the documents anew
@@ -18,12 +19,18 @@ WORKERS ?= $(shell n=$$(nproc 2>/dev/null || echo 2); [ $$n -gt 4 ] && n=4; echo
 PYTEST := $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder
 ARGS ?=
 TESTS ?= tests
+KERNEL ?= own
+ifeq ($(KERNEL),other)
+export OPENBLAS_CORETYPE := Prescott
+export NPY_DISABLE_CPU_FEATURES := X86_V3 X86_V4 AVX512_ICL AVX512_SPR
+export ATEN_CPU_CAPABILITY := default
+endif
 
 .DEFAULT_GOAL := help
 .PHONY: help run install test test-fast lint format docs pictures clean
 
 help:
-	@sed -n '1,8s/^# \{0,1\}//p' Makefile
+	@sed -n '1,9s/^# \{0,1\}//p' Makefile
 
 run: $(VENV)/.run
 	@$(BIN)/artiworld serve $(ARGS)

@@ -9,7 +9,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from model.core.errors import CommandError
-from model.core.rotations import affine
+from model.core.rotations import affine, quaternion_wxyz, uniform_scale
 from model.geometry.splitting import Plane
 from model.segmentation.prompts import BASE
 from sessions.checks import (
@@ -145,11 +145,9 @@ class ObjectFrame:
 
     def then(self, matrix: npt.NDArray[np.float64]) -> ObjectFrame:
         """The frame after a further (4, 4) rotation, uniform scale and shift of the object."""
-        whole = matrix @ self.object_from_read
-        scale = float(np.cbrt(np.linalg.det(whole[:3, :3])))
-        x, y, z, w = Rotation.from_matrix(whole[:3, :3] / scale).as_quat().tolist()
+        whole, scale = matrix @ self.object_from_read, self.scale * uniform_scale(matrix[:3, :3])
         px, py, pz = whole[:3, 3].tolist()
-        return ObjectFrame((px, py, pz), (w, x, y, z), scale)
+        return ObjectFrame((px, py, pz), quaternion_wxyz(whole / scale), scale)
 
 
 SOURCE_FRAME = ObjectFrame()

@@ -22,8 +22,8 @@ from app.server.scene_state import SceneState
 from app.server.scene_tasks import SceneItem
 from app.server.workers import READ_SECONDS
 from model.core.errors import CommandError
+from model.core.rotations import quaternion_wxyz
 from model.scenes.finders import LexiconFinder
-from model.scenes.native_format import quaternion_wxyz
 from model.scenes.poses import pose, rotation_from_quaternion
 from model.scenes.protocol import Decision, ObjectDescription
 from model.scenes.scene import FloatArray, SceneObject
@@ -141,8 +141,7 @@ class Picking:
 
 def _position_and_rotation(world: FloatArray) -> tuple[Position, Quaternion]:
     x, y, z = world[:3, 3].tolist()
-    a, b, c, d = quaternion_wxyz(world)
-    return (x, y, z), (a, b, c, d)
+    return (x, y, z), quaternion_wxyz(world)
 
 
 def _pose(position: Position, wxyz: Quaternion) -> FloatArray:

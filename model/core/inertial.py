@@ -23,6 +23,13 @@ class Inertial:
     center: npt.NDArray[np.float64]
     tensor: npt.NDArray[np.float64]
 
+    @property
+    def exact_tensor(self) -> npt.NDArray[np.float64]:
+        """``tensor`` to 12 digits, without products of inertia that are rounding errors."""
+        least = 1e-12 * np.abs(self.tensor).max()
+        exact = [0.0 if abs(v) < least else float(f"{v:.12g}") for v in self.tensor.ravel()]
+        return np.reshape(exact, (3, 3))
+
     def moved(self, matrix: npt.NDArray[np.float64]) -> Inertial:
         """The same mass under (4, 4) ``matrix``: a rotation, a uniform scale, a translation."""
         linear = matrix[:3, :3]

@@ -9,7 +9,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from model.core.rotations import affine
+from model.core.rotations import affine, uniform_scale
 
 FloatArray = npt.NDArray[np.float64]
 Kind = Literal["box", "cylinder", "sphere", "capsule"]
@@ -257,7 +257,7 @@ def moved_shape(shape: Shape, target_from_shape: FloatArray) -> Shape:
         made = hull_of(shape.vertices @ linear.T + shift)
         assert made is not None
         return made
-    scale = float(np.cbrt(np.linalg.det(linear)))
+    scale = uniform_scale(linear)
     pose = affine(
         linear / scale @ shape.object_from_shape[:3, :3],
         linear @ shape.object_from_shape[:3, 3] + shift,

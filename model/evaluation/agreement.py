@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from model.core.articulated_object import ArticulatedObject
+from model.core.rotations import uniform_scale
 from model.evaluation.alignment import Similarity, renamed
 from model.evaluation.joint_metrics import WORST_ANGLE, ObjectScore, UsableLimits, score_object
 from model.evaluation.part_matching import match_parts, sampled_parts
@@ -95,7 +96,7 @@ def agreement(
 def similarity_of(matrix: npt.NDArray[np.float64]) -> Similarity:
     """The similarity that a (4, 4) matrix of rotation, one scale and shift is."""
     linear = np.asarray(matrix, np.float64)[:3, :3]
-    scale = float(np.cbrt(np.linalg.det(linear)))
+    scale = uniform_scale(linear)
     return Similarity(linear / scale, scale, np.asarray(matrix, np.float64)[:3, 3])
 
 

@@ -19,6 +19,7 @@ from scipy.spatial.transform import Rotation
 from model.core.affordance import Affordance
 from model.core.errors import InputFileError
 from model.core.mesh import Mesh
+from model.core.rotations import quaternion_wxyz
 from model.core.shapes import Primitive
 from model.io.mjcf.affordance_sites import sites_of
 from model.io.mjcf.reader import need_mujoco
@@ -271,8 +272,7 @@ class _Run:
 
     def _place(self, pose: Array) -> None:
         at = self.bench._free.qposadr[0]
-        x, y, z, w = Rotation.from_matrix(pose[:3, :3]).as_quat()
-        self.data.qpos[at : at + 7] = [*pose[:3, 3], w, x, y, z]
+        self.data.qpos[at : at + 7] = [*pose[:3, 3], *quaternion_wxyz(pose)]
         self.mujoco.mj_forward(self.model, self.data)
 
     def _aim_fingers(self, each: float) -> None:

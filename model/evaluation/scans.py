@@ -23,6 +23,7 @@ from model.core.asset import Asset
 from model.core.errors import ArtiworldError
 from model.core.joint import Joint, same_motion
 from model.core.progress import Progress, no_progress
+from model.core.rotations import uniform_scale
 from model.core.tree import KinematicTree
 from model.data.registry import DatasetOptions, open_dataset
 from model.data.simulated.reconstruction import (
@@ -248,7 +249,7 @@ def joints_right(
     """Right joints and true joints of the parts that are seen, and extra ones."""
     links = {p.link for p in truth.parts}
     bounds = np.concatenate([p.bounds for p in truth.parts])
-    scale = float(np.cbrt(np.linalg.det(asset_from_truth[:3, :3])))
+    scale = uniform_scale(asset_from_truth[:3, :3])
     diagonal = scale * float(np.linalg.norm(np.ptp(bounds, axis=0)))
     mine = set() if tree is None else {f"link_{n}" for n in [BASE, *seen]} & set(tree.links)
     right = total = extra = 0

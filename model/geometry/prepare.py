@@ -17,7 +17,7 @@ from model.core.asset import Asset
 from model.core.errors import ConfigurationError, GeometryError
 from model.core.joint import Joint
 from model.core.progress import Progress, no_progress, scaled_progress
-from model.core.rotations import affine
+from model.core.rotations import affine, uniform_scale
 from model.core.tree import KinematicTree
 from model.geometry.cleaning import KIND_NAMES, OBJECT, Kinds, classify
 from model.geometry.crop import crop
@@ -217,7 +217,7 @@ def moved(asset: Asset, target_from_asset: Array) -> Asset:
     Masses and collision shapes that its file declares are dropped, with a warning.
     """
     linear, shift = target_from_asset[:3, :3], target_from_asset[:3, 3]
-    scale = float(np.cbrt(np.linalg.det(linear)))
+    scale = uniform_scale(linear)
     rotation = linear / scale
     mesh, cloud = asset.mesh, asset.cloud
     if mesh is not None:

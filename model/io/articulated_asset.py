@@ -22,6 +22,7 @@ from model.core.joint import Joint
 from model.core.mesh import Mesh
 from model.core.point_cloud import PointCloud
 from model.core.progress import Progress, no_progress
+from model.core.rotations import uniform_scale
 from model.core.shapes import Shape, moved_shape
 from model.core.tree import KinematicTree
 from model.io.assets.reader import PROVENANCE, URDF, declared_links, load_object, reading_notes
@@ -168,7 +169,8 @@ def _opened(
         points = whole.points @ matrix[:3, :3].T
         normals = whole.normals
         if normals is not None:
-            normals = normals @ (matrix[:3, :3] / np.cbrt(np.linalg.det(matrix[:3, :3]))).T
+            turned = normals @ matrix[:3, :3].T / uniform_scale(matrix[:3, :3])
+            normals = turned.astype(np.float32)
         cloud = PointCloud(points.astype(np.float32), normals, whole.colors)
     tree = _without_bare_ends(obj.tree, {p.link for p in obj.parts}, said)
     moves = any(j.moves for j in tree.joints)
@@ -270,7 +272,7 @@ def _numbered(
     """The moving joints between the parts, under ``matrix``."""
     link = {top: f"link_{number[top]}" if top in number else top for top in groups}
     types = {j.name: j for j in tree.joints}
-    scale = float(np.cbrt(np.linalg.det(matrix[:3, :3])))
+    scale = uniform_scale(matrix[:3, :3])
     joints = []
     for joint in (j for j in tree.joints if j.moves):
         parent, child = link[head[joint.parent]], link[head[joint.child]]

@@ -25,6 +25,7 @@ from model.core.files import free_name
 from model.core.inertial import Inertial, inertial_problems
 from model.core.installing import require
 from model.core.joint import JOINT_KINDS, JOINT_TYPES, DeclaredDynamics, Joint, JointType, Mimic
+from model.core.rotations import uniform_scale
 from model.core.tree import KinematicTree
 from model.io.export.usd import AFFORDANCE, FRICTION, NAME_KEY
 from model.io.formats.loaded import DEFAULT_MAX_BYTES, size_of
@@ -432,7 +433,7 @@ class _Reader:
                 turned = [matrix[:3, :3] @ np.asarray(said[k], np.float64)
                           for k in ("normal", "closing")]  # fmt: skip
                 unit = [tuple((v / np.linalg.norm(v)).tolist()) for v in turned]
-                width = float(said["width"] or 0.0) * float(np.cbrt(np.linalg.det(matrix[:3, :3])))
+                width = float(said["width"] or 0.0) * uniform_scale(matrix[:3, :3])
                 at = tuple((center - np.asarray(joint.origin)).tolist())
                 yield Affordance(joint.name, joint.child, str(kind), at, *unit, width)  # type: ignore[arg-type]
             except (GeometryError, TypeError, ValueError) as error:

@@ -18,11 +18,10 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
-import numpy as np
-from scipy.spatial.transform import Rotation
-
+from model.core.rotations import quaternion_wxyz
+from model.io.urdf.writer import rounded
 from model.scenes.readers.own import FORMAT, MARK
-from model.scenes.scene import FloatArray, Scene, SceneObject
+from model.scenes.scene import Scene, SceneObject
 
 
 def scene_to_json(scene: Scene, said: Mapping[str, Mapping[str, Any]] | None = None) -> Any:
@@ -43,12 +42,6 @@ def scene_to_json(scene: Scene, said: Mapping[str, Mapping[str, Any]] | None = N
     }  # fmt: skip
 
 
-def quaternion_wxyz(pose: FloatArray) -> list[float]:
-    """Of a (4, 4) rigid pose; w ≥ 0."""
-    x, y, z, w = Rotation.from_matrix(pose[:3, :3]).as_quat(canonical=True)
-    return (np.array([w, x, y, z]) + 0.0).tolist()
-
-
 def _object(o: SceneObject) -> dict[str, Any]:
     return {
         "id": o.id,
@@ -56,9 +49,9 @@ def _object(o: SceneObject) -> dict[str, Any]:
         "category": o.category,
         "room": o.room,
         "asset": o.asset,
-        "position": o.world_from_object[:3, 3].tolist(),
+        "position": rounded(o.world_from_object[:3, 3]),
         "quaternion_wxyz": quaternion_wxyz(o.world_from_object),
-        "scale": o.scale.tolist(),
+        "scale": rounded(o.scale),
         "anchor": o.anchor,
         "fit": None if o.fit is None else [float(v) for v in o.fit],
         "static": o.static,

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from model.core.rotations import affine, rotation_from_rpy
+from model.core.rotations import about, affine, rotation_from_rpy
 from model.scenes.scene import FloatArray, SceneObjectError
 
 _SWAP = np.array([[1.0, 0, 0], [0, 0, 1.0], [0, 1.0, 0]])
@@ -29,34 +28,20 @@ def rotation_from_quaternion(xyzw: FloatArray) -> FloatArray:
     Raises:
         SceneObjectError: for one of zeros, which turns nothing.
     """
-    length = float(np.linalg.norm(xyzw))
-    if length < 1e-9:
+    if np.linalg.norm(xyzw) < 1e-9:
         raise SceneObjectError(
             f"its quaternion {xyzw.tolist()} (x y z w) is zero; one of length 1 is needed"
         )
-    x, y, z, w = xyzw / length
-    return np.array([
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ])  # fmt: skip
+    return Rotation.from_quat(xyzw).as_matrix()
 
 
 def from_unity(position: FloatArray, degrees: FloatArray) -> FloatArray:
     """(4, 4) from Unity: metres, y up, left-handed; Euler angles applied z, then x, then y."""
     x, y, z = np.radians(degrees)
-    turn = _about(1, y) @ _about(0, x) @ _about(2, z)
+    turn = about(1, y) @ about(0, x) @ about(2, z)
     return pose(_SWAP @ position, _SWAP @ turn @ _SWAP)
 
 
 def about_z(angle: float) -> FloatArray:
     """(3, 3) turn about +z by radians."""
-    return _about(2, angle)
-
-
-def _about(axis: int, angle: float) -> FloatArray:
-    c, s = math.cos(angle), math.sin(angle)
-    out = np.eye(3)
-    i, j = (axis + 1) % 3, (axis + 2) % 3
-    out[i, i], out[i, j], out[j, i], out[j, j] = c, -s, s, c
-    return out
+    return about(2, angle)

@@ -15,13 +15,14 @@ from xml.etree import ElementTree as ET  # writes; reading is defusedxml's
 import numpy as np
 
 from model.core.files import draft_of, write_json
+from model.core.rotations import quaternion_wxyz
 from model.io.assets.reader import URDF
 from model.io.export.manifest import ABOUT, write_scene_about
 from model.io.export.mjcf import FILE
 from model.io.urdf.writer import number, xml_name
 from model.scenes.holding_friction import frictions
 from model.scenes.jobs import ASSETS, MISSING, MJCF, MOVING
-from model.scenes.native_format import quaternion_wxyz, scene_to_json
+from model.scenes.native_format import scene_to_json
 from model.scenes.outcome import Outcome
 from model.scenes.overlaps import at_rest
 from model.scenes.readers.gltf_scene import with_articulation

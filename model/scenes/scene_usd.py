@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from model.core.rotations import quaternion_wxyz
 from model.io.export.usd import FILE, FRICTION, NAME_KEY, identifier
-from model.io.urdf.writer import xml_name
+from model.io.urdf.writer import rounded, xml_name
 from model.scenes.jobs import ASSETS
-from model.scenes.native_format import quaternion_wxyz
 from model.scenes.scene import FloatArray
 from model.scenes.scene_mjcf import Stand
 
@@ -72,7 +72,7 @@ def write_scene_usd(name: str, stands: Sequence[Stand], out: Path, file: str) ->
 
 
 def _stand(gf: Any, made: Any, world: FloatArray) -> None:
-    made.AddTranslateOp().Set(gf.Vec3d(*world[:3, 3].tolist()))
+    made.AddTranslateOp().Set(gf.Vec3d(*rounded(world[:3, 3])))
     double: Any = import_module("pxr.UsdGeom").XformOp.PrecisionDouble
     made.AddOrientOp(double).Set(gf.Quatd(*quaternion_wxyz(world)))
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from model.core.errors import ArtiworldError
-from model.core.rotations import affine
+from model.core.rotations import affine, axis_scales
 from model.io.formats.loaded import Loaded, join
 from model.io.part_folder import OBJECT_JSON
 from model.io.source_checks import cleaned, is_solid, to_cloud, to_mesh
@@ -49,7 +49,7 @@ def placed_frame(world: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]
     if not np.isfinite(world).all():
         raise SceneObjectError("its transform holds numbers that are not finite")
     linear = world[:3, :3]
-    scale = np.linalg.norm(linear, axis=0)
+    scale = axis_scales(linear)
     if scale.min() < 1e-9 or abs(np.linalg.det(linear / max(scale.max(), 1e-300))) < 1e-12:
         raise SceneObjectError(f"its scale {scale.tolist()} leaves nothing of it")
     pose = affine(shift=world[:3, 3])

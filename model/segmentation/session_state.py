@@ -276,7 +276,7 @@ class StateUpdates:
         The penalties see to that for superpoints, but whole facets and shells may be far more.
         """
         masks, part, weight = found.proposals.masks, steps[-1].part, self._finisher.weight
-        for index in np.argsort(-found.scores, kind="stable")[:_TRIED]:
+        for index in found.order[:_TRIED]:
             tried = state.with_mask(part, masks[index])
             labels = self._finisher.labels(steps, tried.parts, tried.refined)
             taken, left = (weight[labels == p].sum() for p in (part, BASE))
@@ -304,7 +304,7 @@ class StateUpdates:
             return mask
         most = max(_FAR_LARGER * own, _FAR_LARGER_LITTLE * least)
         first = self._solver.first_answer(superpoint)
-        for index in np.argsort(-first.scores, kind="stable"):
+        for index in first.order:
             more = first.proposals.masks[index] & ~blocked
             if not more[superpoint] or more[list(before.negative)].any():
                 continue

@@ -13,7 +13,7 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
-from model.segmentation.arrays import Bool, Float
+from model.segmentation.arrays import Bool, Float, Int64
 from model.segmentation.describe.masks import FEATURE_NAMES, ClickContext, MaskDescriber
 from model.segmentation.encode.graph import components
 from model.segmentation.encode.hierarchy import Hierarchy
@@ -36,6 +36,8 @@ _OVERLAP_BEFORE, _BORDER, _LIFE, _AGREEMENT = (
 )
 _USUAL_OVERLAP = 0.8
 """Overlap with the mask before above which nothing counts as lost."""
+_TIE = 1e-5
+"""Log-odds by which scores differ that aren't equal: rounding makes a tenth of that."""
 _CORRECTED = 2
 """Best proposals of the first round that a random walk makes agree with the clicks."""
 _PATCH_OF_ALL, _PATCH_OF_MASK = 0.001, 0.02
@@ -68,9 +70,15 @@ class ScoredProposals:
         return ScoredProposals(self.proposals.take(index), self.features[index], self.scores[index])
 
     @property
+    def order(self) -> Int64:
+        """(H,) best first; of equal scores, to ``_TIE``, the larger mask, then the first."""
+        size = np.count_nonzero(self.proposals.masks, axis=1)
+        return np.lexsort((-size, -np.round(self.scores / _TIE)))
+
+    @property
     def best(self) -> Bool:
-        """(C,) the mask with the highest score."""
-        return self.proposals.masks[int(self.scores.argmax())]
+        """(C,) the first mask in that order."""
+        return self.proposals.masks[self.order[0]]
 
 
 class PartSolver:
@@ -152,7 +160,7 @@ class PartSolver:
         ]
         found = self._constrained(distinct_proposals(groups), after, blocked)
         scores = self._score_later(self.describe(found, context))
-        best = np.argsort(-scores)[:_CORRECTED]
+        best = np.argsort(-scores, kind="stable")[:_CORRECTED]
         corrected = [self._walks.corrected(found.masks[int(i)], after) for i in best]
         more = [Proposals.of(corrected, "mend"), *self._walks.from_clicks(state.mask, after)]
         more = self._constrained(distinct_proposals(more), after, blocked)

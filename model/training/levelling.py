@@ -23,6 +23,7 @@ from scipy.special import softmax
 from model.core.articulated_object import ArticulatedObject
 from model.core.errors import ArtiworldError
 from model.core.resources import static_assets
+from model.core.rotations import uniform_scale
 from model.data.registry import DatasetOptions, open_dataset
 from model.data.simulated.reconstruction import ReconstructionSettings, reconstruct_scan
 from model.evaluation.pool import robust_map
@@ -91,7 +92,7 @@ def samples_of(data: DatasetOptions, seed: int, name: str) -> list[Sample]:
 
 def _sides(points: Array, normals: Array, turn: Array) -> Array:
     """(4, F) features of top, bottom, back and front under a (3, 3) scaled rotation."""
-    turn = turn / np.cbrt(np.linalg.det(turn))
+    turn = turn / uniform_scale(turn)
     ups = ((0, 0, 1), (0, 0, -1), (0, 1, 0), (0, -1, 0))
     return np.array([bare_features(points, normals, turn @ up) for up in ups])
 

@@ -15,13 +15,13 @@ from xml.etree import ElementTree as ET  # only writes; reading is defusedxml's
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import Rotation
 
 from model.core.articulated_object import ArticulatedObject
 from model.core.inertial import Inertial
 from model.core.joint import JOINT_KINDS, Joint
 from model.core.mesh import Material, Mesh
 from model.core.progress import Progress, no_progress
+from model.core.rotations import quaternion_wxyz
 from model.core.shapes import Primitive
 from model.core.surface_maps import ImageFile, SurfaceMaps
 from model.core.textures import decode, encode
@@ -136,11 +136,11 @@ class _Writer:
         return body
 
     def _inertial(self, body: ET.Element, inertial: Inertial, link: str) -> None:
-        t = inertial.tensor
+        t = inertial.exact_tensor
         six = (t[0, 0], t[1, 1], t[2, 2], t[0, 1], t[0, 2], t[1, 2])
         ET.SubElement(
             body, "inertial", pos=vector(inertial.center - self.origins[link]),
-            mass=f"{inertial.mass:.9g}", fullinertia=" ".join(f"{v:.9g}" for v in six),
+            mass=number(inertial.mass), fullinertia=" ".join(map(number, six)),
         )  # fmt: skip
 
     def _geoms(self, body: ET.Element, mesh: Mesh, link: str, stem: str) -> None:
@@ -180,12 +180,11 @@ class _Writer:
         halves = {"box": [s / 2 for s in shape.sizes]}.get(
             shape.kind, [shape.sizes[0], *(s / 2 for s in shape.sizes[1:])]
         )
-        x, y, z, w = Rotation.from_matrix(pose[:3, :3]).as_quat()
         geom.attrib |= {
             "type": shape.kind,
             "size": vector(halves),
             "pos": vector(pose[:3, 3] - self.origins[link]),
-            "quat": vector([w, x, y, z]),
+            "quat": vector(quaternion_wxyz(pose)),
         }
 
     def _excludes(self) -> None:

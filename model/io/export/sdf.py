@@ -155,11 +155,11 @@ def _inertial(link: ET.Element, inertial: Inertial, origin: npt.NDArray[np.float
     element = ET.SubElement(link, "inertial")
     center = inertial.center if inertial is not HELPER else origin
     _text(element, "pose", _pose(center - origin))
-    _text(element, "mass", f"{inertial.mass:.9g}")
+    _text(element, "mass", number(inertial.mass))
     tensor = ET.SubElement(element, "inertia")
     for i, j, key in ((0, 0, "ixx"), (0, 1, "ixy"), (0, 2, "ixz"), (1, 1, "iyy"), (1, 2, "iyz"),
                       (2, 2, "izz")):  # fmt: skip
-        _text(tensor, key, f"{inertial.tensor[i, j]:.9g}")
+        _text(tensor, key, number(inertial.exact_tensor[i, j]))
 
 
 def _geometry(
@@ -184,9 +184,9 @@ def _geometry(
     if shape.kind == "box":
         _text(kind, "size", vector(shape.sizes))
         return
-    _text(kind, "radius", f"{shape.sizes[0]:.9g}")
+    _text(kind, "radius", number(shape.sizes[0]))
     if len(shape.sizes) > 1:
-        _text(kind, "length", f"{shape.sizes[1]:.9g}")
+        _text(kind, "length", number(shape.sizes[1]))
 
 
 def _joint(

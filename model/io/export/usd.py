@@ -17,7 +17,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import Rotation
 
 from model.core.affordance import Affordance
 from model.core.articulated_object import ArticulatedObject
@@ -27,11 +26,12 @@ from model.core.installing import require
 from model.core.joint import JOINT_KINDS, Joint, Mimic
 from model.core.mesh import Material, Mesh
 from model.core.progress import Progress, no_progress
+from model.core.rotations import quaternion_wxyz
 from model.core.shapes import Primitive, Shape
 from model.core.surface_maps import ImageFile, SurfaceMaps
 from model.core.textures import encode
 from model.geometry.shading import corner_normals
-from model.io.urdf.writer import direct_mimics, link_origins
+from model.io.urdf.writer import direct_mimics, link_origins, rounded
 from model.physics.affordances import find_affordances
 from model.physics.materials import read_materials
 from model.physics.part_mesh import part_mesh
@@ -142,7 +142,7 @@ class _Writer:
     def _link(self, link: str) -> Any:
         path = f"{self.top}/{self._identifier(self.top, link)}"
         xform = self.UsdGeom.Xform.Define(self.stage, path)
-        xform.AddTranslateOp().Set(self.Gf.Vec3d(*self.origins[link].tolist()))
+        xform.AddTranslateOp().Set(self.Gf.Vec3d(*rounded(self.origins[link])))
         prim = xform.GetPrim()
         prim.SetCustomDataByKey(NAME_KEY, link)
         self.UsdPhysics.RigidBodyAPI.Apply(prim)
@@ -159,21 +159,17 @@ class _Writer:
         attribute.Set([text.strip().lower()])
 
     def _mass(self, prim: Any, inertial: Inertial, origin: FloatArray) -> None:
-        values, axes = np.linalg.eigh(inertial.tensor)
-        if np.linalg.det(axes) < 0:
-            axes[:, 0] *= -1
+        values, axes = np.linalg.eigh(inertial.exact_tensor)
+        axes *= np.sign(axes[np.abs(axes).argmax(0), range(3)])
+        axes[:, 0] *= np.sign(np.linalg.det(axes))
         api = self.UsdPhysics.MassAPI.Apply(prim)
         api.CreateMassAttr(float(inertial.mass))
         api.CreateCenterOfMassAttr(self._vec3f(inertial.center - origin))
-        api.CreateDiagonalInertiaAttr(self._vec3f(values))
-        api.CreatePrincipalAxesAttr(self._quatf(axes))
+        api.CreateDiagonalInertiaAttr(self.Gf.Vec3f(*values.tolist()))
+        api.CreatePrincipalAxesAttr(self.Gf.Quatf(*quaternion_wxyz(axes)))
 
     def _vec3f(self, values: npt.ArrayLike) -> Any:
-        return self.Gf.Vec3f(*np.asarray(values, np.float64).tolist())
-
-    def _quatf(self, rotation: FloatArray) -> Any:
-        x, y, z, w = Rotation.from_matrix(rotation).as_quat().tolist()
-        return self.Gf.Quatf(w, x, y, z)
+        return self.Gf.Vec3f(*rounded(values))
 
     # Looks
 
@@ -346,15 +342,16 @@ class _Writer:
         pose = shape.object_from_shape
         kinds = {"box": "Cube", "cylinder": "Cylinder", "sphere": "Sphere", "capsule": "Capsule"}
         made = getattr(self.UsdGeom, kinds[shape.kind]).Define(self.stage, path)
-        made.AddTranslateOp().Set(self.Gf.Vec3d(*(pose[:3, 3] - origin).tolist()))
-        made.AddOrientOp().Set(self._quatf(pose[:3, :3]))
+        made.AddTranslateOp().Set(self.Gf.Vec3d(*rounded(pose[:3, 3] - origin)))
+        made.AddOrientOp().Set(self.Gf.Quatf(*quaternion_wxyz(pose)))
         if shape.kind == "box":
             made.CreateSizeAttr(1.0)
             made.AddScaleOp().Set(self._vec3f(shape.sizes))
             return made
-        made.CreateRadiusAttr(shape.sizes[0])
+        sizes = rounded(shape.sizes)
+        made.CreateRadiusAttr(sizes[0])
         if shape.kind != "sphere":
-            made.CreateHeightAttr(shape.sizes[1])
+            made.CreateHeightAttr(sizes[1])
             made.CreateAxisAttr(self.UsdGeom.Tokens.z)
         return made
 
@@ -417,11 +414,11 @@ class _Writer:
         made.CreateBody0Rel().SetTargets([self.links[joint.parent].GetPath()])
         made.CreateBody1Rel().SetTargets([self.links[joint.child].GetPath()])
         offset = self.origins[joint.child] - self.origins[joint.parent]
-        turn = self._quatf(x_onto(np.asarray(joint.axis)) if joint.moves else np.eye(3))
+        turn = x_onto(np.asarray(rounded(joint.axis))) if joint.moves else np.eye(3)
         made.CreateLocalPos0Attr(self._vec3f(offset))
         made.CreateLocalPos1Attr(self._vec3f(np.zeros(3)))
-        made.CreateLocalRot0Attr(turn)
-        made.CreateLocalRot1Attr(turn)
+        made.CreateLocalRot0Attr(self.Gf.Quatf(*quaternion_wxyz(turn)))
+        made.CreateLocalRot1Attr(self.Gf.Quatf(*quaternion_wxyz(turn)))
         if joint.moves:
             made.CreateAxisAttr(self.UsdPhysics.Tokens.x)
             unit = 180.0 / math.pi if joint.rotates else 1.0

@@ -15,6 +15,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from model.core.affordance import AFFORDANCE_KINDS, Affordance
+from model.core.rotations import quaternion_wxyz
 from model.io.urdf.writer import vector, xml_name
 
 GROUP = 4
@@ -34,11 +35,11 @@ def write_sites(body: ET.Element, affordances: Sequence[Affordance]) -> None:
     for rank, affordance in enumerate(affordances, 1):
         z, x = -np.asarray(affordance.normal), np.asarray(affordance.closing)
         turn = np.stack([x, np.cross(z, x), z], axis=1)
-        i, j, k, w = Rotation.from_matrix(turn).as_quat()
         ET.SubElement(
             body, "site", name=xml_name(f"affordance_{affordance.kind}_{rank}_{affordance.joint}"),
-            type="box", group=str(GROUP), pos=vector(affordance.center), quat=vector([w, i, j, k]),
-            size=vector([max(affordance.width / 2, LEAST), 0.006, 0.001]), rgba="0.1 0.6 0.2 0.5",
+            type="box", group=str(GROUP), rgba="0.1 0.6 0.2 0.5",
+            pos=vector(affordance.center), quat=vector(quaternion_wxyz(turn)),
+            size=vector([max(affordance.width / 2, LEAST), 0.006, 0.001]),
         )  # fmt: skip
 
 

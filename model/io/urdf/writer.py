@@ -130,14 +130,19 @@ def write_urdf(
 
 
 def number(value: float) -> str:
-    """The shortest text that reads back as the same float; never ``-0``."""
-    text = repr(float(value) + 0.0)
-    return text.removesuffix(".0")
+    """The shortest text that keeps a billionth of the value, not its last bits; never ``-0``."""
+    return f"{float(value) + 0.0:.10g}"
 
 
 def vector(values: npt.ArrayLike) -> str:
-    """Numbers separated by blanks."""
-    return " ".join(number(v) for v in np.asarray(values, dtype=np.float64))
+    """Metres, radians or parts of a direction, separated by blanks; below 1e-12 is rounding's."""
+    exact = np.asarray(values, np.float64)
+    return " ".join(number(v) for v in np.where(np.abs(exact) < 1e-12, 0.0, exact))
+
+
+def rounded(values: npt.ArrayLike) -> list[float]:
+    """The numbers that :func:`vector` writes."""
+    return [float(text) for text in vector(values).split()]
 
 
 def xml_name(name: str) -> str:
@@ -177,15 +182,13 @@ def _mujoco_lines(visuals: bool) -> list[str]:
 
 
 def _inertial_lines(inertial: Inertial, origin: npt.NDArray[np.float64]) -> list[str]:
-    t = inertial.tensor
-    # Products of inertia that are rounding errors of a symmetric body.
-    t = np.where(np.abs(t) < 1e-12 * np.abs(t).max(), 0.0, t)
+    t = inertial.exact_tensor
     return [
         "    <inertial>",
         f'      <origin xyz="{vector(inertial.center - origin)}" rpy="0 0 0"/>',
-        f'      <mass value="{inertial.mass:.9g}"/>',
-        f'      <inertia ixx="{t[0, 0]:.9g}" ixy="{t[0, 1]:.9g}" ixz="{t[0, 2]:.9g}"'
-        f' iyy="{t[1, 1]:.9g}" iyz="{t[1, 2]:.9g}" izz="{t[2, 2]:.9g}"/>',
+        f'      <mass value="{number(inertial.mass)}"/>',
+        f'      <inertia ixx="{number(t[0, 0])}" ixy="{number(t[0, 1])}" ixz="{number(t[0, 2])}"'
+        f' iyy="{number(t[1, 1])}" iyz="{number(t[1, 2])}" izz="{number(t[2, 2])}"/>',
         "    </inertial>",
     ]
 
@@ -211,9 +214,9 @@ def _collision_lines(shape: CollisionGeometry, origin: npt.NDArray[np.float64]) 
     if shape.kind == "box":
         element = f'<box size="{vector(shape.sizes)}"/>'
     elif shape.kind == "cylinder":
-        element = f'<cylinder radius="{shape.sizes[0]:.9g}" length="{shape.sizes[1]:.9g}"/>'
+        element = f'<cylinder radius="{number(shape.sizes[0])}" length="{number(shape.sizes[1])}"/>'
     elif shape.kind == "sphere":
-        element = f'<sphere radius="{shape.sizes[0]:.9g}"/>'
+        element = f'<sphere radius="{number(shape.sizes[0])}"/>'
     else:
         raise ArtiworldError(f"URDF has no {shape.kind}; write it as a mesh")
     place = vector(pose[:3, 3] - origin)

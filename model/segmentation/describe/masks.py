@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from operator import attrgetter
 
 import numpy as np
+import numpy.typing as npt
 from cachetools import LRUCache, cachedmethod
 from scipy.linalg import get_blas_funcs
 
-from model.segmentation.arrays import Bool, Float, Float32, Int64, Uint64
+from model.segmentation.arrays import Bool, Float, Float32, Float64, Int64, Uint64
 from model.segmentation.describe.repeats import Repeats
 from model.segmentation.encode.hierarchy import Hierarchy
 from model.segmentation.encode.superpoints import Superpoints
@@ -38,6 +40,8 @@ _RELATIVE = (
 
 _gram = get_blas_funcs(("syrk",), dtype=np.float32)[0]
 """All inner products of columns, the upper half of them: half the work of a full product."""
+_NOISE = 1e-12
+"""Variance, the diagonal being 1, that rounding may leave of none."""
 _CACHED = 64
 """Clicked superpoints whose distances to all others are cached."""
 _RING, _RING_GROWTH = 256, 3
@@ -85,6 +89,11 @@ def _rank(values: Float) -> Int64:
     return np.argsort(np.argsort(values, kind="stable"), kind="stable")
 
 
+def rounded(columns: Sequence[npt.ArrayLike]) -> Float32:
+    """(H, K) features from columns (H,), without residues, which trees would compare with 0."""
+    return np.round(np.stack([np.asarray(c, np.float64) for c in columns], 1), 9).astype(np.float32)
+
+
 def bits_of(masks: Bool) -> Uint64:
     """(C, W) the bits of all masks at each superpoint."""
     number, count = masks.shape
@@ -118,9 +127,7 @@ class MaskDescriber:
         x = (superpoints.center - (low + high) / 2) / max(float(np.linalg.norm(high - low)), 1e-9)
         self._x = x.astype(np.float32)
         self._root = float(np.sqrt(superpoints.size.sum()))
-        self._features = np.concatenate([_moments(superpoints, x), incident], axis=1).astype(
-            np.float32
-        )
+        self._features = np.concatenate([_moments(superpoints, x), incident], axis=1)
         self._repeats = Repeats(superpoints, hierarchy, x)
         self._column = {name: i for i, name in enumerate(self.names)}
         self._own_names = tuple(n for n in self.names if n not in self.relative)
@@ -147,7 +154,7 @@ class MaskDescriber:
             "agreement_max": self._second(overlap),
             "border_rank": _rank(border) / count,
             "size_rank": _rank(log_size) / count,
-            "closest_larger": self._next_larger(np.exp(log_size)),
+            "closest_larger": self._next_larger(np.exp(log_size, dtype=np.float64)),
             **{f"from_{s}": proposals.source == i for i, s in enumerate(SOURCES)},
         }
         if context.before is not None:
@@ -178,7 +185,7 @@ class MaskDescriber:
         Args:
             words: (C, W) the bits of all masks at each superpoint, see :func:`bits_of`.
         """
-        m = masks.astype(np.float32)
+        m = masks.astype(np.float64)
         crossed = words[self._a] ^ words[self._b]
         border = self._over_links(crossed, len(masks))
         changed = self._changed_border(crossed, border, context)
@@ -194,7 +201,7 @@ class MaskDescriber:
         i0 = np.maximum(inside[:, 0], 1)
         scale = np.sqrt(area)
         color = sums[:, 13:16] / area[:, None]
-        spread = np.sqrt(np.maximum(sums[:, 16] / area - (color**2).sum(1), 0))
+        spread = np.sqrt(np.maximum(sums[:, 16] / area - (color**2).sum(1), _NOISE))
         depth = self._depth(words, len(masks), context.last)
         first = context.first
         first_depth = depth if first == context.last else self._depth(words, len(masks), first)
@@ -214,7 +221,7 @@ class MaskDescriber:
             *self._change(words, changed, masks, context, area).T,
             self._repeats(sums[:, [0, 1, 2, 3, 4, 7, 9]]),
         ]  # fmt: skip
-        return np.stack([np.asarray(c, np.float32) for c in columns], axis=1)
+        return rounded(columns)
 
     def _changed_border(
         self, crossed: Uint64, border: Float, context: ClickContext
@@ -236,7 +243,7 @@ class MaskDescriber:
             return np.zeros((number, 7), np.float32)
         flipped = masks ^ before
         changed = np.asarray(np.where(before[:, None], ~words, words), np.uint64)
-        sums = flipped.astype(np.float32) @ self._features[:, :13]
+        sums = flipped.astype(np.float64) @ self._features[:, :13]
         size = np.maximum(sums[:, 0], 1e-9)
         b0 = np.maximum(border[:, 0], 1e-9)
         depth = self._depth(changed, number, context.last)
@@ -251,7 +258,7 @@ class MaskDescriber:
                 np.linalg.norm(sums[:, 10:13], axis=1) / size,
             ],
             axis=1,
-        ).astype(np.float32)
+        )
 
     def _over_links(self, crossed: Uint64, number: int, links: Int64 | None = None) -> Float:
         """(H, 7) sums over the links that each mask's border crosses.
@@ -265,20 +272,18 @@ class MaskDescriber:
         touched = np.nonzero(any_)[0]
         bits = np.unpackbits(crossed[touched].view(np.uint8), axis=1)[:, :number]
         held = self._link[touched if links is None else links[touched]]
-        return bits.astype(np.float32).T @ held
+        return bits.astype(np.float64).T @ held
 
     @cachedmethod(attrgetter("_distances"))
     def _around(self, superpoint: int) -> tuple[Float, Int64]:
         """(C,) distances from a superpoint, diagonal = 1, and the superpoints by distance."""
         apart = np.linalg.norm(self._x - self._x[superpoint], axis=1)
-        return apart, np.argsort(apart)
+        return apart, np.argsort(apart, kind="stable")
 
     def _extents(self, second: Float, center: Float) -> Float:
         covariance = second[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
         covariance = covariance - center[:, :, None] * center[:, None, :]
-        return np.sqrt(np.maximum(np.linalg.eigvalsh(covariance.astype(np.float64)), 0)).astype(
-            np.float32
-        )
+        return np.sqrt(np.maximum(np.linalg.eigvalsh(covariance), _NOISE))
 
     def _depth(self, words: Uint64, number: int, superpoint: int) -> Float:
         """(H,) distance from a superpoint to the nearest one on the other side, diagonal = 1."""
@@ -327,7 +332,7 @@ class MaskDescriber:
         growth = np.zeros(number, np.float32)
         changed = np.zeros(number, np.float32)
         if border is not None and context.before is not None and context.before.any():
-            before = context.before.astype(np.float32)
+            before = context.before.astype(np.float64)
             common = m @ before
             overlap = common / np.maximum(m.sum(1) + before.sum() - common, 1)
             was = float((self._features[:, 0] * before).sum())
@@ -343,7 +348,7 @@ class MaskDescriber:
         ]
 
 
-def _link_features(superpoints: Superpoints) -> Float32:
+def _link_features(superpoints: Superpoints) -> Float64:
     """(M, 7) features of the links, weighted by their number of node edges."""
     links = superpoints.links
     mean = links.strength / np.maximum(links.count, 1)
@@ -353,7 +358,7 @@ def _link_features(superpoints: Superpoints) -> Float32:
     hue = np.linalg.norm(superpoints.color[links.a] - superpoints.color[links.b], axis=1) / 20
     one = np.ones(len(mean))
     columns = [one, mean, np.exp(-mean), mean < 1.0, mean > 4.0, np.minimum(hue, 3), turn]
-    return (np.stack(columns, axis=1) * links.count[:, None]).astype(np.float32)
+    return np.stack(columns, axis=1) * links.count[:, None]
 
 
 def _moments(superpoints: Superpoints, x: Float) -> Float:

@@ -8,7 +8,7 @@ from scipy.spatial import KDTree
 from model.segmentation.arrays import Bool, Float, Uint64
 from model.segmentation.describe.depths import Depths
 from model.segmentation.describe.fronts import FRONT_FEATURES
-from model.segmentation.describe.masks import FEATURE_NAMES, ClickContext, MaskDescriber
+from model.segmentation.describe.masks import FEATURE_NAMES, ClickContext, MaskDescriber, rounded
 from model.segmentation.encode.hierarchy import Hierarchy
 from model.segmentation.encode.superpoints import Superpoints
 from model.segmentation.part_state import CorrectiveClick
@@ -71,13 +71,12 @@ class ObjectDescriber(MaskDescriber):
     def _own(self, masks: Bool, words: Uint64, context: ClickContext) -> Float:
         grid = self._grid
         base = super()._own(masks, words, context)
-        m = masks.astype(np.float32)
+        m = masks.astype(np.float64)
         size = m @ grid.size
         low, high = grid.bounds(masks)
         held = (grid.contents(low, high) | masks).astype(np.float32) @ grid.size
-        steps = (high - low + 1).astype(np.float32)
-        sides = np.sort(steps * grid.step.astype(np.float32), axis=1)
-        sides /= np.float32(np.linalg.norm(STEPS * grid.step))
+        steps = (high - low + 1).astype(np.float64)
+        sides = np.sort(steps * grid.step, axis=1) / np.linalg.norm(STEPS * grid.step)
         volume = np.log(steps / STEPS).sum(1)
         growth, outside = self._box_growth(volume, context)
         columns = [
@@ -96,7 +95,7 @@ class ObjectDescriber(MaskDescriber):
             *self._sides_of_clicks(m, size, context),
             *self._history(words, m, size, context),
         ]
-        extra = np.stack([np.asarray(c, np.float32) for c in columns], axis=1)
+        extra = rounded(columns)
         return np.concatenate([base, extra], axis=1)
 
     def _box_growth(self, volume: Float, context: ClickContext) -> tuple[Float, float]:
@@ -118,7 +117,7 @@ class ObjectDescriber(MaskDescriber):
                 the masks' sizes.
         """
         log_size, relative = base[:, _LOG_SIZE], base[:, _FIRST_DEPTH]
-        own = relative * np.exp(log_size / 2)
+        own = relative * np.exp(log_size / 2, dtype=np.float64)
         return _log_depth_ratio(own, self._depths(words, len(base)))
 
     def _history(self, words: Uint64, m: Float, held: Float, context: ClickContext) -> list[Float]:
@@ -216,5 +215,5 @@ class ObjectDescriber(MaskDescriber):
 
 
 def _log_depth_ratio(depth: Float, most: Float) -> Float:
-    ratio = np.log(np.maximum(depth, _SHALLOW) / np.maximum(most, _SHALLOW))
+    ratio = np.log(np.maximum(depth, _SHALLOW) / np.maximum(most, _SHALLOW), dtype=np.float64)
     return np.clip(ratio, -4, 1)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from model.segmentation.arrays import Bool, Float, Uint64
-from model.segmentation.describe.masks import FEATURE_NAMES, ClickContext, MaskDescriber
+from model.segmentation.describe.masks import FEATURE_NAMES, ClickContext, MaskDescriber, rounded
 from model.segmentation.encode.hierarchy import Hierarchy
 from model.segmentation.encode.room import Room
 from model.segmentation.encode.superpoints import Superpoints
@@ -31,10 +31,10 @@ class RoomDescriber(MaskDescriber):
 
     def _own(self, masks: Bool, words: Uint64, context: ClickContext) -> Float:
         room = self._room
-        m = masks.astype(np.float32)
+        m = masks.astype(np.float64)
         size = m @ self._size
         low, high = bounds_of(masks, room.position)
-        side = np.maximum(high - low, 0.01)
+        side = np.maximum(high - low, 0.01, dtype=np.float64)
         within = m @ (self._size * ~room.border)
         held = contents_of(room, low, high).astype(np.float32) @ self._size
         growth = np.zeros(len(masks), np.float32)
@@ -42,7 +42,8 @@ class RoomDescriber(MaskDescriber):
         if context.before is not None and context.before.any():
             before = bounds_of(context.before[None], room.position)
             volume = np.log(side + 0.05).sum(1)
-            growth = volume - np.log(np.maximum(before[1] - before[0], 0.01) + 0.05).sum()
+            was = np.maximum(before[1] - before[0], 0.01, dtype=np.float64)
+            growth = volume - np.log(was + 0.05).sum()
             spot = room.position[context.last]
             outside = float(np.maximum(before[0] - spot, spot - before[1]).max())
         columns = [
@@ -56,5 +57,5 @@ class RoomDescriber(MaskDescriber):
             np.clip(growth, -5, 5),
             np.full(len(masks), np.clip(outside, -1, 2)),
         ]
-        extra = np.stack([np.asarray(c, np.float32) for c in columns], axis=1)
+        extra = rounded(columns)
         return np.concatenate([super()._own(masks, words, context), extra], axis=1)

@@ -48,12 +48,12 @@ class _Diffusion:
 
 def lab_colors(colors: Uint8) -> Float:
     """(N, 3) CIE Lab (D65) of sRGB colours."""
-    c = np.arange(256, dtype=np.float32) / 255
-    linear = np.where(c > 0.04045, ((c + 0.055) / 1.055) ** 2.4, c / 12.92).astype(np.float32)
+    c = np.arange(256) / 255
+    linear = np.where(c > 0.04045, ((c + 0.055) / 1.055) ** 2.4, c / 12.92)
     to_xyz = np.array(
-        [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]], np.float32
+        [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]
     )
-    xyz = linear[colors] @ to_xyz.T / np.array([0.95047, 1, 1.08883], np.float32)
+    xyz = linear[colors] @ to_xyz.T / np.array([0.95047, 1, 1.08883])
     f = np.where(xyz > 0.008856, np.cbrt(xyz), 7.787 * xyz + 16 / 116)
     return np.stack(
         [116 * f[:, 1] - 16, 500 * (f[:, 0] - f[:, 1]), 200 * (f[:, 1] - f[:, 2])], axis=1
@@ -63,7 +63,7 @@ def lab_colors(colors: Uint8) -> Float:
 def _pair(normals: Float, a: npt.NDArray, b: npt.NDArray, along: Float) -> list[Float]:
     unit = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
     na, nb = unit[a], unit[b]
-    angle = np.arccos(np.clip(np.einsum("ij,ij->i", na, nb), -1, 1))
+    angle = np.arccos(np.clip(np.einsum("ij,ij->i", na, nb), -1, 1, dtype=np.float64))
     out_a = np.einsum("ij,ij->i", na, along)
     out_b = np.einsum("ij,ij->i", nb, along)
     return [angle, out_b - out_a, np.abs(out_a + out_b) / 2]
@@ -87,7 +87,8 @@ def _shape_features(nodes: Nodes, graph: Graph, smooth: _Diffusion) -> list[Floa
     normals_2 = smooth(normals, 4)
     normals_3 = smooth(normals_2, 8)
     rough = np.abs(np.einsum("ij,ij->i", graph.rough_normals[a], graph.rough_normals[b]))
-    out: list[Float] = [np.minimum(graph.length / h, 8), np.arccos(np.minimum(rough, 1))]
+    rough = np.arccos(np.minimum(rough, 1, dtype=np.float64))
+    out: list[Float] = [np.minimum(graph.length / h, 8), rough]
     for pair in mapped(lambda n: _pair(n, a, b, along), (normals, normals_2, normals_3)):
         out += pair
     for scale in (normals_2, normals_3):

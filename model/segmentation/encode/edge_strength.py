@@ -67,4 +67,4 @@ def edge_strength(nodes: Nodes, graph: Graph, model: Mlp | None) -> Float32:
 def edge_weight(strength: Float32, graph: Graph) -> Float32:
     """(M,) conductance of each edge for the random walk."""
     reach = np.minimum(graph.length / np.float32(graph.spacing), 8)
-    return np.exp(-strength - 0.1 * reach**2)
+    return np.exp(-strength.astype(np.float64) - 0.1 * reach**2).astype(np.float32)

@@ -26,9 +26,9 @@ def plane_normals(points: Float32, neighbors: Int) -> tuple[Float32, Float32]:
     variation = np.empty(len(points), np.float32)
 
     def fit(begin: int) -> None:
-        local = points[neighbors[begin : begin + _CHUNK]]
-        local = local - local.mean(1, keepdims=True)
-        covariance = np.matmul(local.transpose(0, 2, 1), local).astype(np.float64)
+        local = points[neighbors[begin : begin + _CHUNK]].astype(np.float64)
+        local -= local.mean(1, keepdims=True)
+        covariance = np.matmul(local.transpose(0, 2, 1), local)
         values, vectors = np.linalg.eigh(covariance)
         normals[begin : begin + _CHUNK] = vectors[:, :, 0]
         variation[begin : begin + _CHUNK] = values[:, 0] / np.maximum(values.sum(1), 1e-30)
@@ -57,16 +57,17 @@ def orient_outwards(
     """
     towards = np.zeros((len(points), 3), np.float32)
     pixel = max(2.0 * spacing, 1e-9)
+    exact = points.astype(np.float64)
 
     def sees(direction: Float64) -> Bool:
         helper = np.array([1.0, 0, 0]) if abs(direction[0]) < 0.8 else np.array([0, 1.0, 0])
         u = np.cross(direction, helper)
         u /= np.linalg.norm(u)
-        frame = np.stack([u, np.cross(direction, u), direction], axis=1).astype(np.float32)
-        local = points @ frame
+        frame = np.stack([u, np.cross(direction, u), direction], axis=1)
+        local = exact @ frame
         grid = np.floor((local[:, :2] - local[:, :2].min(0)) / pixel).astype(np.int64)
         key = grid[:, 0] * (grid[:, 1].max() + 1) + grid[:, 1]
-        top = np.full(int(key.max()) + 1, -np.inf, np.float32)
+        top = np.full(int(key.max()) + 1, -np.inf)
         np.maximum.at(top, key, local[:, 2])
         return local[:, 2] > top[key] - 2 * spacing
 
@@ -92,5 +93,5 @@ def _blend(normals: Float32, neighbors: Int, begin: int) -> Float32:
     here = normals[begin : begin + _CHUNK]
     around = normals[neighbors[begin : begin + _CHUNK]]
     dot = np.einsum("nki,ni->nk", around, here)
-    weight = np.exp((dot - 1) / np.float32(0.35**2)) * (dot > 0)
+    weight = np.exp((dot.astype(np.float64) - 1) / 0.35**2).astype(np.float32) * (dot > 0)
     return np.einsum("nk,nki->ni", weight, around) + here

@@ -130,4 +130,4 @@ class RandomWalk:
         inner = green[:, seeds].astype(np.float64)
         inner += 1e-7 * np.trace(inner) / len(seeds) * np.eye(len(seeds))
         missing = values[None] - prior[:, seeds]
-        return prior + (np.linalg.solve(inner, missing.T).T.astype(np.float32)) @ green
+        return prior + np.linalg.solve(inner, missing.T).T @ green

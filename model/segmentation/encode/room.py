@@ -64,7 +64,7 @@ def _floor(superpoints: Superpoints) -> float | None:
     height, weight = superpoints.center[:, 2], superpoints.size / superpoints.size.sum()
     length = np.maximum(np.linalg.norm(superpoints.normal, axis=1), 1e-9)
     level = np.abs(superpoints.normal[:, 2]) / length > _LEVEL
-    order = np.argsort(height)
+    order = np.argsort(height, kind="stable")
     low = float(height[order[np.searchsorted(np.cumsum(weight[order]), 0.001)]])
     best, found = _LEAST_FLOOR, None
     for bottom in np.arange(low - _BAND, low + _LOWEST, _BAND / 2):

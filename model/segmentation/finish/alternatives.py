@@ -24,8 +24,7 @@ def overlaps(masks: Bool, size: Float) -> tuple[Float, Float]:
     Returns:
         (H, H) each; the diagonal of the first holds the masks' sizes.
     """
-    weighted = masks * np.sqrt(size).astype(np.float32)
-    common = weighted @ weighted.T
+    common = (masks * size.astype(np.float32)) @ masks.T.astype(np.float32)
     area = np.diagonal(common)
     return common, common / np.maximum(area[:, None] + area[None] - common, 1e-9)
 

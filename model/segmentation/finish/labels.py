@@ -41,14 +41,14 @@ class LabelFinisher:
     ) -> None:
         self.refinement = refinement
         self.first_of = None if asset.mesh is None else coincident_faces(asset.mesh)
-        self.weight = np.ones(asset.element_count, np.float32)
+        self.weight = np.ones(asset.element_count)
         self.attached: AttachedShells | None = None
         self._encoding = encoding
         # Shells tell what is attached on a mesh; in a room, things on a table are no part of it.
         self.joins_components = asset.mesh is None and encoding.room is None
         self._groups: tuple[FaceGroups, ...] = ()
         if asset.mesh is not None:
-            self.weight = asset.mesh.face_areas.astype(np.float32)
+            self.weight = np.asarray(asset.mesh.face_areas, np.float64)
             graph, face = encoding.graph, encoding.nodes.elements.element_of_node
             a, b = face[graph.a[~graph.bridge]], face[graph.b[~graph.bridge]]
             self.attached = find_attached_shells(asset.mesh, a, b)

@@ -45,7 +45,8 @@ class Mlp:
         def evaluate(begin: int) -> None:
             x = features[begin : begin + _CHUNK]
             x = ((x if self.picks is None else x[:, self.picks]) - self.mean) / scale
-            x = np.clip(x, -8, 8)
+            # In float64, and rounded once: the same numbers from every processor's kernels.
+            x = np.clip(x, -8, 8, dtype=np.float64)
             for weight, bias in self.layers[:-1]:
                 x = np.maximum(x @ weight.T + bias, 0)
             weight, bias = self.layers[-1]

@@ -60,16 +60,16 @@ class BoxDescriber:
         rows = np.arange(len(low))[:, None]
         self._order = np.where(swap[:, None], [1, 0, 2], [0, 1, 2]).astype(np.int8)
         self._low, self._high = low, high
-        log_length = np.log(np.maximum(length, 1e-3))
+        log_length = np.log(np.maximum(length, 1e-3), dtype=np.float64)
         self._length = log_length[rows, self._order]
         outermost = np.stack([low <= 0, high >= STEPS - 1], axis=2).astype(np.float32)
         self._sides = boxes.sides[rows, self._order]
         self._outermost = outermost[rows, self._order]
-        share = np.maximum(boxes.share, 1e-9)
+        share = np.maximum(boxes.share, 1e-9, dtype=np.float64)
         filled = share * boxes.surface.max(initial=1) / np.maximum(boxes.surface, 1e-9)
         self._held = np.stack(
-            [np.log(share), np.log(filled), boxes.inner, np.log(boxes.leak + 1e-6),
-             log_length.sum(1)],
+            [np.log(share), np.log(filled), boxes.inner,
+             np.log(boxes.leak + 1e-6, dtype=np.float64), log_length.sum(1)],
             axis=1,
         ).astype(np.float32)  # fmt: skip
 
@@ -124,7 +124,8 @@ class RankedBoxes:
 
     def of_all_sizes(self, most: int) -> Int64:
         """The likeliest of each size, the likeliest first."""
-        _, first = np.unique(np.floor(np.log(self.share) / _SIZE_BIN), return_index=True)
+        size = np.log(self.share, dtype=np.float64)
+        _, first = np.unique(np.floor(size / _SIZE_BIN), return_index=True)
         return np.sort(first)[:most]
 
     def alike(self, low: Int16, high: Int16, least: float) -> Int64:
@@ -150,7 +151,7 @@ class BoxRanker:
         """Boxes that hold a superpoint, the likeliest first, and their scores."""
         found = self._boxes.holding(self._place[:, superpoint])
         if self._model is None or self._describe is None:
-            score = -np.log(self._boxes.leak[found] + 1e-6)
+            score = -np.log(self._boxes.leak[found] + 1e-6, dtype=np.float64)
         else:
             faces = self._facing[:, superpoint]
             score = self._model(self._describe(found, self._place[:, superpoint], faces))

@@ -23,7 +23,7 @@ Rects = Int64
 CHANNELS = ("strength", "gap", "dark", "dent", "step", "tilt", "hue")
 """Evidence of a line: strong edges, missing points, darkness, a dent, a step in depth, slanting
 normals, a step in colour."""
-_WEIGHT = np.array([0.3, 0.25, 0.25, 0.2, 0.2, 0.1, 0.2], np.float32)
+_WEIGHT = np.array([0.3, 0.25, 0.25, 0.2, 0.2, 0.1, 0.2])
 """Of the channels in their mean."""
 MAX_EVIDENCE = 4.0
 """In robust deviations of the region."""
@@ -182,7 +182,7 @@ def _evidence(maps: dict[str, Float], there: Bool, region: Bool) -> Float32:
         middle = np.median(inside)
         spread = 1.4826 * np.median(np.abs(inside - middle)) + 1e-6
         out[..., k] = np.clip((x - middle) / spread, -1.5, MAX_EVIDENCE) * region
-    out[..., -1] = out[..., :-1] @ _WEIGHT
+    out[..., -1] = out[..., :-1].astype(np.float64) @ _WEIGHT
     return out
 
 

@@ -133,7 +133,7 @@ def plane_boxes(
     usable = np.nonzero(((share > _SMALLEST) & (share < _LARGEST)).ravel())[0]
     leak = leak.ravel()[usable]
     if len(usable) > _MOST:
-        best = np.argpartition(leak, _MOST)[:_MOST]
+        best = np.sort(np.argpartition(leak, _MOST)[:_MOST])
         usable, leak = usable[best], leak[best]
     order = np.argsort(leak, kind="stable")
     usable, leak = usable[order], leak[order]

@@ -98,7 +98,7 @@ class Penalties:
             moving: whether the click means a moving part.
         """
         size = superpoints.size
-        held = masks.astype(np.float32) @ size.astype(np.float32)
+        held = masks.astype(np.float64) @ size
         free = size if blocked is None else size[~blocked]
         share = held / max(float(free.sum()), 1e-9)
         out = _ALL * np.clip((share - NEARLY_ALL) / _ALL_RAMP, 0, 1)
@@ -123,8 +123,8 @@ class Penalties:
         assert before.mask is not None
         size = superpoints.size
         own = float(size[before.mask].sum())
-        sides = np.stack([size, size * before.mask], axis=1).astype(np.float32)
-        now, kept = (masks.astype(np.float32) @ sides).T
+        sides = np.stack([size, size * before.mask], axis=1)
+        now, kept = (masks.astype(np.float64) @ sides).T
         changed = now + own - 2 * kept
         clicks = max(before.informative_clicks, 1) + _DRAWN_CLICKS * before.drawn
         early = np.exp(-(clicks - 1) / 2)

@@ -80,7 +80,7 @@ def _room_objects(session: DefaultSession, voters: Int64, progress: Progress) ->
     """
     size = session.encoding.superpoints.size
     votes = collect_votes(session.solver, voters, _VOTES, moving=False, progress=progress)
-    likely = np.zeros((len(voters), len(votes.masks)), np.float32)
+    likely = np.zeros((len(voters), len(votes.masks)))
     first = np.flatnonzero(np.diff(votes.voter, prepend=-1))
     power = np.exp((votes.scores - votes.scores[first][votes.voter]) / _TEMPERATURE)
     likely[votes.voter, votes.mask] = power / np.add.reduceat(power, first)[votes.voter]

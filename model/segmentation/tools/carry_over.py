@@ -80,5 +80,5 @@ def _proposal(session: DefaultSession, share: Float64) -> tuple[Bool, float]:
     common = masks @ (size * share)
     union = masks @ size + (size * share).sum() - common
     overlap = common / np.maximum(union, 1e-9)
-    best, first = int(overlap.argmax()), float(overlap[int(found.scores.argmax())])
+    best, first = int(overlap.argmax()), float(overlap[found.order[0]])
     return (masks[best] if overlap[best] >= _AGREES else own), first

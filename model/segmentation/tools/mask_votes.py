@@ -94,7 +94,7 @@ def collect_votes(
     voter, mask_of, features, scores = [], [], [], []
     for row, superpoint in enumerate(voters.tolist()):
         answer = solver.first_answer(superpoint, moving=moving)
-        best = np.argsort(-answer.scores, kind="stable")[:most]
+        best = answer.order[:most]
         for mask in answer.proposals.masks[best]:
             key = np.packbits(mask).tobytes()
             if key not in number:
@@ -126,7 +126,7 @@ def vote_for_masks(solver: PartSolver, voters: Int, progress: Progress = no_prog
     summed = np.zeros((len(votes.masks), len(MOVING_FEATURE_NAMES)), np.float32)
     np.add.at(summed, votes.mask, votes.features)
     voted = np.zeros((len(voters), len(votes.masks)), bool)
-    score = np.zeros(voted.shape, np.float32)
+    score = np.zeros(voted.shape)
     voted[votes.voter, votes.mask], score[votes.voter, votes.mask] = True, votes.scores
     common, overlap = overlaps(votes.masks, solver.superpoints.size)
     of_votes = _vote_features(voted, score, votes.masks[:, voters].T, overlap)
