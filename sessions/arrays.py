@@ -6,7 +6,6 @@ import hashlib
 import json
 import os
 import re
-import tempfile
 import zlib
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from model.core.errors import StoreError
+from model.core.files import draft_of
 
 MAGIC = b"ARTIWORLD-ARRAY 1\n"
 _MAGIC_ANY = b"ARTIWORLD-ARRAY "
@@ -57,7 +57,7 @@ class ArrayFiles:
         if path.exists() and self._is_whole(ref):
             return ref
         try:
-            _write_atomically(path, _encode(array))
+            _write_durably(path, _encode(array))
         except OSError as error:
             raise StoreError(
                 f"{path}: can't be written ({error.strerror or error}); "
@@ -168,18 +168,11 @@ def _unpack(
     raise ValueError(f"unknown packing {packing!r}")
 
 
-def _write_atomically(path: Path, data: bytes) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=".", suffix=".part")
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(name, path)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise
+def _write_durably(path: Path, data: bytes) -> None:
+    with draft_of(path) as draft, draft.open("wb") as file:
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())
     folder = os.open(path.parent, os.O_RDONLY)
     try:
         os.fsync(folder)

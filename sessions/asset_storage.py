@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-import secrets
 import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -18,7 +17,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from model.core.errors import ConfigurationError, StoreError
-from model.core.files import file_sha256
+from model.core.files import draft_of, file_sha256
 from model.core.installing import install_command
 from model.io.assets.asset_folder import publish
 from sessions.document import SavedRecord
@@ -79,10 +78,16 @@ class AssetStorage:
         if saved is None:
             return None
         local = self._local / Path(saved.folder).name
-        if self._files is not None and (version := self._current(local.name)) is not None:
-            if not local.is_dir() or self._copied(local.name) != version:
-                self._fetch(local, version)
-            return local
+        before = None
+        while self._files is not None and (version := self._current(local.name)) is not None:
+            if local.is_dir() and self._copied(local.name) == version:
+                return local
+            if not self._fetch(local, version) and version == before:
+                raise StoreError(
+                    f"{self.url}/assets/{local.name}: version {version} isn't complete there; "
+                    "accept the object again"
+                )
+            before = version
         here = [f for f in (Path(saved.folder), local) if f.is_dir()]
         return here[0] if here else None
 
@@ -115,14 +120,21 @@ class AssetStorage:
     # --- the storage
 
     def _put(self, folder: Path, key: str) -> str:
-        files = {p.relative_to(folder).as_posix(): p for p in folder.rglob("*") if p.is_file()}
-        sums = "".join(f"{n} {file_sha256(p)}\n" for n, p in sorted(files.items()))
-        version = hashlib.sha256(sums.encode()).hexdigest()[:32]
+        files, version = _files_in(folder), _version_of(folder)
         before = self._read(f"{key}/{_CURRENT}")
         with self._translated():
-            for name, path in files.items():
-                self._files.put_file(str(path), f"{self._root}/{key}/{version}/{name}")
-            self._files.pipe_file(f"{self._root}/{key}/{_CURRENT}", version.encode())
+            if self.url.startswith("file://"):  # others show no object before it is complete
+                home = Path(self._root, key)
+                with draft_of(
+                    home / version, lambda there: all((there / n).is_file() for n in files)
+                ) as draft:
+                    shutil.copytree(folder, draft)
+                with draft_of(home / _CURRENT) as draft:
+                    draft.write_text(version)
+            else:
+                for name, path in files.items():
+                    self._files.put_file(str(path), f"{self._root}/{key}/{version}/{name}")
+                self._files.pipe_file(f"{self._root}/{key}/{_CURRENT}", version.encode())
         if key.startswith("assets/"):
             self._mark(folder.name, version)
         if before not in (None, version):
@@ -130,31 +142,24 @@ class AssetStorage:
                 self._files.rm(self._files.find(f"{self._root}/{key}/{before}"))
         return f"{self.url}/{key}/{version}"
 
-    def _fetch(self, local: Path, version: str) -> None:
-        """Copy a version from the storage to its place."""
+    def _fetch(self, local: Path, version: str) -> bool:
+        """Copy a version from the storage to its place, unless it lacks files, as while another
+        replaces it."""
         prefix = f"{self._root}/assets/{local.name}/{version}/"
-        draft = local.with_name(f".fetched-{secrets.token_hex(6)}")
         try:
-            with self._translated():
+            with draft_of(local) as draft, self._translated():
                 for path in self._files.find(prefix):
                     name = PurePosixPath(path.partition(f"/{local.name}/{version}/")[2])
                     if name.is_absolute() or ".." in name.parts:
                         raise StoreError(f"{self.url}: {path} leads out of its folder")
                     (draft / name).parent.mkdir(parents=True, exist_ok=True)
                     self._files.get_file(path, str(draft / name))
-            if not draft.is_dir():
-                raise StoreError(
-                    f"{self.url}/assets/{local.name}: version {version} isn't there; it is being "
-                    "replaced, try again"
-                )
-            old = local.with_name(f".fetched-{secrets.token_hex(6)}")
-            with suppress(FileNotFoundError):
-                local.rename(old)
-            draft.rename(local)
-            shutil.rmtree(old, ignore_errors=True)
-            self._mark(local.name, version)
-        finally:
-            shutil.rmtree(draft, ignore_errors=True)
+                if _version_of(draft) != version:
+                    raise FileNotFoundError(prefix)
+        except FileNotFoundError:
+            return False
+        self._mark(local.name, version)
+        return True
 
     def _current(self, name: str) -> str | None:
         version = self._read(f"assets/{name}/{_CURRENT}")
@@ -172,8 +177,8 @@ class AssetStorage:
                 return None
 
     def _mark(self, name: str, version: str) -> None:
-        self._copies.mkdir(exist_ok=True)
-        (self._copies / name).write_text(version)
+        with draft_of(self._copies / name) as draft:
+            draft.write_text(version)
 
     def _copied(self, name: str) -> str:
         try:
@@ -190,6 +195,16 @@ class AssetStorage:
         except Exception as error:  # each kind of storage has errors of its own
             first = str(error).splitlines()[0][:200] if str(error) else type(error).__name__
             raise StoreError(f"{self.url}: the storage fails ({first})") from error
+
+
+def _files_in(folder: Path) -> dict[str, Path]:
+    return {p.relative_to(folder).as_posix(): p for p in folder.rglob("*") if p.is_file()}
+
+
+def _version_of(folder: Path) -> str:
+    """A key of all files' names and bytes."""
+    sums = "".join(f"{n} {file_sha256(p)}\n" for n, p in sorted(_files_in(folder).items()))
+    return hashlib.sha256(sums.encode()).hexdigest()[:32]
 
 
 def _file_system(url: str) -> tuple[Any, str]:

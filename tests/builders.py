@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import time
+import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -161,3 +163,13 @@ def cabinet_cloud(count: int = 20_000, seed: int = 0, noise: float = 0.0) -> Lab
     colors = np.array([c for *_, c in CABINET], np.uint8)[part[chosen[keep]]]
     points = points[keep] + rng.normal(0, noise, (len(keep), 3))
     return Labelled(Asset("cabinet", cloud=PointCloud(points, colors=colors)), labels)
+
+
+def zip_of_objects(count: int, seed: int = 0) -> bytes:
+    """A zip of so many meshes, each with a file beside it."""
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
+        for i in range(count):
+            archive.writestr(f"p{i}.obj", f"v 0 0 {seed}\nv 1 0 {i}\nv 0 1 0\nf 1 2 3\n" * 50)
+            archive.writestr(f"maps/p{i}.mtl", "newmtl a\n")
+    return out.getvalue()

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 from app.cli import printing
 from app.cli.research_commands import TrainCommand
 from app.server.learning import learn_from
+from app.server.leftovers import WorkspaceLease
 from model.prediction.experience import FOLDER, record_of
 from model.training.experience import use
 from sessions.command_log import check_workspace
@@ -27,7 +29,7 @@ def learn(options: TrainCommand, workspace: Path) -> int:
             text = f"predictions use version {options.use}" if options.use else "nothing is used"
             show.result(record, lambda: print(text))
         return 0
-    with printing.session(options.json) as show:
+    with closing(WorkspaceLease(workspace)), printing.session(options.json) as show:
         learned = learn_from(
             workspace, options.database, options.without, options.jobs or 2, show.progress
         )

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from typing import Any
 
 from app.cli import printing
 from app.cli.output import check_output
 from app.cli.team_commands import ReleaseCreateCommand, ReleaseDiffCommand, ReleaseImportCommand
+from app.server.leftovers import WorkspaceLease
 from model.core.errors import ConfigurationError
 from model.io.assets.reader import read_provenance
 from model.io.export.simready import remembered
@@ -32,7 +34,7 @@ def create(options: ReleaseCreateCommand) -> int:
     database = open_database(options.workspace, options.database)
     store = Store(options.workspace, options.database)
     try:
-        with printing.session(options.json) as show:
+        with closing(WorkspaceLease(options.workspace)), printing.session(options.json) as show:
             again = seconds_in(database)
             pairs, _ = pairs_of(store, again, show.progress)
             wanted = store.project.settings
@@ -104,7 +106,7 @@ def import_into(options: ReleaseImportCommand) -> int:
     read_release(options.release)  # a folder that is none makes no workspace
     store = Store(options.into, options.database)
     try:
-        with printing.session(options.json) as show:
+        with closing(WorkspaceLease(options.into)), printing.session(options.json) as show:
             records = import_release(options.release, store, show.progress)
     finally:
         store.close()

@@ -13,15 +13,19 @@ from contextlib import suppress
 from pathlib import Path
 from typing import BinaryIO
 
-from model.io.assets.reader import OLD, recover
+from model.core.files import OLD
+from model.io.assets.reader import recover
 
 log = logging.getLogger(__name__)
 LOCK = ".lock"
 _UNFINISHED = (
-    "arrays/*/.*.part", "drafts/.*", "uploads/*/.*.part", "cache/.*", "cache/*/.*", "collision/.*",
-    "scenes/.*", "crops/.*", "assets/.*",
+    "arrays/*/.*", "drafts/.*", "uploads/.*", "uploads/*/.*", "cache/.*", "cache/*/.*",
+    "collision/.*", "scenes/.*", "scenes/report-*/.*", "scenes/saved-*/.*", "crops/*/.*",
+    "assets/.*", "thumbnails/.*", "thumbnails/*.part", "exports/.*", "learned/.*", "releases/.*",
+    "storage/.*",
 )  # fmt: skip
-"""Where writers keep what isn't whole yet: beside its place, with a dot in front of the name."""
+"""Where :func:`~model.core.files.draft_of` keeps what isn't whole yet: beside its place, with a dot
+in front of the name; former versions wrote thumbnails otherwise."""
 
 
 class WorkspaceLease:
@@ -50,7 +54,8 @@ class WorkspaceLease:
 
 def unfinished(workspace: Path) -> list[Path]:
     """Files and folders that aren't whole: being written, or left by a process that was killed."""
-    return [path for pattern in _UNFINISHED for path in workspace.glob(pattern)]
+    found = (path for pattern in _UNFINISHED for path in workspace.glob(pattern))
+    return [path for path in found if not path.is_symlink()]  # but second annotations' sources
 
 
 def remove_leftovers(workspace: Path) -> list[Path]:
@@ -65,7 +70,7 @@ def remove_leftovers(workspace: Path) -> list[Path]:
     for path in found:
         if path.name.endswith(OLD) and path.parent.name == "assets":
             recover(path.with_name(path.name[1:].removesuffix(OLD).rpartition(".")[0]))
-        if path.is_dir() and not path.is_symlink():
+        if path.is_dir():
             shutil.rmtree(path, ignore_errors=True)
         else:
             with suppress(OSError):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from app.server.tasks import asset_of
+from model.core.files import draft_of
 from model.core.mesh import Mesh
 from model.geometry.ambient_light import (
     CreaseEdges,
@@ -71,16 +71,11 @@ def lit_parts(folder: Path, mesh: Mesh, labels: npt.NDArray[np.integer]) -> dict
 def _store(folder: Path, mesh: Mesh) -> None:
     shaded, face = with_ambient_occlusion(mesh)
     assert shaded.vertex_colors is not None
-    fresh = folder / f".{os.getpid()}.{_FILE}"
-    try:
+    with draft_of(folder / _FILE) as draft:
         np.savez(
-            fresh, vertices=shaded.vertices, faces=shaded.faces, material=shaded.face_material,
+            draft, vertices=shaded.vertices, faces=shaded.faces, material=shaded.face_material,
             colors=shaded.vertex_colors, face=face, count=len(mesh.faces),
         )  # fmt: skip
-        fresh.rename(folder / _FILE)
-    finally:
-        with suppress(FileNotFoundError):
-            fresh.unlink()
 
 
 def _stored(folder: Path, mesh: Mesh) -> tuple[Mesh, npt.NDArray[np.int32]] | None:

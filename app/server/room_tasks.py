@@ -12,6 +12,7 @@ import numpy.typing as npt
 from app.server import tasks
 from model.core.asset import Asset
 from model.core.errors import CommandError
+from model.core.files import draft_of
 from model.core.progress import Progress, no_progress
 from model.geometry.crop import crop, outliers
 from model.geometry.crop import floor_and_walls as room_surfaces
@@ -130,10 +131,8 @@ def cut_out(
     elements = in_source(workspace, np.flatnonzero(mine), left_out)
     ref = tasks.arrays_of(workspace).put(elements)
     plain = re.sub(r"[^A-Za-z0-9._-]+", "_", name).strip("._")[:60] or "object"
-    target = workspace / "crops" / ref[:16]
-    target.mkdir(parents=True, exist_ok=True)
     progress(0.6, "Writing it")
-    path = _write(cut, target / plain, origin)
+    path = _write(cut, workspace / "crops" / ref[:16] / plain, origin)
     x, y, z = (float(v) for v in origin)
     return Crop(plain, path, ref, int(mine.sum()), (x, y, z))
 
@@ -166,10 +165,12 @@ def _write(asset: Asset, stem: Path, origin: npt.NDArray[np.float64]) -> Path:
     """Write the asset about ``origin``; at the origin a cloud keeps its exact coordinates."""
     if asset.mesh is not None:
         path = stem.with_name(f"{stem.name}.glb")
-        write_mesh(replace(asset.mesh, vertices=asset.mesh.vertices - origin), path)
+        with draft_of(path) as draft:
+            write_mesh(replace(asset.mesh, vertices=asset.mesh.vertices - origin), draft)
         return path
     assert asset.cloud is not None
     path = stem.with_name(f"{stem.name}.ply")
     points = asset.cloud.points.astype(np.float64) - origin
-    write_cloud(replace(asset.cloud, points=points.astype(np.float32)), path)
+    with draft_of(path) as draft:
+        write_cloud(replace(asset.cloud, points=points.astype(np.float32)), draft)
     return path

@@ -7,7 +7,6 @@ accepting adds the record and moves it in place.
 from __future__ import annotations
 
 import os
-import secrets
 import shutil
 from contextlib import suppress
 from importlib.metadata import version
@@ -15,7 +14,8 @@ from pathlib import Path
 
 from app.server.part_tasks import PartSource, articulated_object
 from app.server.tasks import asset_of
-from model.core.errors import ArtiworldError, InputFileError
+from model.core.errors import ArtiworldError
+from model.core.files import draft_of, written_to
 from model.core.progress import Progress, no_progress, scaled_progress
 from model.core.tree import KinematicTree
 from model.io.assets.asset_folder import write_draft
@@ -47,9 +47,7 @@ def prepare_asset(
     physics = physics_of(
         obj, store=source.workspace / "collision", progress=scaled_progress(progress, 0.3, 0.7)
     )
-    fresh = target.with_name(f".{target.name}.{secrets.token_hex(6)}")
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
+    with written_to(target, "check space and permissions"), draft_of(target, Path.is_dir) as fresh:
         write_draft(
             obj,
             fresh,
@@ -61,13 +59,6 @@ def prepare_asset(
         problems = reload_check(fresh)
         if problems:
             raise ArtiworldError(f"{obj.name} doesn't load correctly: {problems[0]}")
-        fresh.rename(target)
-    except OSError as error:
-        raise InputFileError(
-            target, f"can't be written ({error.strerror or error})", "check space and permissions"
-        ) from error
-    finally:
-        shutil.rmtree(fresh, ignore_errors=True)
     _drop_drafts(target.parent)
     return target
 
@@ -82,9 +73,9 @@ def _draft_name(source: PartSource, tree: KinematicTree) -> Path:
 
 
 def _drop_drafts(folder: Path) -> None:
-    """Remove the oldest drafts, and those of killed processes."""
+    """Remove the oldest drafts, but for those being written."""
     found: list[tuple[float, Path]] = []
-    for path in folder.iterdir():
+    for path in folder.glob("[!.]*"):
         with suppress(FileNotFoundError):  # it was accepted just now
             found.append((path.stat().st_mtime, path))
     for _, old in sorted(found)[:-DRAFTS_KEPT]:

@@ -24,7 +24,7 @@ from model.io.assets.reader import read_provenance
 from model.io.file_names import FileNames
 from model.physics.simulation_values import physics_of
 from model.scenes.assets import asset_digest
-from model.scenes.convert import ConvertSettings, asset_job, shorten_limits
+from model.scenes.convert import ConvertSettings, alone, asset_job, shorten_limits
 from model.scenes.jobs import (
     ACCEPTED,
     ASSETS,
@@ -103,38 +103,42 @@ def save_scene(
 
     Returns:
         The summary, as ``artiworld scene convert`` gives it.
+
+    Raises:
+        ConfigurationError: where another server saves the scene at the moment.
     """
     progress(0.0, "reading")
     scene = read_scene(path, format)
     if [o.id for o in scene.objects] != list(ids):
         raise CommandError(f"{path} was changed since it was opened: restart the server")
     scene = replace(scene, objects=tuple(i.obj for i in items))
-    (out / ASSETS).mkdir(parents=True, exist_ok=True)
-    made: dict[str, dict[str, Any]] = {}
-    outcomes: list[Outcome] = []
-    for k, item in enumerate(items):
-        progress(0.8 * k / len(items), item.obj.id)
-        outcome = Outcome(item.obj, item.decision, item.path, item.truth)
-        outcomes.append(outcome)
-        if item.obj.box is not None:
-            outcome.state, outcome.reason = PLAIN, "a plain box without an asset"
-        elif item.problem:
-            outcome.state, outcome.reason = FAILED, item.problem
-        elif item.path is None:
-            outcome.state, outcome.reason = MISSING, "its asset is in none of the folders"
-        else:
-            try:
-                _write_object(outcome, item, copies, out, made)
-                _apply_decision(outcome, decided.get(item.obj.id))
-            except ArtiworldError as error:
-                outcome.state, outcome.reason, outcome.key = FAILED, str(error), None
-    shorten_limits(outcomes, out, progress)
-    progress(0.97, "writing")
-    summary = write_results(scene, outcomes, out, free_bases=True, formats=_formats())
-    write_json(out / "summary.json", summary, indent=1)
-    for folder in (out / ASSETS).iterdir():
-        if folder.name not in made:  # left from a former save
-            shutil.rmtree(folder, ignore_errors=True)
+    with alone(out):
+        (out / ASSETS).mkdir(parents=True, exist_ok=True)
+        made: dict[str, dict[str, Any]] = {}
+        outcomes: list[Outcome] = []
+        for k, item in enumerate(items):
+            progress(0.8 * k / len(items), item.obj.id)
+            outcome = Outcome(item.obj, item.decision, item.path, item.truth)
+            outcomes.append(outcome)
+            if item.obj.box is not None:
+                outcome.state, outcome.reason = PLAIN, "a plain box without an asset"
+            elif item.problem:
+                outcome.state, outcome.reason = FAILED, item.problem
+            elif item.path is None:
+                outcome.state, outcome.reason = MISSING, "its asset is in none of the folders"
+            else:
+                try:
+                    _write_object(outcome, item, copies, out, made)
+                    _apply_decision(outcome, decided.get(item.obj.id))
+                except ArtiworldError as error:
+                    outcome.state, outcome.reason, outcome.key = FAILED, str(error), None
+        shorten_limits(outcomes, out, progress)
+        progress(0.97, "writing")
+        summary = write_results(scene, outcomes, out, free_bases=True, formats=_formats())
+        write_json(out / "summary.json", summary, indent=1)
+        for folder in (out / ASSETS).iterdir():
+            if folder.name not in made:  # left from a former save
+                shutil.rmtree(folder, ignore_errors=True)
     return summary
 
 

@@ -9,8 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import secrets
-import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -24,6 +22,7 @@ from app.server.prompt_file import beside, read_prompts
 from model.core.articulated_object import Part, Prediction, SegmentedObject
 from model.core.asset import MAX_PARTS, Asset
 from model.core.errors import CommandError
+from model.core.files import draft_of
 from model.core.progress import Progress, no_progress, scaled_progress
 from model.geometry.crop import ROOM_METRES
 from model.geometry.parts import split
@@ -187,24 +186,21 @@ def make_working_copy(item: SceneItem) -> str:
             parts, reason = (), f"its {len(parts)} parts are too many"
     except LeftForAnnotator as left:
         parts, reason = (), str(left)
-    if (item.copy / "object.json").is_file():
+    if _is_whole(item.copy):
         return reason
     whole_one = not parts
     parts = parts or (whole(item.path),)
     factors = size_factors(item.obj, parts)
-    draft = item.copy.with_name(f".{item.copy.name}.{secrets.token_hex(4)}")
-    draft.mkdir(parents=True)
-    try:
+    with draft_of(item.copy, _is_whole) as draft:
+        draft.mkdir()
         _write_copy(scaled(parts, factors), item.category, draft, unnamed=whole_one)
         if known is not None and not whole_one:
             _write_declared_physics(known, factors, draft)
-        draft.rename(item.copy)
-    except OSError:
-        if not (item.copy / "object.json").is_file():  # another process was first
-            raise
-    finally:
-        shutil.rmtree(draft, ignore_errors=True)
     return reason
+
+
+def _is_whole(copy: Path) -> bool:
+    return (copy / "object.json").is_file()
 
 
 def _write_copy(

@@ -71,12 +71,7 @@ def working_copy(
         identity = (*identity, options.face_cuts)
     key = hashlib.sha256(repr(identity).encode()).hexdigest()[:24]
     folder = workspace / "cache" / key
-    asset: Asset | None = None
-    if folder.exists():
-        try:
-            asset = load_asset(folder)
-        except ArtiworldError:
-            asset = None
+    asset = _saved(folder)
     if asset is None:
         if options.face_cuts:
             before = replace(options, face_cuts=options.face_cuts[:-1])
@@ -93,8 +88,15 @@ def working_copy(
                 path, up_axis=options.up_axis, unit_scale=options.unit_scale, progress=progress
             )
         progress(0.6, "Saving a working copy")
-        save_asset(asset, folder)
+        save_asset(asset, folder, lambda there: _saved(there) is not None)
     return asset, folder
+
+
+def _saved(folder: Path) -> Asset | None:
+    try:
+        return load_asset(folder)
+    except ArtiworldError:
+        return None
 
 
 def _without(asset: Asset, elements: npt.NDArray[np.int64]) -> Asset:

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import math
-import os
-from contextlib import suppress
 from pathlib import Path
 
 from PIL import Image
 
 from app.server.tasks import ReadOptions, stamp
 from model.core.articulated_object import ArticulatedObject, Part
+from model.core.files import draft_of
 from model.core.tree import KinematicTree
 from model.evaluation import render
 from model.geometry.prepare import moved
@@ -41,15 +40,9 @@ def draw_thumbnail(path: Path, workspace: Path, options: ReadOptions) -> Path:
     asset = moved(asset, options.frame.object_from_read)
     whole = Part("link_0", asset.mesh, asset.cloud)
     obj = ArticulatedObject("thumbnail", (whole,), KinematicTree(("link_0",), ()))
-    target.parent.mkdir(parents=True, exist_ok=True)
-    fresh = target.with_suffix(f".{os.getpid()}.part")
-    try:
-        image = render.draw(obj, view=_VIEW).resize(SIZE, Image.Resampling.LANCZOS)
-        image.save(fresh, "WEBP", quality=80)
-        fresh.rename(target)
-    finally:
-        with suppress(FileNotFoundError):
-            fresh.unlink()
+    image = render.draw(obj, view=_VIEW).resize(SIZE, Image.Resampling.LANCZOS)
+    with draft_of(target) as draft:
+        image.save(draft, "WEBP", quality=80)
     return target
 
 

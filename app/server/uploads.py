@@ -7,7 +7,6 @@ import io
 import lzma
 import os
 import re
-import shutil
 import stat
 import struct
 import zipfile
@@ -15,6 +14,7 @@ import zlib
 from pathlib import Path, PurePosixPath
 
 from model.core.errors import InputFileError
+from model.core.files import draft_of
 from model.io.geometry_files import SUFFIXES
 from model.io.model_files import MODEL_SUFFIXES
 from model.io.urdf.files import URDF_SUFFIX
@@ -30,6 +30,8 @@ DAMAGED = (zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error, NotImpl
 """What zipfile raises where a zip is damaged."""
 _BESIDE = (".mtl", ".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".bin", ".urdf",
            ".mjcf", ".msh", ".json", ".txt", ".csv", ".xml", ".md")  # fmt: skip
+_WANTED = frozenset((*SUFFIXES, *_BESIDE))
+_Files = list[tuple[PurePosixPath, zipfile.ZipInfo]]
 
 
 def keep_upload(folder: Path, name: str, content: bytes, max_bytes: int) -> Path:
@@ -58,48 +60,64 @@ def keep_upload(folder: Path, name: str, content: bytes, max_bytes: int) -> Path
     own = folder / hashlib.sha256(content).hexdigest()[:16]
     if suffix == ".zip":
         return _unpacked(own / Path(safe).stem, safe, content, max_bytes)
-    own.mkdir(parents=True, exist_ok=True)
-    path, part = own / safe, own / f".{safe}.part"
-    if not path.exists():
-        part.write_bytes(content)
-        part.rename(path)
-    return path
+    if not (own / safe).is_file() or (own / safe).read_bytes() != content:
+        with draft_of(own / safe) as draft:
+            draft.write_bytes(content)
+    return own / safe
 
 
 def _unpacked(target: Path, name: str, content: bytes, max_bytes: int) -> Path:
-    if target.exists():
-        return target
-    target.parent.mkdir(parents=True, exist_ok=True)
-    part = target.with_name(f".{target.name}.part")
-    shutil.rmtree(part, ignore_errors=True)
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
-            _extract(archive, part, name, len(content), max_bytes)
+            files = _files_in(archive, name)
+            if not _is_whole(target, files):
+                with draft_of(target, lambda there: _is_whole(there, files)) as draft:
+                    _extract(archive, files, draft, name, len(content), max_bytes)
+                    if target.is_dir():  # a former version left it, and its objects may be open
+                        _complete(target, files, draft)
     except (*DAMAGED, OSError) as error:
-        shutil.rmtree(part, ignore_errors=True)
         if isinstance(error, OSError) and error.errno is not None:
             raise  # such as a full disk; a damaged bz2 stream has no number
         raise InputFileError(
             name, f"is not a readable zip ({error})", "pack it again, without a password"
         ) from error
-    except BaseException:
-        shutil.rmtree(part, ignore_errors=True)
-        raise
-    part.rename(target)
     return target
 
 
-def _extract(archive: zipfile.ZipFile, target: Path, name: str, size: int, max_bytes: int) -> None:
+def _files_in(archive: zipfile.ZipFile, name: str) -> _Files:
+    """Those to unpack; not such as resource forks, thumbnails, programs."""
     entries = [e for e in archive.infolist() if not e.is_dir()]
     if len(entries) > MAX_FILES:
         raise InputFileError(
             name, f"holds {len(entries):,} files", f"a zip may hold at most {MAX_FILES:,}"
         )
+    paths = [(_inside(entry, name), entry) for entry in entries]
+    return [(p, e) for p, e in paths if p is not None and p.suffix.lower() in _WANTED]
+
+
+def _is_whole(folder: Path, files: _Files) -> bool:
+    """Whether it holds what they hold: former versions left folders that lack some."""
+    try:
+        return folder.is_dir() and all(
+            zlib.crc32((folder / path).read_bytes()) == entry.CRC for path, entry in files
+        )
+    except OSError:
+        return False
+
+
+def _complete(folder: Path, files: _Files, source: Path) -> None:
+    """Move what a folder lacks out of ``source`` into it; what it holds stays as old as it is."""
+    for path, entry in files:
+        if not _is_whole(folder, [(path, entry)]):
+            (folder / path).parent.mkdir(parents=True, exist_ok=True)
+            (source / path).replace(folder / path)
+
+
+def _extract(
+    archive: zipfile.ZipFile, files: _Files, target: Path, name: str, size: int, max_bytes: int
+) -> None:
     limit, taken = min(max_bytes, max(_RATIO_FROM, MAX_RATIO * size)), 0
-    for entry in entries:
-        path = _inside(entry, name)
-        if path is None or path.suffix.lower() not in (*SUFFIXES, *_BESIDE):
-            continue  # such as resource forks, thumbnails, programs
+    for path, entry in files:
         place = target / path
         try:
             place.parent.mkdir(parents=True, exist_ok=True)

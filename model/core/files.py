@@ -1,17 +1,22 @@
-"""Files that are written completely or not at all, their names and the user's errors."""
+"""Files and folders that are written completely or not at all, their names, the user's errors."""
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import itertools
 import json
 import secrets
-from collections.abc import Container, Iterator
-from contextlib import contextmanager
+import shutil
+from collections.abc import Callable, Container, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 from model.core.errors import InputFileError
+
+OLD = ".old"
+"""Ends the name of a folder while another takes its place: ``.NAME.0123abcd.old``."""
 
 
 def file_sha256(path: Path) -> str:
@@ -46,15 +51,54 @@ def written_to(path: Path, remedy: str = "") -> Iterator[None]:
 
 
 @contextmanager
-def draft_of(path: Path) -> Iterator[Path]:
-    """A file beside ``path`` that replaces it at the end of the block, unless that raises."""
+def draft_of(path: Path, whole: Callable[[Path], bool] = lambda _: False) -> Iterator[Path]:
+    """A file or folder to make beside ``path``, which takes its place at the end of the block.
+
+    Each draft has a name of its own, so any number of threads, processes and servers may write one
+    place at once: it holds what one of them wrote, complete. Where the block raises, ``path`` stays
+    as it was. A file, or an empty folder, is replaced in one step; a full folder is moved aside
+    first.
+
+    Args:
+        whole: tells of a full folder at ``path`` whether it stays, and the draft is dropped, as
+            when somebody else was first; may raise where it must not be there.
+    """
     draft = path.with_name(f".{path.stem}.{secrets.token_hex(4)}{path.suffix}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         yield draft
-        draft.replace(path)
+        _take_place(draft, path, whole)
     finally:
-        draft.unlink(missing_ok=True)
+        if draft.is_dir():
+            shutil.rmtree(draft, ignore_errors=True)
+        else:
+            draft.unlink(missing_ok=True)
+
+
+def _take_place(draft: Path, path: Path, whole: Callable[[Path], bool]) -> None:
+    """Rename ``draft``; whatever fails, a folder that was at ``path`` is left.
+
+    Who is killed between the two renames of a full folder leaves the old one beside it.
+    """
+    if not draft.is_dir():
+        draft.replace(path)
+        return
+    old = path.with_name(f".{path.name}.{secrets.token_hex(4)}{OLD}")
+    while True:
+        try:
+            draft.rename(path)
+            break
+        except OSError as error:
+            if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
+                with suppress(OSError):
+                    old.rename(path)
+                raise
+        if whole(path):
+            break
+        shutil.rmtree(old, ignore_errors=True)  # moved aside before another one came
+        with suppress(FileNotFoundError):  # others move it aside, too
+            path.rename(old)
+    shutil.rmtree(old, ignore_errors=True)
 
 
 def write_json(path: Path, value: Any, *, indent: int = 2, allow_nan: bool = False) -> None:

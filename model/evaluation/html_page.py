@@ -8,7 +8,7 @@ from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from model.core.files import written_to
+from model.core.files import draft_of, written_to
 
 
 def write_page(path: Path, template: Path, **values: Any) -> Path:
@@ -23,9 +23,8 @@ def write_page(path: Path, template: Path, **values: Any) -> Path:
     )  # fmt: skip
     environment.filters["png"] = _png
     page = environment.get_template(template.name).render(values)
-    with written_to(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(page, encoding="utf-8")
+    with written_to(path), draft_of(path) as draft:
+        draft.write_text(page, encoding="utf-8")
     return path
 
 

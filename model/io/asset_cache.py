@@ -9,9 +9,7 @@ and occlusion, version 5 collision shapes: such copies are made again from their
 from __future__ import annotations
 
 import json
-import os
-import shutil
-import tempfile
+from collections.abc import Callable
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
@@ -24,7 +22,7 @@ from PIL import Image
 from model.core import codec
 from model.core.asset import Asset, Source
 from model.core.errors import GeometryError, InputFileError, KinematicsError
-from model.core.files import written_to
+from model.core.files import draft_of, written_to
 from model.core.inertial import Inertial
 from model.core.mesh import Material, Mesh
 from model.core.point_cloud import PointCloud
@@ -42,23 +40,20 @@ _MAPS = ("normal", "emissive", "occlusion")
 _CLOUD = ("points", "normals", "colors", "confidence")
 
 
-def save_asset(asset: Asset, folder: str | Path) -> None:
+def save_asset(
+    asset: Asset, folder: str | Path, whole: Callable[[Path], bool] = lambda _: False
+) -> None:
     """Write ``asset`` into ``folder``, which appears complete or not at all.
 
-    What is in ``folder`` already is replaced.
+    What is in ``folder`` already is replaced, unless it is ``whole``.
 
     Raises:
         InputFileError: where the folder can't be written.
     """
     folder = Path(folder)
-    with written_to(folder, "check space and permissions"):
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        temporary = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
-        try:
-            _write(asset, temporary)
-            _replace(temporary, folder)
-        finally:
-            shutil.rmtree(temporary, ignore_errors=True)
+    with written_to(folder, "check space and permissions"), draft_of(folder, whole) as draft:
+        draft.mkdir()
+        _write(asset, draft)
 
 
 def _write(asset: Asset, folder: Path) -> None:
@@ -125,21 +120,6 @@ def _write_materials(materials: tuple[Material, ...], folder: Path) -> list[dict
             }
         )
     return out
-
-
-def _replace(temporary: Path, folder: Path) -> None:
-    """Put ``temporary`` in the place of ``folder``."""
-    os.chmod(temporary, 0o755)
-    if not folder.exists():
-        os.rename(temporary, folder)
-        return
-    # A folder can't be renamed over a full one: move the old one aside first.
-    old = Path(tempfile.mkdtemp(prefix=f".{folder.name}.old.", dir=folder.parent))
-    try:
-        os.rename(folder, old / "asset")
-        os.rename(temporary, folder)
-    finally:
-        shutil.rmtree(old, ignore_errors=True)
 
 
 def load_asset(folder: str | Path, *, textures: bool = True) -> Asset:

@@ -117,7 +117,7 @@ def convert_scene(
     settings = settings or ConvertSettings()
     _check_clicks(scene, settings)
     start = time.perf_counter()
-    with _alone(out):
+    with alone(out):
         _sweep_up(out)
         outcomes = decide(scene, assets, finder, unpack(scene, out / UNPACKED))
         made = _make_jobs(outcomes, settings)
@@ -153,7 +153,12 @@ def _check_clicks(scene: Scene, settings: ConvertSettings) -> None:
 
 
 @contextmanager
-def _alone(out: Path) -> Iterator[None]:
+def alone(out: Path) -> Iterator[None]:
+    """A time in which no other process writes results into ``out``.
+
+    Raises:
+        ConfigurationError: where one does, or nobody can.
+    """
     path = out / LOCK
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -171,7 +176,7 @@ def _alone(out: Path) -> Iterator[None]:
 
 def _sweep_up(out: Path) -> None:
     """Drafts that a killed run left."""
-    for draft in (out / ASSETS).glob(".*"):
+    for draft in (*(out / ASSETS).glob(".*"), *(out / UNPACKED).parent.glob(".*")):
         shutil.rmtree(draft, ignore_errors=True)
     for folder in (out / DONE, out / LIMITS):
         for draft in folder.glob(".*"):

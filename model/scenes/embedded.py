@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
+from model.core.files import draft_of
 from model.core.textures import one_reading
+from model.scenes.assets import asset_digest
 from model.scenes.protocol import SceneReader
 from model.scenes.registry import load_reader
 from model.scenes.scene import Scene
@@ -32,7 +33,7 @@ def unpack(scene: Scene, folder: Path) -> Unpacked:
     """The assets inside the scene's file; none for a scene that only names them.
 
     Args:
-        folder: replaced.
+        folder: replaced where it differs.
 
     Raises:
         InputFileError: where the file can't be read any more, or the folder not written.
@@ -40,9 +41,12 @@ def unpack(scene: Scene, folder: Path) -> Unpacked:
     reader = _geometry_reader(scene)
     if reader is None:
         return Unpacked()
-    shutil.rmtree(folder, ignore_errors=True)
-    folder.mkdir(parents=True, exist_ok=True)
-    return reader.unpack(scene, folder)
+    with draft_of(folder, lambda there: asset_digest(there) == asset_digest(draft)) as draft:
+        draft.mkdir()
+        found = reader.unpack(scene, draft)
+    places = {asset: folder / path.relative_to(draft) for asset, path in found.files.items()}
+    problems = {a: p.replace(str(draft), str(folder)) for a, p in found.problems.items()}
+    return Unpacked(places, problems)
 
 
 def holds_geometry(scene: Scene) -> bool:

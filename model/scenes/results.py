@@ -118,9 +118,8 @@ def standing_urdf(o: Outcome, index: int, out: Path, friction: Mapping[str, floa
         limit.set("lower", number(limits[0]))
         limit.set("upper", number(limits[1]))
     name = f"scene_{index}.urdf"
-    draft = out / folder / f".{name}"
-    draft.write_bytes(ET.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n")
-    draft.replace(out / folder / name)
+    data = ET.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n"
+    _write_bytes(out / folder / name, data)
     return f"{folder}/{name}"
 
 

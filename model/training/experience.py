@@ -6,15 +6,15 @@ truth. A version takes over where more of the accepted joints come out as they w
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import NoReturn
 
 from model.core.articulated_object import ArticulatedObject, Prediction, SegmentedObject
 from model.core.errors import ArtiworldError, ConfigurationError
-from model.core.files import written_to
+from model.core.files import draft_of, write_json, written_to
 from model.core.progress import Progress, no_progress
 from model.evaluation.calibration import calibrate
 from model.evaluation.joint_metrics import ObjectScore, score_object
@@ -137,14 +137,32 @@ def learn(
     version = 1 + max(versions(workspace), default=0)
     taken = after.usable > before.usable and after.objects >= before.objects
     learned = Learned(version, tuple(sorted(known)), tuple(left_out), before, after, taken)
-    folder = workspace / FOLDER / str(version)
-    with written_to(folder, "make the workspace writable"):
-        folder.mkdir(parents=True, exist_ok=True)
-        (folder / RECORD).write_text(json.dumps(asdict(learned), indent=1), encoding="utf-8")
-        save_experience(Experience(everything.objects, round(trust, 4)), folder / FILE)
+    learned = keep_version(workspace, learned, Experience(everything.objects, round(trust, 4)))
     if taken:
-        use(workspace, version)
+        use(workspace, learned.version)
     return learned
+
+
+def keep_version(workspace: Path, learned: Learned, experience: Experience) -> Learned:
+    """Write a version, under a later number where another run took its own meanwhile.
+
+    Raises:
+        InputFileError: where the workspace can't be written.
+    """
+    with written_to(workspace / FOLDER, "make the workspace writable"):
+        while True:
+            folder = workspace / FOLDER / str(learned.version)
+            try:
+                with draft_of(folder, _refuse) as draft:
+                    write_json(draft / RECORD, asdict(learned), indent=1, allow_nan=True)
+                    save_experience(experience, draft / FILE)
+                return learned
+            except ConfigurationError:
+                learned = replace(learned, version=learned.version + 1)
+
+
+def _refuse(folder: Path) -> NoReturn:
+    raise ConfigurationError(f"{folder} is there already")
 
 
 def _example(asset: Path) -> ObjectExample | None:
@@ -198,8 +216,4 @@ def use(workspace: Path, version: int) -> None:
     if version and version not in there:
         listed = ", ".join(map(str, there)) or "none"
         raise ConfigurationError(f"{workspace} has no version {version}; versions: {listed}")
-    with written_to(workspace / FOLDER, "make the workspace writable"):
-        (workspace / FOLDER).mkdir(exist_ok=True)
-        (workspace / FOLDER / CURRENT).write_text(
-            json.dumps({"version": version}), encoding="utf-8"
-        )
+    write_json(workspace / FOLDER / CURRENT, {"version": version})

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import re
-import secrets
 import shutil
 import tarfile
 from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
-from typing import Any, Final
+from typing import Any, Final, NoReturn
 
 from model.core.errors import InputFileError
-from model.core.files import file_sha256, read_json, written_to
+from model.core.files import draft_of, file_sha256, read_json, written_to
 from model.core.progress import Progress, no_progress, scaled_progress
 from model.io.assets.reader import PROVENANCE, URDF
 from sessions.releases.contents import FORMAT, NAME, Release, ReleasedAsset
@@ -128,22 +127,21 @@ def import_release(
     check_release(folder, scaled_progress(progress, 0.0, 0.5))
     home = store.workspace / UPLOADS / f"{release.name}-{release.version}"
     if home.exists():
-        raise InputFileError(home, "this release was imported before", "its objects are queued")
-    draft = home.with_name(f".{home.name}.{secrets.token_hex(6)}")
-    try:
-        with written_to(home, "check space and permissions"):
-            draft.mkdir(parents=True)
-            for k, (key, source) in enumerate(_assets(folder, release)):
-                progress(0.5 + 0.5 * k / max(len(release.assets), 1), key)
-                if isinstance(source, Path):
-                    shutil.copytree(source, draft / key, copy_function=shutil.copyfile)
-                else:
-                    _unpack(source, draft / key)
-            _check_assets(release, draft)
-            draft.rename(home)
-    finally:
-        shutil.rmtree(draft, ignore_errors=True)
+        _refuse(home)
+    with written_to(home, "check space and permissions"), draft_of(home, _refuse) as draft:
+        draft.mkdir()
+        for k, (key, source) in enumerate(_assets(folder, release)):
+            progress(0.5 + 0.5 * k / max(len(release.assets), 1), key)
+            if isinstance(source, Path):
+                shutil.copytree(source, draft / key, copy_function=shutil.copyfile)
+            else:
+                _unpack(source, draft / key)
+        _check_assets(release, draft)
     return store.open_objects((home / a.key, None, a.key) for a in release.assets)
+
+
+def _refuse(home: Path) -> NoReturn:
+    raise InputFileError(home, "this release was imported before", "its objects are queued")
 
 
 def _assets(folder: Path, release: Release) -> Iterator[tuple[str, Path | tarfile.TarFile]]:

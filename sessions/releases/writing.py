@@ -9,16 +9,15 @@ from __future__ import annotations
 
 import io
 import json
-import secrets
 import shutil
 import tarfile
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Final
+from typing import Final, NoReturn
 
 from model.core.errors import ConfigurationError, InputFileError
-from model.core.files import file_sha256, written_to
+from model.core.files import draft_of, file_sha256, written_to
 from model.core.progress import Progress, no_progress
 from model.io.assets.reader import TREE, URDF, read_provenance
 from sessions.releases.card import card
@@ -62,19 +61,17 @@ def write_release(
             written.
     """
     if out.exists():
-        raise ConfigurationError(f"{out} is there already; a release never changes: give a new "
-                                 "--version")  # fmt: skip
+        _refuse(out)
     if not assets:
         raise ConfigurationError("no object is accepted; accept some first")
-    draft = out.with_name(f".{out.name}.{secrets.token_hex(6)}")
-    try:
-        with written_to(out, "check space and permissions"):
-            draft.mkdir(parents=True)
-            found = _write(release, assets, draft, shard_bytes, progress)
-            draft.rename(out)
-    finally:
-        shutil.rmtree(draft, ignore_errors=True)
-    return found
+    with written_to(out, "check space and permissions"), draft_of(out, _refuse) as draft:
+        draft.mkdir()
+        return _write(release, assets, draft, shard_bytes, progress)
+
+
+def _refuse(out: Path) -> NoReturn:
+    raise ConfigurationError(f"{out} is there already; a release never changes: give a new "
+                             "--version")  # fmt: skip
 
 
 def _write(

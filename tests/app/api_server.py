@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import http.client
+import itertools
 import json
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -21,7 +23,7 @@ from app.client import Client
 from app.server.config import ServeConfig
 from app.server.server import Server
 from sessions.store import Store
-from tests.builders import wait_until
+from tests.builders import wait_until, zip_of_objects
 from tests.sessions.people import PASSWORD, add_people
 
 
@@ -162,3 +164,23 @@ class WebTab:
             new = message["updates"]
             text = new.get("label") or new.get("_markdown") or new.get("content") or text
             self.widgets[message["uuid"]] = (text, props | new)
+
+
+def upload_at_once(folder: Path, clients: Sequence[Client], round_: int) -> None:
+    """Upload a zip of 60 objects five times and an OBJ five times, all at the same time.
+
+    Args:
+        folder: for the files. clients: who take turns.
+
+    Raises:
+        ApiError: where a server refuses one.
+    """
+    folder.mkdir()
+    (folder / "objects.zip").write_bytes(zip_of_objects(60, round_))
+    (folder / "one.obj").write_text(f"v 0 0 {round_}\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    files = [folder / name for name in ("objects.zip", "one.obj")] * 5
+    with ThreadPoolExecutor(len(files)) as pool:
+        turns = itertools.cycle(clients)
+        uploads = [pool.submit(client.upload, f) for client, f in zip(turns, files, strict=False)]
+        ids = [upload.result()["id"] for upload in uploads]
+    assert len(set(ids[::2])) == len(set(ids[1::2])) == 1

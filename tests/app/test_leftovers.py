@@ -16,8 +16,16 @@ LEFT = (
     "arrays/ab/.tmp1234.part", "drafts/.key.1234/object.urdf", "uploads/01/.a.obj.part",
     "cache/.key.xyz/meta.json", "cache/shapes/.key.12.npz", "collision/.key.12.npz",
     "scenes/.a-1.12/object.json", "assets/.door-1.123456/object.urdf",
+    "uploads/.kitchen-1.12/a/object.urdf", "thumbnails/.key.12.webp", "thumbnails/key.12.part",
+    "crops/01/.door.12.glb", "exports/.12/object.urdf", "learned/.3.12/record.json",
+    "releases/.kitchen-1.12/release.json", "storage/.door-1.12", "scenes/report-1/.room.12.html",
+    "scenes/saved-1/.summary.12.json",
 )  # fmt: skip
-KEPT = ("drafts/key/object.urdf", "uploads/01/a.obj", "assets/door-1/object.urdf", "artiworld.db")
+KEPT = (
+    "drafts/key/object.urdf", "uploads/01/a.obj", "assets/door-1/object.urdf", "artiworld.db",
+)  # fmt: skip
+SECOND = "uploads/02/.oven_2"
+"""A second annotation's source, of an object whose name begins with a dot."""
 
 
 @pytest.fixture
@@ -26,6 +34,8 @@ def workspace(tmp_path: Path) -> Path:
         path = tmp_path / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text("x")
+    (tmp_path / "uploads" / "02").mkdir()
+    (tmp_path / "uploads" / "02" / ".oven_2").symlink_to(tmp_path / "artiworld.db")
     return tmp_path
 
 
@@ -36,7 +46,7 @@ def there(workspace: Path, names: tuple[str, ...]) -> list[bool]:
 def test_a_lone_server_removes_what_is_unfinished_and_nothing_else(workspace: Path) -> None:
     ref = ArrayFiles(workspace / "arrays").put(np.arange(5))
     WorkspaceLease(workspace).close()
-    assert not any(there(workspace, LEFT)) and all(there(workspace, KEPT))
+    assert not any(there(workspace, LEFT)) and all(there(workspace, (*KEPT, SECOND)))
     assert (ArrayFiles(workspace / "arrays").get(ref) == np.arange(5)).all()
 
 

@@ -21,6 +21,7 @@ from app.cli.commands import ServeCommand
 from app.cli.main import make_parser
 from app.client import ApiError, Client
 from sessions.store import Store
+from tests.app.api_server import upload_at_once
 from tests.builders import wait_until, write_cupboard
 from tests.sessions.people import PASSWORD, add_people
 from tests.sessions.postgresql import free_port, postgresql
@@ -36,10 +37,12 @@ class Pair:
     Attributes:
         port: that both listen at.
         people: of the workspace.
+        workspace: its folder.
     """
 
     def __init__(self, folder: Path, database: str, paths: list[Path]) -> None:
-        store = Store(folder / "workspace", database)
+        self.workspace = folder / "workspace"
+        store = Store(self.workspace, database)
         add_people(store)
         self.port, self.people, self._store = free_port(), store.people, store
         self.running: dict[str, subprocess.Popen[bytes]] = {}
@@ -111,6 +114,14 @@ def test_leases_and_decisions_hold_between_servers(pair: Pair, tmp_path: Path) -
     wait_until(lambda: ann.object(id)["saved"], "accepted and saved here, too", 30)
     assert ann.object(id)["state"] == "accepted"
     assert ann.download(id, tmp_path / "asset.zip").stat().st_size > 1000
+
+
+def test_the_same_files_sent_to_both_servers_are_whole(pair: Pair, tmp_path: Path) -> None:
+    clients = [pair.client(host, "ann", "read", "annotate") for host in HOSTS]
+    for number in range(3):
+        upload_at_once(tmp_path / str(number), clients, number)
+    folders = list((pair.workspace / "uploads").glob("*/objects"))
+    assert [len(list(f.rglob("*.*"))) for f in folders] == [120] * 3
 
 
 def test_a_browser_session_holds_at_both_and_ends_at_both(pair: Pair) -> None:

@@ -16,6 +16,7 @@ from app.server.uploads import keep_upload
 from model.core.errors import InputFileError
 from model.io.find_assets import find_assets
 from model.io.open_asset import open_asset
+from tests.app.api_server import team_server, token_client, upload_at_once
 
 OBJ = (
     b"mtllib door.mtl\nusemtl oak\nv 0 0 0\nv 1 0 0\nv 0 1 0\n"
@@ -112,3 +113,14 @@ def test_a_damaged_zip_is_called_damaged(tmp_path: Path, packing: int) -> None:
             mutated[rng.randrange(len(mutated))] = rng.randrange(256)
         with contextlib.suppress(InputFileError):
             keep_upload(tmp_path / str(number), "some.zip", bytes(mutated), ROOM)
+
+
+def test_ten_who_upload_the_same_files_get_them_whole(tmp_path: Path) -> None:
+    (tmp_path / "tri.obj").write_bytes(OBJ)
+    with team_server(tmp_path / "workspace", tmp_path / "tri.obj") as server:
+        ann = token_client(server, "ann", "read", "annotate")
+        for number in range(6):
+            upload_at_once(tmp_path / str(number), [ann], number)
+        folders = list((tmp_path / "workspace" / "uploads").glob("*/objects"))
+        assert [len(list(f.rglob("*.*"))) for f in folders] == [120] * 6
+        assert ann.call("GET", "/objects")["total"] == 1 + 6 * 61

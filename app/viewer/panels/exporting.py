@@ -103,8 +103,10 @@ class Exporting:
         out = self._exports / (name or f".{secrets.token_hex(8)}")
         if name and not re.fullmatch(r"\w[\w.-]{0,99}", name):
             raise CommandError(words.BAD_NAME)
-        if out.exists():
-            raise CommandError(words.TAKEN)
+        try:
+            out.mkdir(parents=True)  # at once, so that nobody else takes it
+        except FileExistsError:
+            raise CommandError(words.TAKEN) from None
         check, store = self._check.value, self._store
 
         def task_of(asset: Path) -> ExportTask:

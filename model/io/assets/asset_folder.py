@@ -32,18 +32,18 @@ clouds are what was scanned.
 from __future__ import annotations
 
 import json
-import secrets
 import shutil
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from model.core.articulated_object import ArticulatedObject, remarks_of
 from model.core.asset import Asset
 from model.core.errors import GeometryError, InputFileError
-from model.core.files import file_sha256
+from model.core.files import draft_of, file_sha256, written_to
 from model.core.installing import installed_versions
 from model.core.progress import Progress, no_progress
 from model.io.assets.reader import (
@@ -55,7 +55,6 @@ from model.io.assets.reader import (
     URDF,
     declared_entry,
     load_object,
-    old_name,
     read_provenance,
     recover,
 )
@@ -119,21 +118,8 @@ def write_asset(
         GeometryError: for a part without geometry, or parts that don't add up.
         InputFileError: where the folder holds something else, or can't be written.
     """
-    folder = Path(folder).absolute()
-    json.dumps(dict(provenance), allow_nan=False)  # fails before anything is written
-    recover(folder)
-    _check_target(folder)
-    draft = _beside(folder)
-    try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        write_draft(obj, draft, original=original, physics=physics, progress=progress)
-    except OSError as error:
-        shutil.rmtree(draft, ignore_errors=True)
-        raise _unwritable(folder, error) from error
-    except BaseException:
-        shutil.rmtree(draft, ignore_errors=True)
-        raise
-    return publish(draft, folder, provenance)
+    make = partial(write_draft, obj, original=original, physics=physics, progress=progress)
+    return _put(make, Path(folder), provenance)
 
 
 def write_draft(
@@ -166,22 +152,20 @@ def publish(draft: Path, folder: Path, provenance: Mapping[str, Any]) -> AssetFi
     Raises:
         InputFileError: where the folder holds something else, or can't be written.
     """
+    return _put(lambda fresh: shutil.move(draft, fresh), folder, provenance)
+
+
+def _put(make: Callable[[Path], object], folder: Path, provenance: Mapping[str, Any]) -> AssetFiles:
+    """Let the asset that ``make`` makes take its place, and say where it comes from."""
     folder = folder.absolute()
-    text = json.dumps(dict(provenance), allow_nan=False)
+    text = json.dumps(dict(provenance), allow_nan=False)  # fails before anything is written
     recover(folder)
     _check_target(folder)
-    entry: dict[str, Any] = read_provenance(draft)["asset"]
-    entry["written"] = _now()
-    fresh = _beside(folder)
-    try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        _write_json(draft / PROVENANCE, {**json.loads(text), "asset": entry})
-        shutil.move(draft, fresh)
-        _take_place(fresh, folder)
-    except OSError as error:
-        raise _unwritable(folder, error) from error
-    finally:
-        shutil.rmtree(fresh, ignore_errors=True)
+    with written_to(folder, "check space and permissions"), draft_of(folder) as fresh:
+        make(fresh)
+        entry: dict[str, Any] = read_provenance(fresh)["asset"]
+        entry["written"] = _now()
+        _write_json(fresh / PROVENANCE, {**json.loads(text), "asset": entry})
     clouds = {p["link"]: folder / p["cloud"] for p in entry["parts"] if p["cloud"]}
     return AssetFiles(
         folder,
@@ -193,19 +177,8 @@ def publish(draft: Path, folder: Path, provenance: Mapping[str, Any]) -> AssetFi
     )
 
 
-def _beside(folder: Path) -> Path:
-    """A new name on the same disk, which :func:`~model.io.assets.reader.recover` knows."""
-    return folder.with_name(f".{folder.name}.{secrets.token_hex(6)}")
-
-
 def _now() -> str:
     return datetime.now(UTC).isoformat(timespec="seconds")
-
-
-def _unwritable(folder: Path, error: OSError) -> InputFileError:
-    return InputFileError(
-        folder, f"can't be written ({error.strerror or error})", "check space and permissions"
-    )
 
 
 def _check_target(folder: Path) -> None:
@@ -288,22 +261,3 @@ def _sums(original: Asset) -> dict[str, Any]:
 def _write_json(path: Path, data: Any) -> None:
     text = json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False)
     path.write_bytes((text + "\n").encode("utf-8", "backslashreplace"))  # half a surrogate: \ud800
-
-
-def _take_place(fresh: Path, folder: Path) -> None:
-    """Put ``fresh`` where ``folder`` is; whatever fails, one of the two is left whole.
-
-    Between the two renames there is no ``folder``; who is killed there leaves the old one beside
-    it, and :func:`~model.io.assets.reader.recover` puts it back.
-    """
-    if not folder.exists():
-        fresh.rename(folder)
-        return
-    old = old_name(fresh)
-    folder.rename(old)
-    try:
-        fresh.rename(folder)
-    except OSError:
-        old.rename(folder)
-        raise
-    shutil.rmtree(old, ignore_errors=True)

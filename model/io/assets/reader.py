@@ -11,7 +11,7 @@ from typing import Any, Literal
 from model.core.affordance import Affordance
 from model.core.articulated_object import ArticulatedObject, Part, remarks_of
 from model.core.errors import GeometryError, InputFileError
-from model.core.files import read_json
+from model.core.files import OLD, read_json
 from model.core.joint import DeclaredDynamics
 from model.core.progress import Progress, no_progress
 from model.core.textures import one_reading
@@ -31,15 +31,6 @@ COMPLETED = "completed"
 """Entry of ``provenance.json`` that names what was made up of the parts' meshes."""
 
 _LOG = logging.getLogger(__name__)
-
-
-OLD = ".old"
-"""Ends the name of a backup; see :func:`old_name`."""
-
-
-def old_name(fresh: Path) -> Path:
-    """The backup of an asset while ``fresh``, the folder written beside it, replaces it."""
-    return fresh.with_name(fresh.name + OLD)
 
 
 def recover(folder: Path) -> None:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeVar
@@ -21,6 +20,7 @@ from torch import Tensor
 from model.core import codec
 from model.core.checkpoints import read_safetensors
 from model.core.errors import InputFileError
+from model.core.files import draft_of
 
 FORMAT = 1
 CONFIG_FILE = "config.json"
@@ -69,13 +69,10 @@ def save_checkpoint(
     }
     text = json.dumps({"format": FORMAT, **config}, indent=2, ensure_ascii=False, allow_nan=False)
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        weights = folder / f".{WEIGHTS_FILE}.{os.getpid()}"
-        save_file(small, weights, metadata={"format": "pt"})
-        weights.replace(folder / WEIGHTS_FILE)
-        draft = folder / f".{CONFIG_FILE}.{os.getpid()}"
-        draft.write_text(text + "\n")
-        draft.replace(folder / CONFIG_FILE)
+        with draft_of(folder / WEIGHTS_FILE) as weights:
+            save_file(small, weights, metadata={"format": "pt"})
+        with draft_of(folder / CONFIG_FILE) as draft:
+            draft.write_text(text + "\n")
     except (OSError, SafetensorError) as error:
         raise InputFileError(folder, f"the checkpoint can't be written: {error}") from error
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import pickle
 import shutil
 import zlib
@@ -22,6 +21,7 @@ import torch
 from torch.utils.data import DataLoader
 
 from model.core.errors import ConfigurationError
+from model.core.files import write_json
 from model.core.progress import Progress, no_progress
 from model.prediction.arti4urdf.full_model import FullModel, LoraSettings, make_full_model
 from model.training.arti4urdf.config import FullConfig, check_size, require_extras
@@ -295,9 +295,7 @@ class _FullTrainer:
         accelerator.wait_for_everyone()
         if not self.main:
             return
-        draft = self.out / f".{STATE}"
-        draft.write_text(json.dumps({"step": self.step, "folder": folder.name}))
-        os.replace(draft, self.out / STATE)
+        write_json(self.out / STATE, {"step": self.step, "folder": folder.name})
         for old in self.out.glob("state-*"):
             if old != folder:
                 shutil.rmtree(old, ignore_errors=True)

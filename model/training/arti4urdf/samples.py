@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from model.core.errors import ArtiworldError, ConfigurationError
+from model.core.files import draft_of
 from model.core.progress import Progress, no_progress
 from model.data.procedural.corruption import MIXED, corrupted, sometimes
 from model.data.procedural.generate import COMPOSITE, family_names, make
@@ -111,10 +112,8 @@ def write_shard(samples: Sequence[Sample], path: Path) -> None:
         out[f"arrays.{name}"] = _compact(np.concatenate(values))
     for name in _LABELS:
         out[f"labels.{name}"] = np.concatenate([getattr(s.labels, name) for s in samples])
-    part = path.with_suffix(".part")
-    with part.open("wb") as stream:
-        np.savez(stream, **out)  # type: ignore[arg-type]
-    part.replace(path)
+    with draft_of(path) as draft:
+        np.savez(draft, **out)  # type: ignore[arg-type]
 
 
 def _compact(values: npt.NDArray[np.generic]) -> npt.NDArray[np.generic]:

@@ -14,6 +14,7 @@ from torch.nn.attention import SDPBackend, sdpa_kernel
 
 from model.core import codec
 from model.core.errors import ConfigurationError
+from model.core.files import draft_of
 from model.core.progress import Progress, no_progress
 from model.prediction.arti4urdf.network import ArtiModel
 from model.prediction.arti4urdf.weights import save_weights
@@ -59,7 +60,7 @@ class Shards:
         Raises:
             ConfigurationError: if there is no sample.
         """
-        for path in sorted(self.folder.glob("*.npz")):
+        for path in sorted(self.folder.glob("[!.]*.npz")):
             if path not in self._read:
                 self._read.add(path)
                 self.samples += read_shard(path)
@@ -145,9 +146,8 @@ class _SmallTrainer:
             "optimizer": self.optimizer.state_dict(),
             "step": self.step,
         }
-        part = self.out / (STATE + ".part")
-        torch.save(state, part)
-        part.replace(self.out / STATE)  # it appears whole or not at all
+        with draft_of(self.out / STATE) as draft:
+            torch.save(state, draft)
         self.shards.refresh()
 
     def any_process(self, flag: bool) -> bool:

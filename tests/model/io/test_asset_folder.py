@@ -303,7 +303,7 @@ def test_an_asset_comes_back_after_a_kill_between_the_renames(tmp_path, monkeypa
 
     def killed(self, target):
         moves.append(self)
-        if len(moves) == 2:
+        if len(moves) == 3:  # the place is taken; aside with the old one; now the new one
             raise Killed
         return rename(self, target)
 
