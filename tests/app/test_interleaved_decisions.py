@@ -252,9 +252,7 @@ def start_again(servers: list[Server]) -> None:
         server.app_state.sync_remote()
         while server.scene.document.decided:
             server.scene.live.do(cmd.Undo(), "nobody")
-        for held in server.waiting:
-            held.job.cancel()
-        callbacks_are_done()
+        finish(server)
         server.scene.accepting.refused.clear()
         server.told.clear()
     for work in servers[0].works:
@@ -316,6 +314,7 @@ def test_a_rejection_while_the_asset_takes_its_place_takes_it_back(
     desk.server.app_state.sync_remote()
     accept(desk.server.opened[0], "", "ann", refused=refused.append)
     finish(desk.server)
+    wait_until(lambda: refused, "it is told", 30)
     assert "rejected meanwhile by rob" in str(refused[0])
     assert check_asset(desk.server, desk.shared).review.state == "rejected"
 
