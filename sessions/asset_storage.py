@@ -3,6 +3,9 @@
 On object storage an asset is a folder of files below ``assets/NAME/VERSION``; the small object
 ``assets/NAME/current`` names the version that counts, so that nobody reads half an asset. The
 folder in the workspace is a copy then, which is fetched where it is missing or old.
+
+While its object isn't accepted, an asset lies in ``withdrawn/NAME/TIME`` of the workspace, in case
+that the withdrawal is undone.
 """
 
 from __future__ import annotations
@@ -16,10 +19,10 @@ from datetime import timedelta
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from model.core.errors import ConfigurationError, StoreError
+from model.core.errors import ConfigurationError, InputFileError, StoreError
 from model.core.files import draft_of, file_sha256
 from model.core.installing import install_command
-from model.io.assets.asset_folder import publish
+from model.io.assets.asset_folder import publish, read_provenance
 from sessions.document import SavedRecord
 
 STORAGE_VARIABLE = "ARTIWORLD_STORAGE"
@@ -42,6 +45,7 @@ class AssetStorage:
 
     def __init__(self, workspace: Path, url: str | None = None) -> None:
         self._local, self._copies = workspace / "assets", workspace / "storage"
+        self._withdrawn = workspace / "withdrawn"
         self.url = (url or "").rstrip("/")
         self._files: Any = None  # fsspec's file systems have no types
         self._root = ""
@@ -64,10 +68,50 @@ class AssetStorage:
         Raises:
             StoreError: where the storage doesn't take it.
         """
+        self._set_aside(folder, _accepted_at(folder))
         written = Path(publish(draft, folder, provenance).folder)
         if self._files is not None:
             self._put(written, f"assets/{written.name}")
         return written
+
+    def settle(self, name: str, accepted: str) -> None:
+        """Let the asset that was accepted then stand, and set any other of the object aside.
+
+        Args:
+            name: of the asset's folder.
+            accepted: ISO 8601; "" where the object isn't accepted.
+
+        Raises:
+            StoreError: where the storage fails, or a folder can't be moved.
+        """
+        folder, aside = self._local / name, self._withdrawn / name
+        version = None if self._files is None else self._current(name)
+        if version is not None and not folder.is_dir():
+            self._fetch(folder, version)
+        standing = _accepted_at(folder)
+        known = {standing, *(p.name for p in aside.glob("*"))}
+        # Earlier versions wrote the time of asking, which is before that of accepting.
+        wanted = max((at for at in known if at <= accepted), default=accepted and standing)
+        if wanted != standing:
+            self._set_aside(folder, standing)
+            if wanted:
+                self._move(aside / wanted, folder)
+        if self._files is None or (version is None, wanted) in ((False, standing), (True, "")):
+            return
+        if wanted:
+            self._put(folder, f"assets/{name}")
+        else:
+            with self._translated():
+                self._files.rm_file(f"{self._root}/assets/{name}/{_CURRENT}")
+
+    def _set_aside(self, folder: Path, at: str) -> None:
+        if at:
+            self._move(folder, self._withdrawn / folder.name / at)
+
+    def _move(self, folder: Path, target: Path) -> None:
+        with suppress(FileNotFoundError), self._translated():  # another server may be first
+            target.parent.mkdir(parents=True, exist_ok=True)
+            folder.rename(target)
 
     def folder(self, saved: SavedRecord | None) -> Path | None:
         """Return the folder of an asset as it counts now, also in a workspace that was moved.
@@ -194,7 +238,14 @@ class AssetStorage:
             raise
         except Exception as error:  # each kind of storage has errors of its own
             first = str(error).splitlines()[0][:200] if str(error) else type(error).__name__
-            raise StoreError(f"{self.url}: the storage fails ({first})") from error
+            raise StoreError(f"{self.url or self._local}: the storage fails ({first})") from error
+
+
+def _accepted_at(folder: Path) -> str:
+    """When the asset in a folder was accepted; "" where there is none."""
+    with suppress(InputFileError, KeyError, TypeError):
+        return str(read_provenance(folder)["review"]["at"])
+    return ""
 
 
 def _files_in(folder: Path) -> dict[str, Path]:

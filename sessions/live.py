@@ -8,8 +8,11 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from weakref import WeakValueDictionary
 
+from model.core.errors import CommandError
+from sessions import commands as cmd
 from sessions.commands import Command, from_json, to_json
 from sessions.document import Document
 from sessions.review import Role
@@ -22,6 +25,10 @@ Subscriber = Callable[[SessionState, Command], None]
 
 MAX_ATTEMPTS = 40
 MAX_WAIT = 0.2  # seconds
+_BESIDE = (
+    cmd.RecordSegmentation, cmd.Saved, cmd.Placed, cmd.AddComment, cmd.ResolveComment,
+)  # fmt: skip
+"""Commands that decide and edit nothing, but for the labels."""
 
 
 class LiveSession:
@@ -55,11 +62,16 @@ class LiveSession:
         with self._lock:
             return seq in self._issued_here
 
-    def do(self, command: Command, who: str, *, role: Role | None = None) -> SessionState:
+    def do(
+        self, command: Command, who: str, *, role: Role | None = None,
+        since: SessionState | None = None, at: str = "",
+    ) -> SessionState:  # fmt: skip
         """Apply ``command``, store it, and notify the subscribers.
 
         Args:
             role: at most this role is used, as of a token; None: that of the account ``who``.
+            since: the state that the decision was made for; None: any.
+            at: when it was made, as of :func:`~sessions.records.now`; "" is now.
 
         The command is applied as read back from its written form, so a replay can't differ. Where
         another process was first, the command is applied after its commands.
@@ -68,17 +80,42 @@ class LiveSession:
             The state after it; the former one where it changes nothing.
 
         Raises:
-            CommandError: where the state or the person's role doesn't allow the command; nothing
-                was stored.
-            StoreError: where it couldn't be stored; the state is as before.
+            CommandError: where the state or the person's role doesn't allow the command, or the
+                object moved on ``since``; nothing was stored.
+            StoreError: where it couldn't be stored; the state is as before. Or where it was, and
+                the asset of a withdrawn acceptance couldn't be moved.
         """
         command = from_json(to_json(command))
         who = clean_who(who)
+        role = self.store.people.role_for(self.object_id, command, who, role)
         try:
             with self._lock:
-                return self._do(command, who, role)
+                after = self._do(command, Context(who, at, role), since)
         finally:
             self._deliver()
+        beside = (after.present, *after.past[-1:], *after.future[-1:])
+        if any(document.review.state == "accepted" for document in beside):
+            self.settle()
+        return after
+
+    def moved_since(self, state: SessionState) -> str:
+        """Say how the object was decided or edited since ``state``, or "".
+
+        Comments don't count, nor do results that leave parts and joints as they are.
+        """
+        self.refresh()
+        return self._moved_since(state)
+
+    def settle(self) -> None:
+        """Let the object's asset stand if it is accepted, and only then.
+
+        Raises:
+            StoreError: where the storage fails, or a folder can't be moved.
+        """
+        name, settled = self.store.object(self.object_id).asset_name, None
+        while (review := self.refresh().present.review) != settled:  # others may decide meanwhile
+            self.store.assets.settle(name, review.at if review.state == "accepted" else "")
+            settled = review
 
     def refresh(self) -> SessionState:
         """Apply the commands of other processes."""
@@ -107,11 +144,13 @@ class LiveSession:
 
         return unsubscribe
 
-    def _do(self, command: Command, who: str, most: Role | None) -> SessionState:
-        role = self.store.people.role_for(self.object_id, command, who, most)
+    def _do(self, command: Command, context: Context, since: SessionState | None) -> SessionState:
+        who, role = context.who, context.role
         for attempt in range(MAX_ATTEMPTS):
-            at = now()
-            after = apply(self._state, command, Context(who, at, role))
+            if since is not None and (moved := self._moved_since(since)):
+                raise CommandError(moved)
+            at = context.at or now()
+            after = apply(self._state, command, replace(context, at=at))
             if after is self._state:
                 return after
             try:
@@ -129,6 +168,21 @@ class LiveSession:
             self._advance(after, command)
             return after
         raise AssertionError("unreachable")
+
+    def _moved_since(self, before: SessionState) -> str:
+        now = self._state
+        if now.seq == before.seq:
+            return ""
+        entries = self.store.history(self.object_id, after=before.seq)
+        by = [e.who for e in entries if not isinstance(e.command, _BESIDE)]
+        docs = before.present, now.present
+        one, other = [(d.tree, d.segmentation and d.segmentation.labels) for d in docs]
+        if not by and one == other:
+            return ""
+        review = docs[1].review
+        if review != docs[0].review and review.state in ("accepted", "rejected"):
+            return f"it was {review.state} meanwhile by {review.by}"
+        return f"it was edited meanwhile by {(by or [e.who for e in entries])[-1]}: decide again"
 
     def _catch_up(self) -> None:
         for entry in self.store.history(self.object_id, after=self._state.seq):

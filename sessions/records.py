@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -43,6 +44,12 @@ class ObjectRecord:
     assigned_to: str | None
     seq: int
     changed: bool = False
+
+    @property
+    def asset_name(self) -> str:
+        """Name of the folder of its accepted asset."""
+        plain = re.sub(r"[^A-Za-z0-9._-]+", "_", self.name).strip("._") or "object"
+        return f"{plain[:60]}-{self.id}"
 
 
 @dataclass(frozen=True)

@@ -11,19 +11,17 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from app.server.acceptance_record import acceptance_record, asset_folder
+from app.server.acceptance_record import acceptance_record, carry_out
 from app.server.display_names import display_text
 from app.server.open_object import OpenObject
-from app.server.part_tasks import PartSource
 from app.server.validating import AcceptanceRequest
 from model.core.asset import Source
 from model.core.errors import CommandError
 from model.validation.report import ValidationReport
 from sessions import commands as cmd
-from sessions.document import Document
 from sessions.job_log import ACCEPT
 from sessions.review import Role, transition
-from sessions.state import Context, apply, review_problems
+from sessions.state import Context, SessionState, apply, review_problems
 from sessions.store import PendingAcceptance
 
 
@@ -31,12 +29,12 @@ def accept(
     obj: OpenObject,
     comment: str,
     who: str,
-    at: str,
     override: str = "",
     *,
     seen: ValidationReport | None = None,
     refused: Callable[[CommandError], None] | None = None,
     asked: float | None = None,
+    state: SessionState | None = None,
 ) -> None:
     """Write the asset, read it back, and only then record the decision.
 
@@ -46,16 +44,19 @@ def accept(
         refused: gets what prevents the acceptance where that is found only later; where it is
             None, all tabs show it.
         asked: when the person asked for it, seconds since 1970; None is now.
+        state: the state that the person decided about; None is the present one.
 
     Raises:
-        CommandError: where something is missing, or there are errors and no reason.
+        CommandError: where something is missing, there are errors and no reason, or the object
+            moved on since ``state``.
         UnseenWarningsError: where there are warnings that the person wasn't shown.
     """
     if "save" in obj.jobs:
         obj.notify("Accepting", "It is being saved already", "gray")
         return
     begun = time.time() if asked is None else asked
-    state = obj.state
+    state = obj.state if state is None else state
+    _check_unmoved(obj, state)
     doc = state.present
     # First: an annotator must neither write an asset nor leave a pending acceptance.
     transition(doc.review.state, "accept", _role(obj, cmd.Accept(comment), who))
@@ -69,7 +70,7 @@ def accept(
 
     def retry() -> None:
         try:
-            _check_unchanged(obj, doc, source)
+            _check_unmoved(obj, state)
         except CommandError as error:
             services.acceptances.end(obj.record.id)
             _refuse(obj, error, refused)
@@ -77,36 +78,32 @@ def accept(
             return
         try:
             _check_validated(obj)
-            accept(obj, comment, who, at, override, seen=seen, refused=refused, asked=begun)
+            accept(
+                obj, comment, who, override, seen=seen, refused=refused, asked=begun, state=state
+            )
         except CommandError as error:
             _hold(obj, pending, str(error))
             _refuse(obj, error, refused)
 
-    if not _admits(obj, AcceptanceRequest(override, seen, retry), pending):
+    if not _admits(obj, AcceptanceRequest(override, seen, retry, state), pending):
         return
     report = obj.validation.report
     command = cmd.Accept(comment, obj.validation.known_problems(), override)
-    after = apply(state, command, Context(who, at))
     record = acceptance_record(
-        after, services.store.history(obj.record.id), _source_record(obj), report, override,
-        warnings_seen=report is not None and report is seen,
+        apply(state, command, Context(who, "")), services.store.history(obj.record.id),
+        _source_record(obj), report, override, warnings_seen=report is not None and report is seen,
         scene=None if obj.in_scene is None else obj.in_scene.source(),
     )  # fmt: skip
-    folder = asset_folder(services.workspace, obj.record)
     services.acceptances.begin(obj.record.id, pending)
     job = services.drafts.finish(source, doc.tree, obj.jobs.progress("save"))
 
     def keep(draft: Path) -> None:
         try:
-            _check_unchanged(obj, doc, source)
+            written = carry_out(obj.live, state, command, who, draft, record)
         except CommandError as error:
             _refuse(obj, error, refused)
             return
-        # Only now: until here the asset that was accepted before stays.
-        written = str(services.store.assets.publish(draft, folder, record))
         obj.record_job(ACCEPT, begun, time.time() - begun)
-        obj.do(command, who)
-        obj.do(cmd.Saved(written), who)
         obj.notify("Accepted", f"Saved in {written}", "green")
 
     obj.start("save", job, keep)
@@ -183,17 +180,9 @@ def _hold(obj: OpenObject, pending: PendingAcceptance, reason: str) -> None:
     )
 
 
-def _check_unchanged(obj: OpenObject, before: Document, source: PartSource) -> None:
-    """Refuse where the object changed since it was to be accepted.
-
-    Raises:
-        CommandError: saying what happened meanwhile.
-    """
-    now = obj.live.refresh().present  # another server may be at work on it
-    if now.segmentation is None or (now.tree, obj.source(now)) != (before.tree, source):
-        raise CommandError("It was edited meanwhile: accept it again")
-    if now.review != before.review:
-        raise CommandError(f"It was {now.review.state} meanwhile by {now.review.by}")
+def _check_unmoved(obj: OpenObject, state: SessionState) -> None:
+    if moved := obj.live.moved_since(state):
+        raise CommandError(moved)
 
 
 def _refuse(

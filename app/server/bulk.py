@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import datetime
 import logging
 import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ from model.core.errors import ArtiworldError, CommandError
 from model.core.progress import Cancelled
 from sessions import commands as cmd
 from sessions.job_log import BULK, TimedJob, record_job
+from sessions.state import SessionState
 
 log = logging.getLogger(__name__)
 POLL_SECONDS = 0.05
@@ -84,17 +85,22 @@ class BulkWork:
         self._start("Predict", ids, one, notify)
 
     def accept(self, ids: Sequence[int], who: str, notify: Notify) -> None:
-        """Accept objects; those with warnings that nobody was shown are put on hold."""
+        """Accept objects as they are now, however long it takes; those with warnings that nobody
+        was shown are put on hold."""
+        asked: dict[int, SessionState] = {}
 
         def one(id: int) -> None:
+            for i in () if asked else ids:
+                asked[i] = replace(self._services.hub.session(i).state, past=(), future=())
             obj = self._opened(id)
             if obj.document.review.state == "accepted":
                 return
             refused: list[CommandError] = []
-            at = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
-            accept(obj, "", who, at, refused=refused.append)
+            accept(obj, "", who, refused=refused.append, state=asked[id])
             self._wait(lambda: bool(refused) or acceptance_over(obj))
             if obj.document.review.state != "accepted":
+                if refused and not obj.hold_reason:
+                    raise refused[0]
                 raise CommandError("on hold: see its warnings" if refused else "not accepted")
 
         self._start("Accept", ids, one, notify)

@@ -81,6 +81,8 @@ def _resume(store: Store, hub: SessionHub, workspace: Path) -> dict[int, Pending
         record = store.object(object_id)
         folder = asset_folder(workspace, record)
         recover(folder)
+        live = hub.session(object_id)
+        live.settle()
         if record.seq == pending.seq:
             waiting[object_id] = pending
             if not pending.hold_reason:
@@ -89,7 +91,6 @@ def _resume(store: Store, hub: SessionHub, workspace: Path) -> dict[int, Pending
                     "another server is at it", record.name,
                 )  # fmt: skip
             continue
-        live = hub.session(object_id)
         doc = live.document
         if doc.review.state == "accepted" and doc.saved is None and folder.is_dir():
             live.do(cmd.Saved(str(folder)), doc.review.by)

@@ -9,11 +9,12 @@ out when the scene is opened again.
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from app.server.acceptance_record import acceptance_record, asset_folder
+from app.server.acceptance_record import acceptance_record, carry_out
 from app.server.display_names import joint_title
 from app.server.jobs import CLICKS
 from app.server.observable import Notice
@@ -22,14 +23,19 @@ from app.server.scene_rows import HELD, Work
 from app.server.scene_state import SceneState
 from app.server.validating import problems_of, required_problem, unknown_names
 from app.server.validation_tasks import validate_joints
+from model.core.errors import CommandError
 from model.validation.low_confidence import with_low_confidence
 from model.validation.naming import with_unknown_names
 from model.validation.report import Severity, ValidationReport
 from sessions import commands as cmd
 from sessions.document import DecisionRecord, Document
-from sessions.state import Context, apply, review_problems
+from sessions.scene_commands import Decided, DecideObjects
+from sessions.state import Context, SessionState, apply, review_problems
+from sessions.store import clean_who
 
 Mark = Literal["", "validating", "on_hold"]
+Entry = tuple[int, DecisionRecord]
+"""Session id of an object, and the decision about it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,14 +64,14 @@ class _Outcome:
 
     Attributes:
         left: sessions that are still to be accepted.
-        accepted: number of objects accepted. refused: sessions that weren't.
+        accepted: number of objects accepted. refused: sessions that weren't, and why.
     """
 
     record: DecisionRecord
     notice: Notice
     left: set[int]
     accepted: int = 0
-    refused: list[int] = field(default_factory=list)
+    refused: dict[int, Refusal] = field(default_factory=dict)
 
 
 class Accepting:
@@ -81,15 +87,15 @@ class Accepting:
     def __init__(self, scene: SceneState, is_accepting: Callable[[int], bool]) -> None:
         self._scene = scene
         self._is_accepting = is_accepting
-        self._queue: list[tuple[int, DecisionRecord]] = []
+        self._queue: dict[Entry, SessionState] = {}  # and the object's state at the decision
         self._known: tuple[DecisionRecord, ...] = scene.document.decided
         self._total = 0
         self._done = 0
-        self._running: tuple[int, DecisionRecord] | None = None
+        self._running: Entry | None = None
         self._outcomes: list[_Outcome] = []
-        self._expected: dict[tuple[int, ...], Notice] = {}
-        self._warnings_seen: dict[int, Document] = {}
-        self._ineffective: set[tuple[int, DecisionRecord]] = set()
+        self._expected: dict[tuple[str, Decided, tuple[int, ...]], Notice] = {}
+        self._ineffective: set[Entry] = set()
+        self._elsewhere: set[DecisionRecord] = set()  # carried out by other servers
         self.refused: dict[int, Refusal] = {}
 
     def refusal(self, work: Work) -> Refusal | None:
@@ -132,15 +138,16 @@ class Accepting:
         worst = report.joints[0]
         return f"{joint_title(doc, worst.child)}: {worst.message}"
 
-    def expect(self, objects: tuple[int, ...], notice: Notice) -> None:
-        """Report the outcome of the next decision about these to ``notice``."""
-        self._expected[objects] = notice
+    def expect(self, command: DecideObjects, who: str, notice: Notice) -> None:
+        """Report the outcome of a decision that follows to ``notice``."""
+        self._expected[clean_who(who), command.decision, command.objects] = notice
 
     # --- decisions
 
     def had_no_effect(self, record: DecisionRecord) -> bool:
         """Whether it was an acceptance and accepted none of its objects."""
-        return record.decision == "accept" and all(
+        here = record.decision == "accept" and record not in self._elsewhere
+        return here and all(
             (i, record) in self._ineffective or not self._carried_out(i, record)
             for i in record.objects
         )
@@ -167,7 +174,10 @@ class Accepting:
         before, self._known = self._known, self._scene.document.decided
         for record in before:
             left = [i for i in record.objects if i in self._scene.works]
-            self._carry_out(record, [i for i in left if store.object(i).updated < record.at])
+            left = [i for i in left if store.object(i).updated < record.at]
+            for i in left:
+                self._scene.works[i].live.settle()  # its server may have ended while writing
+            self._carry_out(record, left)
 
     def update(self, decided: tuple[DecisionRecord, ...], *, here: bool = True) -> None:
         """Carry out new decisions, revert those that were undone.
@@ -179,54 +189,46 @@ class Accepting:
         before, self._known = self._known, decided
         for record in before:
             if record not in self._known:
-                self._queue = [(i, r) for i, r in self._queue if r != record]
-                if here:
+                self._queue = {e: s for e, s in self._queue.items() if e[1] != record}
+                if record not in self._scene.document.decided:
                     self._revert(record)
-                self._outcomes = [o for o in self._outcomes if o.record != record]
+                for outcome in [o for o in self._outcomes_of(record) if o.left]:
+                    outcome.notice("Not accepted", f"undone: {self.describe(record)}", "yellow")
+                    self._outcomes.remove(outcome)
                 for i in record.objects:
                     self.refused.pop(i, None)
         for record in self._known:
-            if record not in before and here:
-                self._carry_out(record, list(record.objects))
+            if record not in before:
+                if here:
+                    self._carry_out(record, list(record.objects))
+                else:
+                    self._elsewhere.add(record)
         self._total = self._done + len(self._queue)
-        if self._running is not None and self._running not in self._queue:
-            self._scene.jobs.cancel("accept")
 
     def _carry_out(self, record: DecisionRecord, objects: list[int]) -> None:
-        notice = self._expected.pop(record.objects, self._scene.notify)
+        key = record.by, record.decision, record.objects
+        notice = self._expected.pop(key, self._scene.notify)
         if record.decision == "accept":
             objects = [i for i in objects if i in self._scene.works]
             if not self._queue:
                 self._total = self._done = 0
             self._outcomes.append(_Outcome(record, notice, set(objects)))
             for i in objects:
-                if record.looked:
-                    self._warnings_seen[i] = self._scene.works[i].document
                 self.refused.pop(i, None)
-                self._queue.append((i, record))
+                for outcome in [o for o in self._outcomes if o.record.by == record.by]:
+                    outcome.refused.pop(i, None)
+                self._queue[i, record] = self._scene.works[i].live.state
                 self._total += 1
             return
         for i in objects:
             work = self._scene.works.get(i)
             if work is None:
                 continue
-            self._preempt(work, record, notice)
+            instances = len(self._scene.twins(work.item.obj.id))
+            if instances > 1:
+                notice("Rejected", f"{_objects(instances)}: instances share a decision", "gray")
             if work.document.review.state != "rejected":
                 work.live.do(cmd.Reject(record.reason, decided_at=record.at), record.by)
-
-    def _preempt(self, work: Work, record: DecisionRecord, by: Notice) -> None:
-        """Stop accepting an object that was rejected, and tell the person who accepts it."""
-        for entry in [e for e in self._queue if e[0] == work.id]:
-            self._drop(entry)
-            self._ineffective.add(entry)
-            for outcome in self._outcomes_of(entry[1]):
-                if outcome.notice != by:
-                    outcome.notice(
-                        "Not accepted",
-                        f"{work.item.obj.id} was rejected meanwhile by {record.by}",
-                        "yellow",
-                    )
-                self._settle(outcome, work.id)
 
     def _revert(self, record: DecisionRecord) -> None:
         state = {"accept": "accepted", "reject": "rejected"}[record.decision]
@@ -234,49 +236,52 @@ class Accepting:
             work = self._scene.works.get(i)
             if work is None:
                 continue
-            review = work.document.review
+            now = work.live.refresh()
+            review = now.present.review
             if (review.state, review.by, review.decided_at) != (state, record.by, record.at):
                 continue  # not carried out by this, or decided again since
-            undoes = work.live.state.can_undo and work.document.label.startswith(record.decision)
-            work.live.do(cmd.Undo() if undoes else cmd.Reopen(), record.by)
+            undoes = now.can_undo and now.present.label.startswith(record.decision)
+            with suppress(CommandError):  # decided again, or another server was first
+                work.live.do(cmd.Undo() if undoes else cmd.Reopen(), record.by, since=now)
 
     # --- one after the other
 
     def go_on(self) -> None:
-        """Start with the next object that is ready."""
+        """Drop what is decided otherwise, and start with the next object that is ready."""
         scene = self._scene
+        for entry, asked in list(self._queue.items()):
+            work = scene.works[entry[0]]
+            if work.document.review.state == "accepted":
+                self._ineffective.add(entry)
+                self._accepted(entry)
+            elif work.live.state.seq != asked.seq and (moved := work.live.moved_since(asked)):
+                self._refuse(entry, moved)
         if "accept" in scene.jobs:
+            if self._running not in self._queue:
+                scene.jobs.cancel("accept")
             return
         self._running = None
         for entry in list(self._queue):
-            i, record = entry
-            work = scene.works[i]
+            work = scene.works[entry[0]]
             doc = work.document
-            problems = review_problems(doc)
-            if doc.review.state == "accepted":
-                self._ineffective.add(entry)
-                self._accepted(entry)
-                continue
-            if doc.review.state == "rejected" and doc.review.at > record.at:
-                problems = (f"it was rejected meanwhile by {doc.review.by}.",)
+            problems = work.live.moved_since(self._queue[entry]) or "; ".join(review_problems(doc))
             if problems:
-                self._refuse(work, "; ".join(problems))
+                self._refuse(entry, problems)
                 continue
             assert doc.segmentation is not None
             if work.drawn is None or work.drawn.labels != doc.segmentation.labels:
                 continue  # its parts are being cut; this is called again
-            self._validate(work, record)
+            self._validate(work, entry)
             return
 
     def _progress(self, work: Work, step: str) -> tuple[float, str]:
         return self._done / max(1, self._total), f"{step} {work.item.obj.id}"
 
-    def _is_current(self, work: Work, record: DecisionRecord, doc: Document) -> bool:
+    def _is_current(self, work: Work, entry: Entry) -> bool:
         """Whether the object is as it was, and the decision is still to be carried out."""
-        unchanged = _unchanged(doc, work.live.refresh().present)
-        return unchanged and (work.id, record) in self._queue
+        return entry in self._queue and not work.live.moved_since(self._queue[entry])
 
-    def _validate(self, work: Work, record: DecisionRecord) -> None:
+    def _validate(self, work: Work, entry: Entry) -> None:
         scene, doc = self._scene, work.document
         source, tree = work.part_source(scene.services.workspace), doc.tree
         assert source is not None and tree is not None
@@ -285,81 +290,69 @@ class Accepting:
         )
 
         def keep(answer: ValidationReport) -> None:
-            if not self._is_current(work, record, doc):
-                return
+            if not self._is_current(work, entry):
+                return  # go_on says so
             report = with_low_confidence(answer, tree, doc.predicted_confidence)
             settings = scene.services.store.project.settings
             report = with_unknown_names(report, tree, *unknown_names(doc, settings))
-            shown = self._warnings_seen.get(work.id)
-            seen = shown is not None and _same(shown, work.document)
             required = required_problem(doc, report, settings.required)
             if required or report.severity == Severity.ERROR or (
-                report.severity == Severity.WARNING and not seen
+                report.severity == Severity.WARNING and not entry[1].looked
             ):  # fmt: skip
-                self._refuse(work, required or self._worst(doc, report), report)
+                self._refuse(entry, required or self._worst(doc, report), report)
             else:
-                self._save(work, record, source, report, seen)
+                self._save(work, entry, source, report)
 
-        self._running = (work.id, record)
+        self._running = entry
         scene.start("accept", job, keep, self._progress(work, "checking"), work)
 
-    def _save(
-        self,
-        work: Work,
-        record: DecisionRecord,
-        source: PartSource,
-        report: ValidationReport,
-        warnings_seen: bool,
-    ) -> None:
-        scene, doc, store = self._scene, work.document, self._scene.services.store
-        assert doc.tree is not None and work.drawn is not None
+    def _save(self, work: Work, entry: Entry, source: PartSource, report: ValidationReport) -> None:
+        scene, drawn, asked, record = self._scene, work.drawn, self._queue[entry], entry[1]
+        assert asked.present.tree is not None and drawn is not None
         command = cmd.Accept("", problems_of(report), decided_at=record.at)
-        after = apply(work.live.state, command, Context(record.by, record.at))
-        written_record = acceptance_record(
-            after, store.history(work.id), work.drawn.source, report, warnings_seen=warnings_seen,
+        provenance = acceptance_record(
+            apply(asked, command, Context(record.by, "")), scene.services.store.history(work.id),
+            drawn.source, report, warnings_seen=record.looked,
             scene=work.source(scene.path, scene.services.workspace),
         )  # fmt: skip
-        folder = asset_folder(scene.services.workspace, store.object(work.id))
-        job = scene.services.drafts.finish(source, doc.tree, _silent)
+        job = scene.services.drafts.finish(source, asked.present.tree, _silent)
 
         def keep(draft: Path) -> None:
-            if not self._is_current(work, record, doc):
+            if not self._is_current(work, entry):
                 return
-            written = str(store.assets.publish(draft, folder, written_record))
-            self._ineffective.discard((work.id, record))
-            work.live.do(command, record.by)
-            work.live.do(cmd.Saved(written), record.by)
-            self._accepted((work.id, record))
+            self._drop(entry)
+            carry_out(work.live, asked, command, record.by, draft, provenance)
+            self._ineffective.discard(entry)
+            self._accepted(entry)
+            scene.live.refresh()  # another server may have undone the decision just now
 
-        self._running = (work.id, record)
+        self._running = entry
         scene.start("accept", job, keep, self._progress(work, "saving"), work)
 
-    def failed(self, work: Work, message: str) -> None:
-        """Refuse an object whose validation or writing failed."""
-        self._refuse(work, message)
+    def failed(self, message: str) -> None:
+        """Refuse the object whose validation or writing failed."""
+        if self._running is not None:
+            self._refuse(self._running, message)
 
-    def _refuse(self, work: Work, why: str, report: ValidationReport | None = None) -> None:
-        self.refused[work.id] = Refusal(why, work.document, report)
-        for entry in [e for e in self._queue if e[0] == work.id]:
-            self._drop(entry)
-            self._ineffective.add(entry)
-            for outcome in self._outcomes_of(entry[1]):
-                outcome.refused.append(work.id)
-                self._settle(outcome, work.id)
+    def _refuse(self, entry: Entry, why: str, report: ValidationReport | None = None) -> None:
+        i, record = entry
+        refusal = self.refused[i] = Refusal(why, self._scene.works[i].document, report)
+        self._drop(entry)
+        self._ineffective.add(entry)
+        for outcome in self._outcomes_of(record):
+            outcome.refused[i] = refusal
+            self._settle(outcome, i)
 
-    def _accepted(self, entry: tuple[int, DecisionRecord]) -> None:
+    def _accepted(self, entry: Entry) -> None:
         self._drop(entry)
         i, record = entry
         for outcome in self._outcomes_of(record):
             outcome.accepted += len(self._scene.twins(self._scene.works[i].item.obj.id))
             self._settle(outcome, i)
 
-    def _drop(self, entry: tuple[int, DecisionRecord]) -> None:
-        if entry in self._queue:
-            self._queue.remove(entry)
+    def _drop(self, entry: Entry) -> None:
+        if self._queue.pop(entry, None) is not None:
             self._done += 1
-        if all(i != entry[0] for i, _ in self._queue):
-            self._warnings_seen.pop(entry[0], None)
 
     def _outcomes_of(self, record: DecisionRecord) -> list[_Outcome]:
         return [o for o in self._outcomes if o.record == record]
@@ -372,10 +365,8 @@ class Accepting:
         self._outcomes.remove(outcome)
         if outcome.accepted:
             outcome.notice("Accepted", _objects(outcome.accepted), "green")
-        # Without those that were decided again meanwhile.
-        on_hold = [
-            (self._scene.works[i], self.refused[i]) for i in outcome.refused if i in self.refused
-        ]
+        # Without those that the person decided again meanwhile.
+        on_hold = [(self._scene.works[i], refusal) for i, refusal in outcome.refused.items()]
         if not on_hold:
             return
         work, first = next(
@@ -394,7 +385,7 @@ class Accepting:
         )
         outcome.notice(
             f"{_objects(count)} not accepted",
-            f"{work.item.obj.id}, {first.why} {advice}{more}",
+            f"{work.item.obj.id}, {first.why.rstrip('.')}. {advice}{more}",
             "yellow",
         )
 
@@ -404,11 +395,6 @@ def _same(one: Document, other: Document) -> bool:
     return (one.tree, one.segmentation, one.parts, one.predicted_confidence) == (
         other.tree, other.segmentation, other.parts, other.predicted_confidence,
     )  # fmt: skip
-
-
-def _unchanged(one: Document, other: Document) -> bool:
-    """Whether both would be written the same, and nobody decided anything in between."""
-    return _same(one, other) and (one.category, one.review) == (other.category, other.review)
 
 
 def _objects(count: int) -> str:

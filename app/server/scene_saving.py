@@ -53,6 +53,7 @@ class Saving:
         if "save" in scene.jobs:
             return
         opened, items, copies, decided = self._plan(loose)
+        before, states = scene.document, {w: w.live.state for w in scene.wanted()}
         record = scene.record
         out = scene.services.workspace / "scenes" / f"saved-{record.id}"
         job = scene.services.workers.reading.submit(
@@ -62,6 +63,15 @@ class Saving:
         )  # fmt: skip
 
         def keep(summary: dict[str, Any]) -> None:
+            now = scene.live.refresh().present
+            if (now.articulable, now.picked) != (before.articulable, before.picked):
+                raise CommandError("the scene was edited meanwhile: save it again")
+            for work, state in states.items():
+                moved = work.live.moved_since(state)
+                reviews = state.present.review.state, work.document.review.state
+                counts = work.item.copy in copies or {*reviews} & {ACCEPTED, REJECTED}
+                if moved and counts:
+                    raise CommandError(f"{work.item.obj.id}: {moved}. Save the scene again")
             scene.live.do(cmd.Saved(str(out)), who)
             moving = sum(summary["states"].get(s, 0) for s in (ACCEPTED, PREDICTED))
             scene.notify("Saved", f"{moving} objects move; {out}", "green")

@@ -160,7 +160,7 @@ class SceneWorkspace(SceneState):
             notice: gets the outcome of a decision about objects; all tabs where it is None.
         """
         if isinstance(command, DecideObjects) and notice is not None:
-            self.accepting.expect(command.objects, notice)
+            self.accepting.expect(command, who, notice)
         self.live.do(command, who)
 
     def undo(self, who: str) -> str:
@@ -410,7 +410,7 @@ class SceneWorkspace(SceneState):
         elif kind == "prepare" and work is not None:
             work.prepared, work.reason = True, message
         elif kind == "accept" and work is not None:
-            self.accepting.failed(work, message)
+            self.accepting.failed(message)
         else:
             if kind == "parts" and work is not None and work.document.segmentation is not None:
                 work.undrawable = work.document.segmentation.labels

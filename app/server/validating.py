@@ -18,6 +18,7 @@ from model.validation.naming import with_unknown_names
 from model.validation.report import Fix, JointReport, Severity, ValidationReport
 from sessions.document import Document, link_problems
 from sessions.project_settings import ProjectSettings
+from sessions.state import SessionState
 
 REPORTS_KEPT = 16
 """Reports kept for undo and redo."""
@@ -59,11 +60,13 @@ class AcceptanceRequest:
         override: reason for accepting it despite errors, else "".
         seen: the report whose warnings the person was shown, or None.
         retry: asks again; called when the report is there, where it wasn't yet.
+        state: the state that the person decided about.
     """
 
     override: str
     seen: ValidationReport | None
     retry: Callable[[], None]
+    state: SessionState
 
 
 class Validation:
@@ -76,7 +79,6 @@ class Validation:
         self._requested: Revision | None = None
         self._problem: tuple[Revision, str] | None = None
         self._waiting: AcceptanceRequest | None = None
-        self._waiting_for: Revision | None = None
         self._lock = threading.Lock()
 
     @property
@@ -124,8 +126,9 @@ class Validation:
         """Start validating where the present joints have no report yet."""
         obj = self._obj
         revision = self._revision(obj.document)
-        if self._waiting is not None and revision != self._waiting_for:
-            self._retry_acceptance()  # which fails: the object changed
+        waiting = self._waiting
+        if waiting is not None and obj.live.moved_since(waiting.state):
+            self._retry_acceptance()  # which fails
         if revision is None:
             self._requested = None
             return
@@ -198,7 +201,6 @@ class Validation:
             report = self.report
             waits = report is None and not self.problem
             self._waiting = request if waits else None
-            self._waiting_for = self._revision(self._obj.document)
         required = self._obj.services.store.project.settings.required
         if report is None and not waits and required:
             raise CommandError(f"The project requires the checks, which failed: {self.problem}")

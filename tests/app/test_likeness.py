@@ -20,7 +20,6 @@ from model.io.write.meshes import write_cloud
 from model.segmentation.prompts import Click
 from sessions import commands as cmd
 from sessions.document import Document, RegionRef
-from sessions.records import now
 from sessions.store import Store
 from tests.builders import cabinet_cloud, wait_until
 
@@ -66,7 +65,7 @@ def annotated(obj: OpenObject) -> None:
 def accepted(obj: OpenObject) -> None:
     wait_until(lambda: obj.validation.report is not None, "a verdict")
     report = obj.validation.report
-    accept(obj, "", "tester", now(), "as it is", seen=report)
+    accept(obj, "", "tester", "as it is", seen=report)
     wait_until(lambda: obj.document.saved is not None, "it is saved")
 
 

@@ -33,7 +33,6 @@ from sessions.store import Store
 from tests.builders import wait_until
 from tests.model.io.test_named_meshes import glb
 
-NOW = "2026-01-01T00:00:00.000000Z"
 URDF = """<robot name="r"><link name="body"><visual><geometry>
 <mesh filename="meshes/body.ply"/></geometry></visual></link>
 <link name="door"><visual><geometry><mesh filename="meshes/door.ply"/></geometry></visual></link>
@@ -128,7 +127,7 @@ def test_read_in_another_frame_it_begins_with_its_joints_again(opened, urdf: Pat
 def test_the_saved_asset_says_that_the_joints_came_from_the_file(opened, urdf: Path) -> None:
     obj = opened(urdf)
     wait_until(lambda: obj.validation.report is not None and not obj.jobs, "the gate")
-    accept(obj, "", "tester", NOW, seen=obj.validation.report)
+    accept(obj, "", "tester", seen=obj.validation.report)
     wait_until(lambda: obj.document.saved, "it is saved")
     folder = Path(obj.document.saved.folder)
     told = json.loads((folder / "provenance.json").read_text())
@@ -165,7 +164,7 @@ def test_masses_dynamics_and_collision_shapes_of_the_file_are_kept(opened, urdf:
     assert shown(made.shapes["link_1"]) == DOOR_SHAPES
     assert {k: i.mass for k, i in told_of.items()} == {"link_0": 7.0, "link_1": 2.5}
     wait_until(lambda: obj.validation.report is not None and not obj.jobs, "the gate")
-    accept(obj, "", "tester", NOW, seen=obj.validation.report)
+    accept(obj, "", "tester", seen=obj.validation.report)
     wait_until(lambda: obj.document.saved, "it is saved")
     folder = Path(obj.document.saved.folder)
     asset = json.loads((folder / "provenance.json").read_text())["asset"]

@@ -217,7 +217,7 @@ def test_undo_leaves_alone_what_was_accepted_inside_after_a_refusal(world: World
     )
     assert first is not None and small is not None
     scene_workspace.do(DecideObjects("accept", (small.id,)), "ann")
-    scene_workspace.accepting.failed(small, "the gate calls it broken")
+    scene_workspace.accepting.failed("the gate calls it broken")
     small.live.do(cmd.Accept(), "ann")  # mended inside, by the same person
     scene_workspace.do(DecideObjects("reject", (first.id,), reason="axis"), "ann")
     assert scene_workspace.undo("ann") == "reject first"
@@ -304,7 +304,10 @@ def test_what_the_gate_objects_to_waits_for_who_asked(
     decide("accept", looked=True)
     scene_workspace.do(DecideObjects("reject", (small.id,), reason="axis"), "rob", lambda *n: None)
     wait_until(lambda: mine, "it is told")
-    assert mine == ["small was rejected meanwhile by rob"] and shown("small") == "rejected"
+    assert (
+        mine == ["small, it was rejected meanwhile by rob. Select it again: Enter opens it."]
+        and shown("small") == "rejected"
+    )
     assert others == []
     scene_workspace.do(cmd.Undo(), "rob")
     scene_workspace.do(cmd.Undo(), "ann")
@@ -379,14 +382,17 @@ def test_what_is_decided_or_named_inside_meanwhile_counts(
     scene_workspace.do(DecideObjects("accept", (small.id,)), "ann", lambda *n: mine.append(n[1]))
     wait_until(lambda: gate.asked, "the gate is asked")
     small.live.do(cmd.NamePart(1, "flap"), "rob")
-    gate.answer("fine")
-    wait_until(lambda: gate.asked, "it is judged as it is now")
+    wait_until(lambda: mine and "accept" not in scene_workspace.jobs, "it is told")
+    assert "small, it was edited meanwhile by rob: decide again." in mine.pop()
+    gate.asked.clear()
+    scene_workspace.do(DecideObjects("accept", (small.id,)), "ann", lambda *n: mine.append(n[1]))
     gate.answer("fine")
     wait_until(lambda: mine, "it is told")
     assert mine == ["1 object"] and small.document.saved is not None
     saved = load_object(small.document.saved.folder)
     assert saved.name == "cab_2"  # as the robot is called in every format, without a hash
     assert "flap" in [p.name for p in saved.parts]
+    scene_workspace.do(cmd.Undo(), "ann")
     scene_workspace.do(cmd.Undo(), "ann")
     small.live.do(cmd.NamePart(1, name), "rob")
     world.settle()
@@ -401,7 +407,7 @@ def test_what_was_asked_for_inside_is_held_back_in_the_scene(
     gate, refused = Slow(scene_workspace, monkeypatch), list[CommandError]()
     obj = world.app_state.object(small.id)
     wait_until(lambda: obj.asset is not None and gate.asked, "it is open, and the gate is asked")
-    accept(obj, "the hinge is bent", "ann", "2026-01-01T00:00:00+00:00", refused=refused.append)
+    accept(obj, "the hinge is bent", "ann", refused=refused.append)
     row = scene_workspace.row(small.item)
     assert row.shown == "validating" and not row.undecided
     gate.answer("look")

@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 
 from app.server import validation_tasks as judging_tasks
-from app.server.accepting import accept, asset_folder, withdraw
+from app.server.acceptance_record import asset_folder
+from app.server.accepting import accept, withdraw
 from app.server.app_state import AppState
 from app.server.config import ServeConfig
 from app.server.open_object import OpenObject
@@ -32,8 +33,6 @@ from sessions.store import PendingAcceptance, Store
 from tests.app import job_functions
 from tests.builders import CUPBOARD_DOOR as DOOR
 from tests.builders import wait_until, write_cupboard
-
-NOW = "2026-01-01T00:00:00+00:00"
 
 
 @pytest.fixture(scope="module")
@@ -78,13 +77,13 @@ def test_a_broken_object_is_mended_or_accepted_with_a_reason(cupboard: OpenObjec
 
     # While the gate is at work an accept waits for it, and is refused then.
     if obj.validation.report is None:
-        accept(obj, "", "tester", NOW)
+        accept(obj, "", "tester")
         wait_until(lambda: any(n[0] in ("Not accepted", "Accepting") for n in notes), "it is told")
     report = judged(obj)
     assert report.severity == Severity.ERROR
     assert report.of("door").worst.other == "link_0"
     with pytest.raises(CommandError, match=r"1 error. part 1: .* give a reason for the override"):
-        accept(obj, "", "tester", NOW)
+        accept(obj, "", "tester")
     assert obj.document.review.state == "predicted"
     assert [c.joint for c in obj.checks] == ["door"]
 
@@ -98,9 +97,9 @@ def test_a_broken_object_is_mended_or_accepted_with_a_reason(cupboard: OpenObjec
     obj.do(cmd.Undo(), "tester")
     assert obj.validation.report is report
 
-    accept(obj, "as on the photo", "tester", NOW, "the shelf is soft")
+    accept(obj, "as on the photo", "tester", "the shelf is soft")
     notes.clear()
-    accept(obj, "as on the photo", "tester", NOW, "the shelf is soft")
+    accept(obj, "as on the photo", "tester", "the shelf is soft")
     assert ("Accepting", "It is being saved already", "gray") in notes
     saved = wait_until(lambda: obj.document.saved, "it is saved")
     review = obj.document.review
@@ -118,7 +117,7 @@ def test_a_broken_object_is_mended_or_accepted_with_a_reason(cupboard: OpenObjec
     # What is fine is written while the person still looks; accepting moves it.
     drafts = obj.services.workspace / "drafts"
     wait_until(lambda: any(not p.name.startswith(".") for p in drafts.glob("*")), "a draft")
-    accept(obj, "", "tester", NOW)
+    accept(obj, "", "tester")
     wait_until(lambda: obj.document.review.state == "accepted", "accepted again")
     wait_until(lambda: "save" not in obj.busy, "saved again")
     wait_until(lambda: not any(drafts.iterdir()), "no draft is left")
@@ -135,7 +134,7 @@ def test_an_asset_stays_where_the_next_one_is_not_accepted(cupboard: OpenObject)
     obj.do(cmd.SetJoint(DOOR), "tester")
     judged(obj)
     if obj.document.review.state != "accepted":
-        accept(obj, "", "tester", NOW)
+        accept(obj, "", "tester")
         wait_until(lambda: obj.document.review.state == "accepted", "accepted")
     saved = wait_until(lambda: obj.document.saved, "saved")
     before = (Path(saved.folder) / "provenance.json").read_bytes()
@@ -143,7 +142,7 @@ def test_an_asset_stays_where_the_next_one_is_not_accepted(cupboard: OpenObject)
     obj.do(cmd.SetJoint(replace(DOOR, upper=1.2)), "tester")
     judged(obj)
     obj.services.workers.saving.submit(time.sleep, 1.0, priority=9)
-    accept(obj, "too early", "tester", NOW)
+    accept(obj, "too early", "tester")
     obj.do(cmd.SetJoint(replace(DOOR, upper=1.1)), "tester")
     wait_until(lambda: "Not accepted" in notes, "it is told")
     assert obj.document.review.state != "accepted"
@@ -158,21 +157,21 @@ def test_what_the_gate_wants_looked_at_is_not_accepted_unseen(cupboard: OpenObje
     obj.do(cmd.SetJoint(replace(DOOR, origin=(-0.28, -0.003, 0.2))), "tester")
     said: list[CommandError] = []
     if obj.validation.report is None:  # asked for before the gate has answered: told, not accepted
-        accept(obj, "", "tester", NOW, refused=said.append)
+        accept(obj, "", "tester", refused=said.append)
         wait_until(lambda: said, "it is told to whoever asked")
         assert isinstance(said[0], UnseenWarningsError)
     report = judged(obj)
     assert report.severity == Severity.WARNING
     with pytest.raises(UnseenWarningsError, match=r"1 warning.*Press Y again"):
-        accept(obj, "", "tester", NOW)
+        accept(obj, "", "tester")
     assert obj.document.review.state != "accepted"
 
     # What was seen of other joints doesn't count.
     obj.do(cmd.SetJoint(replace(DOOR, origin=(-0.279, -0.003, 0.2))), "tester")
     judged(obj)
     with pytest.raises(UnseenWarningsError):
-        accept(obj, "", "tester", NOW, seen=report)
-    accept(obj, "", "tester", NOW, seen=obj.validation.report)
+        accept(obj, "", "tester", seen=report)
+    accept(obj, "", "tester", seen=obj.validation.report)
     wait_until(
         lambda: obj.document.review.state == "accepted" and "save" not in obj.busy, "accepted"
     )
@@ -191,7 +190,7 @@ def test_what_another_person_decided_meanwhile_is_not_overruled(cupboard: OpenOb
     elsewhere = LiveSession(store, obj.record.id)  # as of another server
     busy = obj.services.workers.saving.submit(time.sleep, 0.5, priority=9)
     wait_until(lambda: busy.state == "running", "saving is held up")
-    accept(obj, "", "tester", NOW, refused=said.append)
+    accept(obj, "", "tester", refused=said.append)
     elsewhere.do(cmd.Reject("axis"), "rob")
     store.close()
     wait_until(lambda: said, "it is told")
@@ -208,7 +207,7 @@ def test_what_another_person_decided_meanwhile_is_not_overruled(cupboard: OpenOb
         wait_until(lambda busy=busy: busy.state == "running", "the gate is held up")
         obj.do(cmd.SetJoint(replace(DOOR, upper=upper)), "tester")
         assert obj.validation.report is None
-        accept(obj, "", "tester", NOW, refused=said.append)
+        accept(obj, "", "tester", refused=said.append)
         obj.do(meanwhile, "rob")
         wait_until(lambda: said or obj.document.review.state == "accepted", "it is told")
         assert said and told in str(said[0])
@@ -226,13 +225,13 @@ def test_what_the_predictor_does_not_believe_is_not_accepted_unseen(cupboard: Op
     assert report.severity == Severity.WARNING  # though nothing is in its way
     assert report is obj.validation.report
     with pytest.raises(UnseenWarningsError, match="Low confidence"):
-        accept(obj, "", "tester", NOW)
+        accept(obj, "", "tester")
     # What a person settled is nobody's guess any more.
     obj.do(cmd.LockJoint("link_1", True), "tester")
     assert judged(obj).severity == Severity.OK
     obj.do(cmd.LockJoint("link_1", False), "tester")
     assert judged(obj).severity == Severity.WARNING
-    accept(obj, "", "tester", NOW, seen=obj.validation.report)
+    accept(obj, "", "tester", seen=obj.validation.report)
     wait_until(
         lambda: obj.document.review.state == "accepted" and "save" not in obj.busy, "accepted"
     )
@@ -301,7 +300,7 @@ def test_what_was_said_while_the_joints_were_being_judged_is_kept(
         wait_until(lambda held=held: held.state == "running", "judging is held up")
         obj.do(cmd.SetJoint(replace(DOOR, axis=(0, 0, 1), upper=upper)), "tester")
         refused.clear()
-        accept(obj, "seen in person", "tester", NOW, reason, refused=refused.append)
+        accept(obj, "seen in person", "tester", reason, refused=refused.append)
         kept = PendingAcceptance(obj.state.seq, "seen in person", reason)
         assert app_state.store.pending_acceptances() == {obj.record.id: kept}
         held.cancel()
@@ -326,7 +325,7 @@ def test_what_the_gate_holds_back_after_a_person_went_on_waits_for_another_look(
     wait_until(lambda: held.state == "running", "judging is held up")
     obj.do(cmd.SetJoint(replace(DOOR, axis=(0, 0, 1), upper=1.02)), "tester")
     told.clear()
-    accept(obj, "seen in person", "ann", NOW)
+    accept(obj, "seen in person", "ann")
     record = app_state.store.object(obj.record.id)
     assert (
         told
@@ -334,7 +333,7 @@ def test_what_the_gate_holds_back_after_a_person_went_on_waits_for_another_look(
         and app_state.is_accepting(record.id)
         and obj.in_use
     )
-    accept(obj, "", "rob", NOW)  # in another tab: what the first one typed stays
+    accept(obj, "", "rob")  # in another tab: what the first one typed stays
     assert app_state.store.pending_acceptances()[record.id].comment == "seen in person"
     held.cancel()
     why = wait_until(lambda: app_state.on_hold(record), "it is held back")
@@ -357,7 +356,7 @@ def test_what_the_gate_holds_back_after_a_person_went_on_waits_for_another_look(
     obj.do(cmd.SetJoint(replace(DOOR, axis=(0, 0, 1), upper=1.01)), "tester")
     assert not obj.hold_reason and not app_state.on_hold(app_state.store.object(record.id))
     judged(obj)
-    accept(obj, "", "ann", NOW, "it gives way")
+    accept(obj, "", "ann", "it gives way")
     wait_until(lambda: obj.document.review.state == "accepted" and not obj.jobs, "accepted")
     wait_until(lambda: not app_state.store.pending_acceptances(), "it is over")
 
@@ -373,7 +372,7 @@ def test_a_wish_hears_at_once_that_the_joints_changed(
     wait_until(lambda: held.state == "running", "judging is held up")
     obj.do(cmd.SetJoint(replace(DOOR, upper=0.97)), "tester")
     said: list[CommandError] = []
-    accept(obj, "", "ann", NOW, refused=said.append)
+    accept(obj, "", "ann", refused=said.append)
     assert not said and obj.validation.acceptance_waits
     obj.do(cmd.SetJoint(replace(DOOR, upper=0.96)), "rob")
     wait_until(lambda: said, "it is told")
@@ -397,7 +396,7 @@ def test_a_wish_can_be_taken_back(cupboard: OpenObject, app_state: AppState) -> 
     held = app_state.workers.prediction.submit(time.sleep, 600.0, priority=99)
     wait_until(lambda: held.state == "running", "judging is held up")
     obj.do(cmd.SetJoint(replace(DOOR, upper=0.94)), "tester")
-    accept(obj, "seen in person", "ann", NOW)
+    accept(obj, "seen in person", "ann")
     assert app_state.is_accepting(obj.record.id) and app_state.store.pending_acceptances()
     # Another object is on the screen by the time that it is read.
     waits = f"{obj.record.name}: when the checks pass"
@@ -421,7 +420,7 @@ def test_what_could_not_be_judged_is_not_accepted_unseen(
     wait_until(lambda: held.state == "running", "judging is held up")
     obj.do(cmd.SetJoint(replace(DOOR, upper=0.95)), "tester")
     wait_until(lambda: "check" in obj.jobs, "the gate is asked")
-    accept(obj, "", "ann", NOW)
+    accept(obj, "", "ann")
     obj.validation.failed("its process ended")
     assert "checks failed: its process ended" in obj.hold_reason
     assert obj.document.review.state != "accepted" and "save" not in obj.jobs
@@ -441,7 +440,7 @@ def test_what_a_server_was_accepting_when_it_ended_is_told_at_the_next_start(
     judged(obj)
     held = before.workers.saving.submit(time.sleep, 600.0, priority=9)
     wait_until(lambda: held.state == "running", "saving is held up")
-    accept(obj, "hinge seen in person", "tester", NOW, "it gives way")
+    accept(obj, "hinge seen in person", "tester", "it gives way")
     wait_until(lambda: "save" in obj.busy, "it is being saved")
     before.close()
     source = [Path(obj.record.path)]
@@ -459,7 +458,7 @@ def test_what_a_server_was_accepting_when_it_ended_is_told_at_the_next_start(
             again.state.seq, "hinge seen in person", "it gives way"
         )
         assert any(n[0] == "Not accepted yet" and "Press Y to accept" in n[1] for n in notes)
-        accept(again, "", "tester", NOW)
+        accept(again, "", "tester")
         wait_until(lambda: again.document.review.state == "accepted" and not again.jobs, "accepted")
         wait_until(lambda: not state.store.pending_acceptances(), "nothing is pending")
         assert not again.interrupted

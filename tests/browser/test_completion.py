@@ -44,11 +44,10 @@ def test_a_scan_is_completed_where_it_is_checked(start: Any, open_tab: Any, tmp_
 
     def accepted() -> dict:
         wait_until(lambda: tab.object.validation.report, "the checks")
-        who, at = "tester", "2026-01-01T00:00:00+00:00"
         from app.server.accepting import accept
 
         before = tab.document.saved
-        accept(tab.object, "", who, at, "fine", seen=tab.object.validation.report)
+        accept(tab.object, "", "tester", "fine", seen=tab.object.validation.report)
         saved = wait_until(lambda: tab.document.saved is not before and tab.document.saved, "saved")
         return read_provenance(Path(saved.folder))["asset"]
 

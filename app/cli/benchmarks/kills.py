@@ -24,7 +24,7 @@ from model.core.errors import ArtiworldError
 from model.core.progress import Progress
 from model.io.assets.reader import load_object
 from sessions.commands import NamePart
-from sessions.store import Store, now
+from sessions.store import Store
 
 MOST_DECISIONS = 9
 """Before a kill; three are an object."""
@@ -114,7 +114,7 @@ def work(workspace: str, name: str) -> None:
         obj.do(NamePart(1, f"door {name} {number}"), "ann")
         print("named", object_id, f"door {name} {number}", flush=True)
         report = _wait_for(lambda obj=obj: obj.validation.report)
-        accept(obj, "", "ann", now(), "as it is", seen=report)
+        accept(obj, "", "ann", "as it is", seen=report)
         _wait_for(lambda obj=obj: obj.document.saved)
         print("accepted", object_id, flush=True)
 

@@ -156,7 +156,7 @@ def document_json(state: SessionState) -> dict[str, Any]:
         "prediction_stale": doc.prediction_stale,
         "review": codec.write(review),
         "comments": [codec.write(c) for c in doc.comments],
-        "saved": doc.saved is not None,
+        "saved": doc.saved is not None and review.state == "accepted",
     }
 
 

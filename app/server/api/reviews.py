@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import datetime
 from typing import Any
 
 from fastapi import APIRouter, HTTPException
@@ -95,10 +94,12 @@ def submit(object_id: int, body: CommentBody, person: Annotator, state: State) -
     """Hand an object in for review, once the checks that the project requires found nothing."""
     if state.store.project.settings.required:
         obj = opened(state, object_id)
-        check = obj.validation
+        asked, check = obj.live.refresh(), obj.validation
         wait(lambda: obj.document.tree is None or bool(check.report or check.problem))
         if refusal := check.required_problem():
             raise CommandError(refusal)
+        command = Submit(body.comment)
+        return document_json(obj.live.do(command, person.name, role=person.role, since=asked))
     return decide(state, object_id, Submit(body.comment), person)
 
 
@@ -108,13 +109,13 @@ def accept_object(
 ) -> dict[str, Any]:
     """Accept an object; its asset is written and read back first."""
     obj = opened(state, object_id)
-    obj.live.refresh()  # it may have been submitted at another server just now
+    asked = obj.live.refresh()  # it may have been submitted at another server just now
     wait(lambda: obj.validation.report is not None or bool(obj.validation.problem))
     seen = obj.validation.report if body.warnings_seen else None
     refused: list[CommandError] = []
-    at = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
     accept(
-        obj, body.comment, person.name, at, body.override, seen=seen, refused=refused.append
+        obj, body.comment, person.name, body.override, seen=seen, refused=refused.append,
+        state=asked,
     )  # fmt: skip
     try:
         wait(lambda: bool(refused) or acceptance_over(obj))

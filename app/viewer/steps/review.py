@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import datetime
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -124,7 +123,6 @@ class ReviewStep:
         tab, selection = self._tab, self._tab.selection
         self._rejecting.cancel()
         selection.set_step("Review")  # where a reason is asked for, and the next object follows
-        now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
         obj = selection.need_object()
         if tab.submits:
             self._submit(obj)
@@ -139,7 +137,7 @@ class ReviewStep:
         try:
             with self._deciding():
                 accept(
-                    obj, self.comment_text, tab.user, now, self.override_text,
+                    obj, self.comment_text, tab.user, self.override_text,
                     seen=self.validation_list.looked_at(obj), refused=refused,
                 )  # fmt: skip
         except UnseenWarningsError as error:
@@ -147,12 +145,12 @@ class ReviewStep:
 
     def _submit(self, obj: OpenObject) -> None:
         """Hand the object in for review."""
-        tab = self._tab
-        problems = (*review_problems(obj.document), obj.validation.required_problem())
+        tab, state = self._tab, obj.state
+        problems = (*review_problems(state.present), obj.validation.required_problem())
         if any(problems):
             raise CommandError("; ".join(filter(None, problems)))
         with self._deciding():
-            tab.do(cmd.Submit(self.comment_text))
+            obj.live.do(cmd.Submit(self.comment_text), tab.user, since=state)
         self._clear()
         name = self._actions.name_of(obj.record)
         tab.notify(words.SUBMITTED, words.to_reviewer(name), "green", elsewhere=True)
@@ -307,11 +305,12 @@ class ReviewStep:
         put(self._accept, "color", "yellow" if broken else "green")
         put(self._accept, "disabled", doc.tree is None or "save" in obj.busy)
         put(self._accept, "visible", doc.review.state != "accepted")
-        put(self._download, "visible", doc.saved is not None)
-        put(self._export, "visible", doc.saved is not None)
-        put(self._saved, "visible", doc.saved is not None)
-        if doc.saved is not None:
-            put(self._saved, "content", words.saved_in(plain(doc.saved.folder, 200)))
+        saved = doc.saved if doc.review.state == "accepted" else None
+        put(self._download, "visible", saved is not None)
+        put(self._export, "visible", saved is not None)
+        put(self._saved, "visible", saved is not None)
+        if saved is not None:
+            put(self._saved, "content", words.saved_in(plain(saved.folder, 200)))
 
     def _advance(self, obj: OpenObject, *, decided: bool, saving: bool) -> None:
         """Go to the next object once the decision of this tab is made."""
