@@ -1,1 +1,1 @@
-"""What people see: the browser screens, the HTTP guard, the command line, the worker processes."""
+"""User-facing code: browser screens, HTTP guard, command line, worker processes."""

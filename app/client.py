@@ -196,7 +196,7 @@ class Client:
 
 
 def is_genuine(secret: str, header: str, payload: bytes, now: float | None = None) -> bool:
-    """Whether a webhook's message comes from the server, and is new.
+    """Return whether a webhook's message is recent and comes from the server.
 
     Args:
         secret: of the webhook.

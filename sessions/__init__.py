@@ -1,1 +1,1 @@
-"""What people decide: commands, session state, review, and the store that keeps them."""
+"""Decisions of people: commands, session state, review, and the store that keeps them."""

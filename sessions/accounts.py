@@ -63,7 +63,7 @@ class Accounts:
         self._database = database
 
     def in_use(self) -> bool:
-        """Whether people have to log in."""
+        """True if people have to log in."""
         with self._database.reading() as connection:
             return in_use(connection)
 
@@ -204,7 +204,7 @@ def name_key(name: str) -> str:
 
 
 def in_use(connection: Connection) -> bool:
-    """Whether an account was ever added or invited."""
+    """True if an account was ever added or invited."""
     known = select(accounts.c.id).where(accounts.c.status != "unclaimed").limit(1)
     return connection.execute(known).first() is not None
 

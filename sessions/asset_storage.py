@@ -1,4 +1,4 @@
-"""Where accepted assets and releases lie: folders of the workspace, or object storage beside them.
+"""Storage of accepted assets and releases: folders of the workspace, or object storage.
 
 On object storage an asset is a folder of files below ``assets/NAME/VERSION``; the small object
 ``assets/NAME/current`` names the version that counts, so that nobody reads half an asset. The
@@ -136,7 +136,7 @@ class AssetStorage:
         return here[0] if here else None
 
     def has(self, saved: SavedRecord | None) -> bool:
-        """Whether an asset is likely there, without asking the storage."""
+        """True if an asset is likely there, without asking the storage."""
         return saved is not None and (
             self._files is not None
             or Path(saved.folder).is_dir()

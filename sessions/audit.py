@@ -1,4 +1,4 @@
-"""What happened to accounts: a table that is only ever appended to.
+"""Audit log of accounts: a table that is only ever appended to.
 
 Decisions about objects aren't repeated here: the commands say who gave them and when.
 """

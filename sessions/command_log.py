@@ -42,7 +42,7 @@ class LoggedCommand:
 
 @dataclass(frozen=True)
 class LoggedObject:
-    """What is known of an object now: its name, category ("" for none) and review state."""
+    """Present name, category ("" for none) and review state of an object."""
 
     name: str
     category: str

@@ -53,8 +53,8 @@ class AddRegion:
         part: the part they belong to.
         elements: reference of the stored (K,) int64 array.
         positive: False where they don't belong to the part.
-        count: K, for people.
-        tool: what they were chosen with, for people.
+        count: K, for display.
+        tool: display name of the tool that chose them.
     """
 
     part: int
@@ -168,7 +168,7 @@ class Prepare:
         unit_scale: metres per unit of the source.
         frame: the object's frame in that of the source as it is read.
         leave_out: what is left out from now on.
-        what: was changed, for people.
+        what: human-readable summary of the change.
     """
 
     unit_scale: float
@@ -266,7 +266,7 @@ class LockJoint:
 
 @dataclass(frozen=True)
 class SetCompletion:
-    """Whether what a scan doesn't show is made up in the asset."""
+    """Turn the completion of unscanned geometry in the asset on or off."""
 
     complete: bool
 
@@ -276,7 +276,7 @@ class Accept:
     """Accept the object.
 
     Attributes:
-        comment: for people.
+        comment: human-readable.
         note_problems: the known warnings and errors.
         override: reason for accepting it despite errors, else "".
         decided_at: when the decision about a whole scene was made that this carries out, else "".
@@ -349,7 +349,7 @@ class AddComment:
     """A comment of a reviewer, for the annotator to deal with.
 
     Attributes:
-        text: for people.
+        text: human-readable.
         joint, place: what it is about; see :class:`Reject`.
     """
 

@@ -1,4 +1,4 @@
-"""What proves an account: browser sessions and tokens for scripts. Both can be revoked."""
+"""Credentials of accounts: browser sessions and tokens for scripts. Both can be revoked."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Token:
 
 @dataclass(frozen=True)
 class Person:
-    """Who asks for something, and what they may do with what they proved it with.
+    """Current user, and the permissions of the credentials in use.
 
     Attributes:
         account: None where nobody has to log in.

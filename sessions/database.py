@@ -131,7 +131,7 @@ class Database:
 
     @contextmanager
     def translated(self) -> Iterator[None]:
-        """Turn the driver's errors into errors for people."""
+        """Turn the driver's errors into readable ones."""
         try:
             yield
         except (exc.DBAPIError, sqlite3.Error) as error:

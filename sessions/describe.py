@@ -1,4 +1,4 @@
-"""Descriptions of commands for people."""
+"""Human-readable descriptions of commands."""
 
 from __future__ import annotations
 

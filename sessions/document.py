@@ -168,7 +168,7 @@ class CommentRecord:
 
     Attributes:
         number: from 1, in the order in which they were given.
-        text: for people.
+        text: human-readable.
         joint, place: what it is about; see :class:`~sessions.commands.Reject`.
         by, at: author and time (ISO 8601, UTC).
         done: whether the annotator dealt with it.
@@ -212,7 +212,7 @@ class Document:
         articulable: of a scene: object id → whether it is articulable, where a person decided.
         decided: of a scene: the decisions about its objects, in order.
         picked: of a scene: objects that were picked out of others, in order.
-        complete: whether what a scan doesn't show is made up in the asset; None: it isn't.
+        complete: whether unscanned geometry is completed in the asset; None: it isn't.
         comments: of reviewers, in order.
     """
 
@@ -250,14 +250,14 @@ class Document:
 
     @property
     def segmentation_current(self) -> bool:
-        """Whether the labels belong to the present prompts. True without either."""
+        """True if the labels belong to the present prompts. True without either."""
         if self.segmentation is None:
             return not self.prompts
         return self.segmentation.prompts_key == self.key
 
     @property
     def prediction_stale(self) -> bool:
-        """Whether the labels changed since the tree was predicted."""
+        """True if the labels changed since the tree was predicted."""
         if self.tree is None:
             return False
         if self.segmentation is None or not self.segmentation_current:
@@ -318,9 +318,8 @@ class Document:
         return tuple(j for j in self.tree.joints if j.child in self.locked)
 
     def likely_joints(self, joint: Joint) -> tuple[Joint, ...]:
-        """What the prediction finds likely for one of the tree's joints, likeliest first, on the
-        present parent. Nothing where helper links take part: their joints belong together.
-        """
+        """Joints that the prediction finds likely in place of one of the tree's, likeliest first,
+        on the present parent. Empty where helper links take part: their joints belong together."""
         if self.prediction is None or not (holds_part(joint.parent) and holds_part(joint.child)):
             return ()
         return tuple(replace(j, parent=joint.parent) for j in self.prediction.likely(joint.child))

@@ -1,4 +1,4 @@
-"""How long jobs for objects took: one line of JSON each, in ``jobs.jsonl`` of the workspace.
+"""Durations of jobs for objects: one line of JSON each, in ``jobs.jsonl`` of the workspace.
 
 The command log holds what people decided; this file holds what they waited for, such as the reading
 of a file, which is no decision. Lines are only ever appended; several servers may do so.
@@ -53,7 +53,7 @@ class TimedJob:
 
 
 def counts(kind: str, seconds: float) -> bool:
-    """Whether a job is kept: all of :data:`KINDS` but the answers to clicks that came at once."""
+    """True if a job is kept: all of :data:`KINDS` but the answers to clicks that came at once."""
     return kind in KINDS and (seconds >= LEAST or kind not in (PICK, "segment"))
 
 

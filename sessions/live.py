@@ -58,7 +58,7 @@ class LiveSession:
         return self.state.present
 
     def issued_here(self, seq: int) -> bool:
-        """Whether the command with that number was given in this process, since it was opened."""
+        """True if the command with that number was given in this process, since it was opened."""
         with self._lock:
             return seq in self._issued_here
 

@@ -43,7 +43,7 @@ def hash_password(password: str) -> str:
 
 
 def is_password(stored: str | None, password: str) -> bool:
-    """Whether ``password`` belongs to the stored hash; None takes the same work and is False."""
+    """True if ``password`` belongs to the stored hash; None takes the same work and is False."""
     with _slots:
         dummy = dummy_hash()  # here, so that the first question of either kind makes it
         try:

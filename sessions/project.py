@@ -39,7 +39,7 @@ class Day:
 
 @dataclass(frozen=True)
 class Overview:
-    """What the project page shows.
+    """Figures of the project page.
 
     Attributes:
         states: review state → number of objects.

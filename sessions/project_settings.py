@@ -1,4 +1,4 @@
-"""What a manager sets for all who work on a project: instructions, labels, checks, export."""
+"""Project settings for all who work on it: instructions, labels, checks, export."""
 
 from __future__ import annotations
 
@@ -113,11 +113,11 @@ class ProjectSettings:
         return tuple(dict.fromkeys(n for label in mine or self.labels for n in label.parts))
 
     def knows_category(self, category: str) -> bool:
-        """Whether a category may be used."""
+        """True if a category may be used."""
         return not self.strict or any(_same(c, category) for c in self.categories)
 
     def knows_part(self, name: str, category: str | None) -> bool:
-        """Whether a part of such an object may have that name."""
+        """True if a part of such an object may have that name."""
         names = self.part_names(category)
         return not self.strict or not names or any(_same(n, name) for n in names)
 
@@ -225,5 +225,5 @@ def _clean(label: Label) -> Label:
 
 
 def _same(one: str, other: str | None) -> bool:
-    """Whether two names are alike: "washing machine" is WashingMachine."""
+    """True if two names are alike: "washing machine" is WashingMachine."""
     return one.replace(" ", "").casefold() == (other or "").replace(" ", "").casefold()

@@ -38,7 +38,7 @@ from sessions.tool_commands import ApplyTool, ObjectFrame
 
 FORMAT = 1
 MASKS = "masks "
-"""What the tool that took parts from masks is called, before the file."""
+"""Name of the tool that took parts from masks, before the file."""
 
 _JOINT_EDITS = (SetJoint, SetComposite, SetRoot, ResetJoint, LockJoint)
 
@@ -197,7 +197,7 @@ def _edits(kept: list[Entry]) -> list[dict[str, Any]]:
 
 
 def _people(kept: list[Entry]) -> list[dict[str, Any]]:
-    """Everybody who decided something, first come first, with the number of their decisions."""
+    """Contributors, earliest first, with the number of their decisions."""
     counts: dict[str, int] = {}
     for e in kept:
         if not isinstance(e.command, (RecordSegmentation, Saved, Placed)):

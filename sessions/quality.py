@@ -84,7 +84,7 @@ def plant(
     Args:
         share: of all objects that is to be annotated twice, 0..1.
         honeypots: number of accepted objects whose asset is taken as the ground truth.
-        seed: of the choice.
+        seed: random seed.
 
     Raises:
         StoreError: where fewer objects are accepted than there are to be honeypots.
@@ -176,6 +176,6 @@ def daily_sample(
 
 
 def _queued(workspace: Path, path: Path) -> bool:
-    """Whether a file is there and not the working file of a scene."""
+    """True if a file exists and isn't the working file of a scene."""
     inside = path.parts[len(workspace.parts) :] if path.is_relative_to(workspace) else (UPLOADS,)
     return inside[0] in (UPLOADS, "crops") and path.exists()

@@ -18,7 +18,7 @@ class ObjectRecord:
     Attributes:
         id: in this workspace.
         path: the source, absolute.
-        name: short, for people.
+        name: short display name.
         sha256: of the source when it was opened first, None where it wasn't read yet.
         state: see :mod:`sessions.review`.
         prompts, parts: how many.

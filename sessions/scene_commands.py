@@ -76,10 +76,10 @@ class PickOut:
     Attributes:
         object: the object's id in the scene.
         id: of the new object, which no other has.
-        name: what it is, in people's words.
+        name: display name.
         path: file of the new object.
         rest: file of the rest of the old one.
-        count: elements of the new one, for people.
+        count: elements of the new one, for display.
         position, wxyz: pose of the new file's origin in the scene; metres, a unit quaternion.
         rest_position, rest_wxyz: of the rest's.
     """

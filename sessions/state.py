@@ -46,22 +46,22 @@ class SessionState:
 
     @property
     def can_undo(self) -> bool:
-        """Whether there is a step to undo."""
+        """True if there is a step to undo."""
         return bool(self.past)
 
     @property
     def can_redo(self) -> bool:
-        """Whether there is a step to redo."""
+        """True if there is a step to redo."""
         return bool(self.future)
 
     @property
     def undo_label(self) -> str:
-        """What undo takes back, as "Undo: add click, part 1"; "" where there is nothing."""
+        """Label of undo, as "Undo: add click, part 1"; "" where there is nothing."""
         return f"Undo: {self.present.label}" if self.past else ""
 
     @property
     def redo_label(self) -> str:
-        """What redo brings back, as "Redo: add click, part 1"; "" where there is nothing."""
+        """Label of redo, as "Redo: add click, part 1"; "" where there is nothing."""
         return f"Redo: {self.future[-1].label}" if self.future else ""
 
 

@@ -128,7 +128,7 @@ class Figures:
         return self.active / self.accepted if self.accepted else math.nan
 
     def cost(self, hourly: float) -> float:
-        """Of the active time, in the currency of ``hourly``."""
+        """Cost of the active time, in the currency of ``hourly``."""
         return self.active / 3600 * hourly
 
     def to_json(self, hourly: float | None = None) -> dict[str, Any]:
@@ -223,7 +223,7 @@ class _Jobs:
         self._used: set[TimedJob] = set()
 
     def in_bulk(self, command: LoggedCommand) -> bool:
-        """Whether a bulk action gave the command."""
+        """True if a bulk action gave the command."""
         return any(j.at <= command.at <= j.end for j in self._by[command.object, BULK])
 
     def asked(self, command: LoggedCommand) -> float:
@@ -317,7 +317,7 @@ def _key(log: WorkLog, by: str) -> Callable[[Act], str]:
 
 
 def duration(seconds: float) -> str:
-    """A time for people: hours and minutes, minutes and seconds, or seconds."""
+    """Readable duration: hours and minutes, minutes and seconds, or seconds."""
     whole = round(seconds)
     if whole >= 3600:
         return f"{whole // 3600} h {whole % 3600 // 60:02} min"

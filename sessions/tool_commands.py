@@ -34,7 +34,7 @@ class ToolRegion:
         part: the part; it is added where it isn't there.
         elements: reference of the stored (K,) int64 array.
         positive: False where they don't belong to the part.
-        count: K, for people.
+        count: K, for display.
         name: of the part, where it is new.
         like: where it is new, the part of which it is another one.
     """
@@ -60,7 +60,7 @@ class ApplyTool:
     """The changes of one use of a tool, as one step.
 
     Attributes:
-        tool: which one, for people: cut, merge, split, mirror, same shape, …
+        tool: display name: cut, merge, split, mirror, same shape, …
         regions: gains and losses of the parts, in order.
         replaces: how many of the last prompts these regions take the place of.
         delete: parts that are gone after it.
@@ -106,7 +106,7 @@ class CutFaces:
     So regions of the present parts, by the new numbers, replace the prompts.
 
     Attributes:
-        tool: which one, for people: cut, rectangle.
+        tool: display name: cut, rectangle.
         cut: the split faces.
         regions: what each part holds afterwards.
     """
@@ -163,8 +163,8 @@ class LeaveOut:
     Attributes:
         elements: reference of the stored (K,) int64 elements of the whole source; None: nothing is
             left out.
-        count: K, for people.
-        what: what they are, for people.
+        count: K, for display.
+        what: human-readable kind of the elements.
     """
 
     elements: str | None
@@ -186,7 +186,7 @@ class CropOut:
         name: of the new object.
         path: its file.
         elements: reference of the stored (K,) int64 elements of the whole source.
-        count: K, for people.
+        count: K, for display.
         position: (3,) metres, where the new object's origin lies in this scan's frame.
         wxyz: its orientation there, a unit quaternion.
     """

@@ -52,7 +52,7 @@ def with_chain_of(tree: KinematicTree, other: KinematicTree, child: str) -> Kine
 
 
 def holds_part(link: str) -> bool:
-    """Whether a session's link holds a part; the others are helpers."""
+    """True if a session's link holds a part; the others are helpers."""
     return link.startswith("link_")
 
 

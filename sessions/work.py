@@ -1,4 +1,4 @@
-"""Who works on what: assignments, leases, and who is there now.
+"""Assignments and leases of objects, and presence of people.
 
 A person who decides something about an object leases it, or asks for the next one; others who
 annotate can't change it then. The lease ends some time after the last decision, or when the person

@@ -108,6 +108,6 @@ def _outcome(function: Callable[[Any], T], numbered: _Numbered) -> tuple[T | Exc
 
 
 def error_text(error: Exception) -> str:
-    """A failed task's message; faults of ours are named by their type."""
+    """Message of a failed task; internal errors are named by their type."""
     kind = "" if isinstance(error, ArtiworldError) else f"{type(error).__name__}: "
     return f"{kind}{error}"

@@ -38,13 +38,13 @@ class Command:
 
 @dataclass(frozen=True)
 class Option:
-    """How a field is shown and read.
+    """Help text and parsing of a field.
 
     Attributes:
-        help: one line; the default is appended to it.
+        help: one line; the default is appended.
         metavar: stands for the value.
-        flag: where it isn't made of the field's name; "" for a positional argument.
-        parse: makes the value of a word and raises ValueError; its ``__name__`` is shown then.
+        flag: option name, unless it is that of the field; "" for a positional argument.
+        parse: converts a word to the value; raises ValueError, which shows its ``__name__``.
         repeat: whether the option may be repeated; the field is a tuple.
         nargs: "+" or "*" for several words; the field is a tuple.
         negatable: whether a flag has a ``--no-`` form.

@@ -90,7 +90,7 @@ def to_json(checks: list[Check]) -> dict[str, Any]:
 
 
 def check_packages() -> Iterator[Check]:
-    """Whether the packages that are needed are installed, and in a version that fits."""
+    """Check that the required packages are installed, in versions that fit."""
     try:
         needed = requires("artiworld") or []
         yield Check("artiworld", "fine", version("artiworld"))
@@ -149,7 +149,7 @@ def check_torch() -> Check:
 
 
 def check_plugins() -> Iterator[Check]:
-    """Whether each predictor and segmenter loads."""
+    """Check that each predictor, segmenter and scene reader loads."""
     for kind, names, load in (
         ("predictor", predictor_names(), load_predictor),
         ("segmenter", segmenter_names(), load_segmenter),
@@ -205,7 +205,7 @@ def _workspace(workspace: Path) -> Check:
 
 
 def check_database(workspace: Path, url: str | None) -> Check:
-    """Whether the database can be read; nothing is written."""
+    """Check that the database can be read; writes nothing."""
     file = workspace / "artiworld.db"
     none_yet = Check("database", "fine", f"none yet; a new one gets format {FORMAT}")
     if url is None and not file.exists():
@@ -231,7 +231,7 @@ def check_database(workspace: Path, url: str | None) -> Check:
 
 
 def check_port(port: int) -> Check:
-    """Whether the server could listen on ``port``."""
+    """Check that the server could listen on ``port``."""
     try:
         check_address("127.0.0.1", port)
     except ArtiworldError as error:

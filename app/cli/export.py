@@ -59,7 +59,7 @@ def export(options: ExportCommand) -> int:
 
 
 def _is_collection(paths: Iterable[Path]) -> bool:
-    """Whether a folder of assets was given, even where it holds one."""
+    """True if a path is a folder of assets, even of only one."""
     return any(p.is_dir() and not any((p / name).is_file() for name in ASSET_FILES) for p in paths)
 
 

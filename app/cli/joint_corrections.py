@@ -120,7 +120,7 @@ class JointCorrector:
 
 
 def _nearer(a: Joint, turned: Joint, b: Joint, joint: Joint) -> bool:
-    """Whether turning the joint corrects more limits than it costs commands."""
+    """True if turning the joint corrects more limits than it costs commands."""
 
     def differing(true: Joint, found: Joint) -> int:
         ends = ((true.lower, found.lower), (true.upper, found.upper))

@@ -1,7 +1,7 @@
 """The command line: ``artiworld serve | segment | predict | export | …``.
 
-Exit codes: 0; 2 for the user's mistake, with one line on stderr that says what to do; 1 for our own
-fault, with its details in a log file. Nothing heavy is imported before a command needs it.
+Exit codes: 0; 2 for the user's mistake, with one line on stderr that says what to do; 1 for an
+internal error, with its details in a log file. Nothing heavy is imported before a command needs it.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ def _joined_signs(words: Sequence[str]) -> list[str]:
 
 
 def _set_up_logging(level: int, debug: bool) -> None:
-    """Our own messages from ``level`` on; libraries' only from warnings on."""
+    """Log ArtiWorld's messages from ``level`` on, those of libraries from warnings on."""
     logging.basicConfig(
         level=logging.DEBUG if debug else max(level, logging.WARNING),
         format="%(levelname)s %(name)s: %(message)s",

@@ -75,7 +75,7 @@ positive_count.__name__ = "number from 1"
 
 @dataclass(frozen=True, kw_only=True)
 class ReadingOptions:
-    """How geometry files are read."""
+    """Options for reading geometry files."""
 
     up_axis: Literal["x", "y", "z", "-x", "-y", "-z"] | None = option(
         f"up axis of the files, one of {', '.join(UP_AXES)} (default: by format)", "AXIS"

@@ -63,7 +63,7 @@ def predict(
     take long: they are made with ``collision``, or where a URDF declares those of every part.
 
     Args:
-        complete: whether what a scan doesn't show is made up, see
+        complete: whether unscanned geometry is completed, see
             :mod:`model.geometry.completion`.
         up_axis, unit_scale: of the files, as of :func:`model.io.open_asset.read_part_files`.
 
@@ -219,7 +219,7 @@ def predicted_confidence(folder: Path, tree: KinematicTree) -> dict[str, float]:
 
 
 def _same_joint(predicted: dict[str, Any], joint: Joint | None) -> bool:
-    """Whether a joint agrees with ``prediction.json`` within the precision of a URDF."""
+    """True if a joint agrees with ``prediction.json`` within the precision of a URDF."""
     if joint is None or (predicted["type"], predicted["parent"]) != (joint.type, joint.parent):
         return False
     if not joint.moves:

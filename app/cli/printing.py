@@ -1,4 +1,4 @@
-"""Output of the commands: a table for people, or JSON alone."""
+"""Output of the commands: a human-readable table, or JSON alone."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ Result = tuple[Any, Callable[[], object]]
 
 @dataclass(frozen=True)
 class Show:
-    """How a command shows its progress and its result."""
+    """Output of a command's progress and result."""
 
     as_json: bool
     progress: Progress = no_progress

@@ -59,7 +59,7 @@ class AnnotatorConfig:
         points: size of the cloud that is annotated.
         target: IoU at which a part is good enough.
         clicks: most clicks per part, on average over the object.
-        seed: of sampling and predictors.
+        seed: random seed of sampling and predictors.
         timeout: seconds per object.
         limits: tolerances of a correct joint.
     """

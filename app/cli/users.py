@@ -1,4 +1,4 @@
-"""What the commands about accounts do."""
+"""Implementation of the account commands."""
 
 from __future__ import annotations
 

@@ -115,7 +115,7 @@ def _role(obj: OpenObject, command: cmd.Accept, who: str) -> Role:
 
 
 def acceptance_over(obj: OpenObject) -> bool:
-    """Whether an acceptance that began is decided or failed; its job ends a moment before."""
+    """True once an acceptance is decided or has failed; its job ends a moment earlier."""
     if obj.being_accepted:
         return False
     return obj.record.id not in obj.services.store.pending_acceptances()
@@ -133,7 +133,7 @@ def withdraw(obj: OpenObject) -> bool:
 
 
 def _admits(obj: OpenObject, request: AcceptanceRequest, pending: PendingAcceptance) -> bool:
-    """Whether it may be accepted now; False where the request waits for validation.
+    """True if it may be accepted now, False if the request waits for validation.
 
     Raises:
         CommandError: where it may not.

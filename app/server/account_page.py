@@ -1,4 +1,4 @@
-"""The page for people with accounts: log in, accept an invitation, change the password."""
+"""Page for account holders: log in, accept an invitation, change the password."""
 
 from __future__ import annotations
 

@@ -139,27 +139,27 @@ class AppState:
         return record.name if member is None else member.name
 
     def is_saving(self, object_id: int) -> bool:
-        """Whether the asset of an object is being written here, to be accepted then."""
+        """True while the asset of an object is written here, before its acceptance."""
         opened = self._open.get(object_id)
         return opened is not None and "save" in opened.jobs
 
     def is_validating(self, object_id: int) -> bool:
-        """Whether an object is to be accepted as soon as its joints are validated here."""
+        """True while an object's acceptance waits here for the validation of its joints."""
         opened = self._open.get(object_id)
         return opened is not None and opened.validation.acceptance_waits
 
     def is_predicting(self, object_id: int) -> bool:
-        """Whether the joints of an object are being predicted here."""
+        """True while the joints of an object are predicted here."""
         opened = self._open.get(object_id)
         return opened is not None and opened.predicting
 
     def is_accepting(self, object_id: int) -> bool:
-        """Whether an acceptance of an object is under way here."""
+        """True while an object is being accepted here."""
         return self.is_validating(object_id) or self.is_saving(object_id)
 
     def was_interrupted(self, record: ObjectRecord) -> bool:
-        """Whether an acceptance of the present object was begun before this server started and
-        isn't decided: its server ended, or still works on it."""
+        """True if an acceptance of the present object began before this server started and is
+        undecided: its server ended, or still works on it."""
         pending = self.acceptances.of(record)
         return pending is not None and not pending.hold_reason
 

@@ -178,7 +178,7 @@ class BulkWork:
         self._services.queue.changed()
 
     def _within(self, share: float, _: str) -> None:
-        """How far the object at hand is, 0..1."""
+        """Update the progress by ``share`` of the present object, 0..1."""
         if self.progress is not None:
             count, total = self._place
             self.progress = (count + share) / total, self.progress[1]

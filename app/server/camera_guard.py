@@ -10,7 +10,7 @@ import numpy as np
 from viser import _messages, infra
 
 MOST_PIXELS = 100_000
-"""Of a picture's side."""
+"""Longest side of a picture."""
 _FARTHEST = 1e9  # metres, as for what a file may say of a point
 _VECTORS = {"wxyz": 4, "position": 3, "look_at": 3, "up_direction": 3}
 

@@ -84,7 +84,7 @@ def error_of(name: str, described: dict[str, Any]) -> Exception:
 
 
 def death(code: int | None) -> str:
-    """Return how a process ended, for people."""
+    """Return a human-readable description of how a process ended."""
     if code is None or code >= 0:
         return f"exited (code {code})"
     name = signal.Signals(-code).name

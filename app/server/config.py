@@ -41,7 +41,7 @@ class ServeConfig:
         max_upload_mb: largest upload from a browser.
         segmenter, predictor: names of the segmenter and the predictor.
         allowed_origins: other addresses of the server behind a proxy.
-        trusted_proxies: addresses or networks of proxies, whose word on who asks counts.
+        trusted_proxies: addresses or networks of proxies whose X-Forwarded-For is trusted.
         scene: a scene to open instead of single objects.
         assets: folders of its assets.
         masks: masks of another system, from which the one path starts.

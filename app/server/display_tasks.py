@@ -30,7 +30,7 @@ from sessions.text import clipped
 HEAVY_ELEMENTS = 150_000
 """More than the browser shows; ray structures of worse ones take a second in one step."""
 HEAVY_PIXELS = 4096 * 4096
-"""Of textures; to decode more takes over a tenth of a second."""
+"""Pixels of textures; to decode more takes over a tenth of a second."""
 REMOVED_SHOWN = 30_000
 """Points that show what is left out."""
 

@@ -1,4 +1,4 @@
-"""How a server's process ends: soon after SIGINT, SIGTERM or a closed terminal, at any moment."""
+"""End of a server's process: soon after SIGINT, SIGTERM or a closed terminal, at any moment."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Who comes in: by an account, by the server's token, or everybody of this machine.
+"""Admission of visitors: by account, by the server's token, or anybody on this machine.
 
 Accounts take over from the token as soon as there is one, also while the server runs.
 """
@@ -53,7 +53,7 @@ class Entrance:
 
     @property
     def with_accounts(self) -> bool:
-        """Whether people log in by name; never off again, as accounts are never removed."""
+        """True if people log in by name; stays True, as accounts are never removed."""
         if self._people is not None and not self._with_accounts:
             now = time.monotonic()
             if now - self._checked >= CHECK_SECONDS:
@@ -62,7 +62,7 @@ class Entrance:
 
     @property
     def needed(self) -> bool:
-        """Whether a visitor has to prove anything."""
+        """True if a visitor has to authenticate."""
         return self.with_accounts or self._login.needed
 
     def visitor(self, cookies: list[str], port: int) -> Person | None:

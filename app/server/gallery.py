@@ -29,10 +29,10 @@ SORTS: Final[tuple[str, ...]] = (
 
 
 class Gallery:
-    """What the page shows of the queue; its methods may be called on any thread.
+    """Queue data for the page; its methods may be called on any thread.
 
     Args:
-        confidence: gives that of a predicted object, 0..1.
+        confidence: returns that of a predicted object, 0..1.
         shown: gives the state of an object with what runs on it, and why it needs attention.
     """
 
@@ -109,7 +109,7 @@ class Gallery:
         }.get(sort)
 
     def confidence(self, record: ObjectRecord) -> float | None:
-        """Of a prediction that isn't decided, 0..1; None where there is none."""
+        """Confidence of an undecided prediction, 0..1; None if there is none."""
         if record.state != "predicted":
             return None
         return self._confidence(record)
@@ -171,7 +171,7 @@ class Gallery:
                 self._drawn[key] = now, None
 
     def _options(self, record: ObjectRecord) -> ReadOptions:
-        """How the object is read, as far as that shows."""
+        """Reading options of the object, as far as they affect its thumbnail."""
         config = self._services.config
         if not record.seq:
             return ReadOptions(config.up_axis, config.unit_scale)

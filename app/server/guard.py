@@ -352,7 +352,7 @@ class _Guard:
 
 
 def _is_worth_logging(record: logging.LogRecord) -> bool:
-    """Whether to log it: not the incomplete requests of port scanners."""
+    """True unless the record is an incomplete request of a port scanner."""
     return record.getMessage() != "opening handshake failed"
 
 

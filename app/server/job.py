@@ -93,7 +93,7 @@ class Job(Generic[T]):
 
     @property
     def done(self) -> bool:
-        """Whether it has ended: done, failed or cancelled."""
+        """True once it is done, failed or cancelled."""
         return self._ended.is_set()
 
     def result(self, timeout: float | None = None) -> T:

@@ -146,7 +146,7 @@ class WorkerProcess:
 
     @property
     def busy(self) -> bool:
-        """Whether a job is running or queued."""
+        """True while a job is running or queued."""
         with self._lock:
             return bool(self._running or self._queue)
 
@@ -363,7 +363,7 @@ class WorkerProcess:
         job.end("failed", error=WorkerDied(text))
 
     def _requeue(self, job: Job[Any]) -> None:
-        """Queue a job again whose child died, where it is still wanted."""
+        """Queue a job again whose child process died, if it is still requested."""
         with self._lock:
             newer = job._key is not None and job._key in self._of_key
             wanted = job._kill_at is None and not newer

@@ -17,7 +17,7 @@ from model.core.memory import limit_memory, machine_memory
 MEMORY = 0.75
 """Share of the machine's memory for one job that may take much, and for the lanes together."""
 LANE_BYTES = 2 << 30
-"""Of a lane whose caches are full: encodings of 400,000 elements with 3 kB each, and libraries."""
+"""Memory of a lane with full caches: encodings of 400,000 elements, 3 kB each, and libraries."""
 HEAVY_LANES = 2
 """Two people with a heavy object each; more of them share these lanes."""
 
@@ -33,11 +33,11 @@ def in_background(niceness: int) -> None:
 
 
 class LaneUser(Protocol):
-    """What a lane works on: an open object."""
+    """Open object that a lane works on."""
 
     @property
     def in_use(self) -> bool:
-        """Whether a tab shows it, or a job works on it."""
+        """True while a tab shows it, or a job works on it."""
         ...
 
 
@@ -55,7 +55,7 @@ class Lane:
 
     @property
     def busy(self) -> bool:
-        """Whether it has anything to do."""
+        """True while one of its processes is busy."""
         return self.geometry.busy or self.segmentation.busy
 
 

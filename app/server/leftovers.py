@@ -1,4 +1,4 @@
-"""What killed processes left half-written in a workspace, removed when nobody else may be writing.
+"""Removal of files that killed processes left half-written in a workspace.
 
 Each server holds a shared lock on the workspace as long as it runs. One that gets it alone, because
 no other server runs, removes the unfinished files first.
@@ -24,8 +24,8 @@ _UNFINISHED = (
     "assets/.*", "thumbnails/.*", "thumbnails/*.part", "exports/.*", "learned/.*", "releases/.*",
     "storage/.*",
 )  # fmt: skip
-"""Where :func:`~model.core.files.draft_of` keeps what isn't whole yet: beside its place, with a dot
-in front of the name; former versions wrote thumbnails otherwise."""
+"""Names of unfinished drafts of :func:`~model.core.files.draft_of`, a dot before the name, and of
+the thumbnails of former versions."""
 
 
 class WorkspaceLease:

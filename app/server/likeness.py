@@ -19,7 +19,7 @@ MOST = 60
 
 
 class Likeness:
-    """What an open object and the workspace's accepted ones have in common.
+    """Similarity of an open object to the workspace's accepted ones.
 
     Attributes:
         offer: the parts of the most similar one; None where there is none, or not yet.

@@ -67,7 +67,7 @@ class Attempts:
         return sum(now - t < ATTEMPT_SECONDS for t in self._failures.get(key, []))
 
     def guessing(self, key: str) -> bool:
-        """Whether there were so many that even the right one is refused."""
+        """True after so many attempts that even the right secret is refused."""
         return self.recent(key) >= GUESSES
 
     def failed(self, key: str) -> None:
@@ -107,11 +107,11 @@ class Login:
 
     @property
     def needed(self) -> bool:
-        """Whether there is a token."""
+        """True if there is a token."""
         return self._token is not None
 
     def knows(self, cookies: list[str], port: int) -> bool:
-        """Whether one of the ``Cookie`` headers proves an earlier login."""
+        """True if one of the ``Cookie`` headers proves an earlier login."""
         if self._session is None:
             return True
         # Not http.cookies, which stops at the first malformed cookie of another local program.
@@ -163,7 +163,7 @@ def login_page(problem: str = "") -> tuple[bytes, str]:
 
 
 def page_style() -> str:
-    """Return the look of the pages for people who aren't in yet."""
+    """Return the CSS of the pages shown before login."""
     return _STYLE
 
 

@@ -16,7 +16,7 @@ PORTS = range(8080, 8100)
 
 
 def is_loopback(host: str) -> bool:
-    """Whether only this machine can reach ``host``."""
+    """True if only this machine can reach ``host``."""
     if host.lower() == "localhost":
         return True
     try:
@@ -95,7 +95,7 @@ class OncePerMinute(logging.Filter):
         self._last: dict[str, float] = {}
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """Whether to log a record."""
+        """Return whether to log a record."""
         now, kind = time.monotonic(), str(record.msg)[:80]
         if now - self._last.get(kind, -self._seconds) < self._seconds:
             return False

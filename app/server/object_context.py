@@ -1,4 +1,4 @@
-"""What an open object shares with its segmentation and its validation."""
+"""Data that an open object shares with its segmentation and its validation."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class ObjectContext(Observable):
 
     @property
     def predicting(self) -> bool:
-        """Whether a prediction is under way."""
+        """True while a prediction is under way."""
         return "predict" in self.jobs
 
     def need_asset(self) -> OpenedAsset:
@@ -79,7 +79,7 @@ class ObjectContext(Observable):
 
     @property
     def read_options(self) -> ReadOptions:
-        """How the present document has the source read."""
+        """Options for reading the source, from the present document."""
         doc, config = self.document, self.services.config
         return ReadOptions(
             doc.up_axis or config.up_axis,

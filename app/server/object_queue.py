@@ -181,7 +181,7 @@ class ObjectQueue:
 
 
 def _kept(record: ObjectRecord, workspace: Path) -> bool:
-    """Whether somebody uploaded an object, cut it out or decided about it, and it is there."""
+    """True if the file of an uploaded, extracted or decided object still exists."""
     folder = Path(os.path.abspath(workspace))
     if record.path.is_relative_to(folder):  # the rest there belongs to scenes
         wanted = record.path.relative_to(folder).parts[:1] in (("uploads",), ("crops",))

@@ -18,7 +18,7 @@ class Observable:
 
     @property
     def is_shown(self) -> bool:
-        """Whether any tab shows it."""
+        """True while any tab shows it."""
         return bool(self._listeners)
 
     def watch(self, listener: Listener, notice: Notice) -> Callable[[], None]:

@@ -28,8 +28,8 @@ ALGORITHMS = ("RS256", "RS384", "RS512", "PS256", "PS384", "PS512", "ES256", "ES
 SECONDS = 10.0
 """Longest wait for an answer of the provider."""
 KEPT_SECONDS, AGAIN_SECONDS = 3600.0, 60.0
-"""How long the provider's description and keys count, and after what they are read again where a
-token has another key."""
+"""Lifetime of the provider's description and keys, and shortest time after which they are read
+again where a token has another key."""
 LEEWAY = 60
 """Seconds that clocks may differ."""
 SCOPE = "openid profile email"
@@ -41,7 +41,7 @@ class OidcError(ConfigurationError):
 
 @dataclass(frozen=True)
 class OidcSettings:
-    """How people log in with an organisation's provider.
+    """Settings for login with an organisation's OpenID Connect provider.
 
     Attributes:
         issuer: address of the provider, whose description is at ``/.well-known`` below it.
@@ -189,7 +189,7 @@ class OidcLogin:
         return claims
 
     def _role(self, claims: Mapping[str, Any]) -> Role | None:
-        """The highest role that the provider names; annotator where it names none of ours."""
+        """Highest known role that the provider names; annotator where it names none."""
         if self.settings.role_claim is None:
             return None
         named = claims.get(self.settings.role_claim)

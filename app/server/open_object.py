@@ -90,7 +90,7 @@ class OpenObject(ObjectContext):
 
     @property
     def being_accepted(self) -> bool:
-        """Whether an acceptance is under way."""
+        """True while an acceptance is under way."""
         return self.validation.acceptance_waits or "save" in self.jobs
 
     @property
@@ -110,7 +110,7 @@ class OpenObject(ObjectContext):
 
     @property
     def interrupted(self) -> bool:
-        """Whether an acceptance was under way when this server started, and isn't decided since."""
+        """True if an acceptance was under way when this server started, and is still undecided."""
         pending = self.pending_acceptance
         return pending is not None and not pending.hold_reason
 
@@ -127,7 +127,7 @@ class OpenObject(ObjectContext):
 
     @property
     def in_use(self) -> bool:
-        """Whether a tab shows it, a script or a job works on it, or it waits to be accepted."""
+        """True while a tab shows it, a script or a job works on it, or its acceptance waits."""
         scripted = time.monotonic() < self.kept_until
         return self.is_shown or scripted or bool(self.jobs) or self.validation.acceptance_waits
 
@@ -278,7 +278,7 @@ class OpenObject(ObjectContext):
         """Predict joints from the parts; the result becomes a command.
 
         Args:
-            who: the person who asks for it.
+            who: the current user.
             here: with this machine's own predictor, whatever backend is set.
         """
         if self.predicting:

@@ -1,4 +1,4 @@
-"""Whether a request comes from this server's own pages, by the headers that browsers set."""
+"""Same-origin check of requests, by the headers that browsers set."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class Origins:
 
 
 def is_plain_netloc(text: str) -> bool:
-    """Whether ``text`` is a host with or without a port, and nothing else."""
+    """True if ``text`` is a host with or without a port, and nothing else."""
     return bool(text) and all(c.isalnum() or c in "-._:[]" for c in text) and text.isascii()
 
 

@@ -29,13 +29,13 @@ Vector = tuple[float, float, float]
 _SAMPLE = 100_000
 """Points that outlines are measured on."""
 _ROOM_SHARE = 0.5
-"""Of the floor, that the walls' outline covers at least."""
+"""Least share of the floor that the walls' outline covers."""
 _proposals: LruCache[tuple[Path, Vector | None], PrepareProposal] = LruCache(4)
 
 
 @dataclass(frozen=True, eq=False)
 class ScanProposal:
-    """How an open scan would be prepared, as the server keeps it.
+    """Proposed preparation of an open scan, as the server keeps it.
 
     Attributes:
         up: the given up direction, or None where it was found.
@@ -54,7 +54,7 @@ class ScanProposal:
 
 @dataclass(frozen=True)
 class Marks:
-    """What is marked for removal.
+    """Elements marked for removal.
 
     Attributes:
         kinds: of elements.
@@ -92,7 +92,7 @@ def _found(folder: Path, up: Vector | None, progress: Progress) -> PreparePropos
 
 
 def _is_room(points: Array, found: PrepareProposal) -> bool:
-    """Whether what stands on the floor is as wide as a room, and as the floor."""
+    """True if the objects on the floor are as wide as a room, and as the floor."""
     every = max(len(points) // _SAMPLE, 1)
     flat = (points[::every] @ found.object_from_source[:3, :3].T)[:, :2]
     stands = found.kinds[::every] == OBJECT
@@ -130,7 +130,7 @@ def marked_elements(
     workspace: Path, left_out: str | None, folder: Path, up: Vector | None, marks: Marks,
     progress: Progress = no_progress,
 ) -> Removal:  # fmt: skip
-    """What is marked of an open scan, with what is left out already, to be left out.
+    """Elements of an open scan to leave out: the marked ones, and those left out already.
 
     Raises:
         CommandError: where nothing is marked, or everything.
@@ -155,7 +155,7 @@ def restored_elements(
     workspace: Path, left_out: str, path: Path, options: ReadOptions, camera: Camera,
     stroke: Stroke | tuple[Any, Any],
 ) -> Removal | None:  # fmt: skip
-    """What stays left out once what a stroke or a box covers is brought back; None: nothing."""
+    """Elements that stay left out after those under a stroke or box are restored, or None."""
     gone = arrays_of(workspace).get(left_out)
     picker = Picker(removed_of(path, workspace, options))
     if isinstance(stroke, Stroke):

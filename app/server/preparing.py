@@ -56,7 +56,7 @@ class Preparing:
 
     @property
     def untouched(self) -> bool:
-        """Whether nothing was decided about the object that preparing it would discard."""
+        """True if the object has no decisions that preparing it would discard."""
         doc = self._obj.document
         return not doc.prompts and doc.tree is None and doc.placement is None
 
@@ -133,7 +133,7 @@ class Preparing:
 
     @property
     def _along_an_axis(self) -> bool:
-        """Whether another axis of the file seems to be up, and its format doesn't declare one."""
+        """True if another axis of the file seems to be up, and its format doesn't declare one."""
         found, asset = self.current, self._obj.asset
         if found is None or asset is None or declares_up(asset.path):
             return False
@@ -142,7 +142,7 @@ class Preparing:
 
     @property
     def doubtful(self) -> bool:
-        """Whether the scan doesn't seem to be upright, though which way is up isn't sure."""
+        """True if the scan doesn't seem upright, but its up direction is uncertain."""
         found, asset = self.current, self._obj.asset
         if found is None or asset is None or found.up is not None or self.tilt:
             return False
@@ -154,7 +154,7 @@ class Preparing:
 
     @property
     def _rejected(self) -> bool:
-        """Whether the scan may well be upright, though another direction was found."""
+        """True if the scan may be upright, although another direction was found."""
         found = self.current
         if found is None or found.up is not None or found.levelling.tilt < TILT:
             return False

@@ -1,4 +1,4 @@
-"""Who has which object open, in this server's tabs and in those of others."""
+"""Users of each open object, in this server's tabs and in those of others."""
 
 from __future__ import annotations
 

@@ -54,13 +54,13 @@ class Refusal:
 
     @property
     def only_warnings(self) -> bool:
-        """Whether a person who was shown it may accept it anyway."""
+        """True if a person may accept it after seeing its warnings."""
         return self.report is not None and self.report.severity == Severity.WARNING
 
 
 @dataclass(eq=False)
 class _Outcome:
-    """What has become of the objects of one decision, for the person who made it.
+    """Results of one decision about several objects, for the person who made it.
 
     Attributes:
         left: sessions that are still to be accepted.
@@ -145,7 +145,7 @@ class Accepting:
     # --- decisions
 
     def had_no_effect(self, record: DecisionRecord) -> bool:
-        """Whether it was an acceptance and accepted none of its objects."""
+        """True if it was an acceptance and accepted none of its objects."""
         here = record.decision == "accept" and record not in self._elsewhere
         return here and all(
             (i, record) in self._ineffective or not self._carried_out(i, record)
@@ -153,7 +153,7 @@ class Accepting:
         )
 
     def _carried_out(self, i: int, record: DecisionRecord) -> bool:
-        """Whether the decision, maybe of an earlier server, has accepted an object, or will."""
+        """True if the decision, maybe of an earlier server, has accepted an object, or will."""
         if (i, record) in self._queue:
             return True
         entries = self._scene.services.store.history(i)
@@ -278,7 +278,7 @@ class Accepting:
         return self._done / max(1, self._total), f"{step} {work.item.obj.id}"
 
     def _is_current(self, work: Work, entry: Entry) -> bool:
-        """Whether the object is as it was, and the decision is still to be carried out."""
+        """True if the object is unchanged and the decision is still to be carried out."""
         return entry in self._queue and not work.live.moved_since(self._queue[entry])
 
     def _validate(self, work: Work, entry: Entry) -> None:
@@ -391,7 +391,7 @@ class Accepting:
 
 
 def _same(one: Document, other: Document) -> bool:
-    """Whether both have the same validation report."""
+    """True if both have the same validation report."""
     return (one.tree, one.segmentation, one.parts, one.predicted_confidence) == (
         other.tree, other.segmentation, other.parts, other.predicted_confidence,
     )  # fmt: skip

@@ -176,7 +176,7 @@ def _span(joint: Joint, limits: Sequence[float]) -> str:
 
 
 def _same(limits: Sequence[float] | None, was: Sequence[float] | None) -> bool:
-    """Whether a joint still has the limits of the last save."""
+    """True if a joint still has the limits of the last save."""
     if limits is None or was is None:
         return limits is was
     return bool(np.allclose(limits, was, atol=1e-4))

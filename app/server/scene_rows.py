@@ -124,7 +124,7 @@ class Row:
 
     @property
     def undecided(self) -> bool:
-        """Whether it waits for a person's decision."""
+        """True while it waits for a person's decision."""
         return self.mark != "validating" and self.status in ("predicted", "todo")
 
 

@@ -56,7 +56,7 @@ class MovingCopy:
         accepted: folder of the accepted asset; None where it is only predicted.
         bounds: (2, 3) of its asset, at the asset's own size.
         confidence: child link → confidence.
-        reason: why it moves, for people.
+        reason: human-readable reason why it moves.
     """
 
     source: PartSource
@@ -73,7 +73,7 @@ class Decided:
 
     Attributes:
         state: ``accepted``, ``predicted``, ``rejected`` or ``todo``; the last two are rigid.
-        reason: why, for people.
+        reason: human-readable.
         by, at: author and time; "" without a decision.
     """
 

@@ -1,4 +1,4 @@
-"""What an open scene holds: its objects, their assets as drawn, their working copies."""
+"""State of an open scene: its objects, their displayed assets, their working copies."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class SceneState(Observable):
         return self.live.state.present
 
     def articulable(self, item: SceneItem) -> bool:
-        """Whether the object is to be articulated: as a person decided, else as the finder did."""
+        """True if the object is to be articulated, by a person's decision, else by the finder's."""
         decided = self.document.articulable.get(item.obj.id)
         return item.decision.articulable if decided is None else decided
 

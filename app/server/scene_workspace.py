@@ -94,7 +94,7 @@ class SceneWorkspace(SceneState):
 
     @property
     def can_try_again(self) -> bool:
-        """Whether the scene, or an asset, isn't there because reading it failed or was stopped."""
+        """True if reading the scene or one of its assets failed or was stopped."""
         return self.problem is not None or bool(self._stopped)
 
     def try_again(self) -> None:
@@ -233,7 +233,7 @@ class SceneWorkspace(SceneState):
         self._find_works()
 
     def _find_works(self) -> None:
-        """Open a session for each wanted working copy that has none yet."""
+        """Open a session for each required working copy that has none yet."""
         with self._lock:
             wanted: dict[Path, SceneItem] = {}
             for item in self.items.values():
@@ -375,7 +375,7 @@ class SceneWorkspace(SceneState):
             do(cmd.RecordPrediction(prepared.prediction, prepared.labels), AUTHOR)
 
     def awaits_prediction(self, row: Row) -> bool:
-        """Whether an object waits for its prediction rather than for a person."""
+        """True while an object waits for its prediction rather than for a person."""
         work = None if row.work is None else self.works.get(row.work)
         return row.shown == "todo" and work is not None and not work.prepared
 

@@ -56,7 +56,7 @@ class MaskShown:
     share: float = 0.0
 
     def fits(self, doc: Document, part: int) -> bool:
-        """Whether ``part`` still shows it: there are no other prompts since."""
+        """True while ``part`` still shows it: its prompts are unchanged."""
         return part == self.part and doc.prompts == self.prompts
 
 
@@ -219,7 +219,7 @@ class Segmenting:
         self.ineffective_clicks = self.ineffective_clicks + 1 if ineffective else 0
 
     def _agreed(self, click: Click) -> bool:
-        """Whether the labels agreed with a click already before it."""
+        """True if the labels agreed with a click already before it."""
         if click.element is None:
             return False
         part = self._obj.part_of(click.element)

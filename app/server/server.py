@@ -44,7 +44,7 @@ class Tab(Protocol):
 
 
 def queue_routes(gallery: Gallery) -> dict[str, Route]:
-    """What the page asks for about the queue: pieces of the list, and thumbnails."""
+    """HTTP routes of the queue: pieces of the list, and thumbnails."""
 
     def rows(request: RouteRequest) -> RouteAnswer:
         return RouteAnswer(json.dumps(gallery.rows(request.query), separators=(",", ":")).encode())

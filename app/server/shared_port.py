@@ -30,7 +30,7 @@ class ApiConnections:
 
     Args:
         application: an ASGI application.
-        proxies: addresses or networks whose X-Forwarded-For says who asks.
+        proxies: addresses or networks whose X-Forwarded-For is trusted.
     """
 
     def __init__(self, application: Any, proxies: tuple[str, ...] = ()) -> None:
@@ -44,7 +44,7 @@ class ApiConnections:
 
     @property
     def count(self) -> int:
-        """How many there are."""
+        """Number of connections."""
         return len(self._state.connections)
 
     def take(self, transport: asyncio.Transport, first: bytes) -> None:

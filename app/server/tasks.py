@@ -31,12 +31,12 @@ from sessions.tool_commands import SOURCE_FRAME, FaceCut, ObjectFrame
 
 Stamp = tuple[tuple[str, int, int], ...]
 PIXELS_KEPT = 1 << 27
-"""Of the textures in a worker's memory, 3 or 4 bytes each; the last asset stays in any case."""
+"""Texture pixels in a worker's memory, 3 or 4 bytes each; the last asset stays in any case."""
 
 
 @dataclass(frozen=True)
 class ReadOptions:
-    """How a source is read.
+    """Options for reading a source.
 
     Attributes:
         up_axis: None is the format's default.

@@ -27,7 +27,7 @@ _RATIO_FROM = 50_000_000
 _BLOCK = 1 << 20
 DAMAGED = (zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error, NotImplementedError,
            RuntimeError, EOFError, ValueError, OverflowError, MemoryError)  # fmt: skip
-"""What zipfile raises where a zip is damaged."""
+"""Exceptions of zipfile where a zip is damaged."""
 _BESIDE = (".mtl", ".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".bin", ".urdf",
            ".mjcf", ".msh", ".json", ".txt", ".csv", ".xml", ".md")  # fmt: skip
 _WANTED = frozenset((*SUFFIXES, *_BESIDE))
@@ -96,7 +96,7 @@ def _files_in(archive: zipfile.ZipFile, name: str) -> _Files:
 
 
 def _is_whole(folder: Path, files: _Files) -> bool:
-    """Whether it holds what they hold: former versions left folders that lack some."""
+    """True if a folder holds all that they hold; former versions left some that lack files."""
     try:
         return folder.is_dir() and all(
             zlib.crc32((folder / path).read_bytes()) == entry.CRC for path, entry in files

@@ -83,7 +83,7 @@ class Validation:
 
     @property
     def acceptance_waits(self) -> bool:
-        """Whether the object is to be accepted as soon as its joints are validated."""
+        """True while the object's acceptance waits for the validation of its joints."""
         return self._waiting is not None
 
     @property
@@ -191,7 +191,7 @@ class Validation:
     # --- accepting
 
     def admits(self, request: AcceptanceRequest) -> bool:
-        """Whether the object may be accepted now; False where the request waits for the report.
+        """True if the object may be accepted now, False if the request waits for the report.
 
         Raises:
             CommandError: where there are errors and no reason for an override.
@@ -215,7 +215,7 @@ class Validation:
         return True
 
     def required_problem(self) -> str:
-        """What the project's required checks have found so far, or ""."""
+        """Problem that the project's required checks have found so far, or ""."""
         report, settings = self.report, self._obj.services.store.project.settings
         if report is None:
             return ""

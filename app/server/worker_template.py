@@ -34,7 +34,7 @@ MODULES = (
     "app.server.segmenting_tasks",
     "app.server.validation_tasks",
 )
-"""What the workers' first jobs import: two seconds of a processor, mostly trimesh and scipy."""
+"""Imports of the workers' first jobs: two seconds of a processor, mostly trimesh and scipy."""
 _NUMBER = struct.Struct("<i")
 _NAME_BYTES = 200
 
@@ -66,7 +66,7 @@ class Process(Protocol):
 
 
 def start_python(code: str, descriptor: int, threads: int) -> subprocess.Popen[bytes]:
-    """Start an interpreter that runs ``code``, with our paths and one descriptor of ours."""
+    """Start an interpreter that runs ``code``, with these paths and one open descriptor."""
     paths = [os.path.abspath(p) for p in sys.path]
     with signals_blocked():
         return subprocess.Popen(
@@ -91,7 +91,7 @@ class WorkerTemplate:
 
     @staticmethod
     def possible() -> bool:
-        """Whether this system forks safely."""
+        """True if this system forks safely."""
         return sys.platform.startswith("linux")
 
     def _begin(self) -> socket.socket:

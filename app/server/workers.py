@@ -13,7 +13,7 @@ READ_CANCELLED = "Reading it was cancelled"
 
 
 def too_slow(name: str) -> str:
-    """What is said where reading the file ``name`` took longer."""
+    """Timeout message for reading the file ``name``."""
     return f"Reading {name} took more than {READ_SECONDS / 60:g} minutes: simplify the file"
 
 

@@ -24,7 +24,7 @@ _WAITING = ("todo", "in_progress", "rejected")
 
 @dataclass(frozen=True)
 class Memory:
-    """What a browser remembers of its tab; each field is a line.
+    """State of a tab that its browser stores; each field is a line.
 
     Attributes:
         user: the name that signs decisions.

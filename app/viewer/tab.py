@@ -1,4 +1,4 @@
-"""What the screens of one browser tab share: the browser, its user, and what is selected.
+"""State that the screens of one browser tab share: browser, user, selection.
 
 This is the lowest layer of the viewer; it knows no panel. viser's callbacks only queue actions
 here, so its event loop never waits.
@@ -38,7 +38,7 @@ class Panel(Protocol):
 
 
 class Selection:
-    """What is open and chosen in one tab.
+    """Open object and selection of one tab.
 
     Args:
         changed: called after each change; draws.
@@ -48,7 +48,7 @@ class Selection:
         object: the open object, or None.
         part: the part that the next clicks belong to.
         child: child link of the joint that the editor shows, or None.
-        step: what is worked on.
+        step: the current step.
         hidden: parts that aren't drawn.
         picking: whether the object is open to have another one picked out of it.
     """
@@ -159,7 +159,7 @@ class Tab:
 
     @property
     def submits(self) -> bool:
-        """Whether the user hands objects in, and others decide about them."""
+        """True if the user submits objects, and others decide about them."""
         return self.account is not None and self.account.role == "annotator"
 
     def start(self, draw: Callable[[], None]) -> None:
@@ -175,7 +175,7 @@ class Tab:
 
     @property
     def drawings(self) -> int:
-        """How often the screen was brought up to date."""
+        """Number of updates of the screen."""
         return self._threads.drawings
 
     def act(self, action: Callable[[], None]) -> None:
@@ -211,8 +211,8 @@ class Tab:
 
     @property
     def _reason(self) -> Any:
-        """What hints and refusals are about: the open object and where its review stands. A click
-        or an answer doesn't end a hint: people click on before they have read it."""
+        """Subject of hints and refusals: the open object and its review state. A click or an answer
+        doesn't end a hint: people click on before they have read it."""
         obj = self.selection.object
         return obj and (obj.record.id, obj.document.review.state)
 

@@ -1,4 +1,4 @@
-"""Where a robot takes hold of a moving part."""
+"""Affordance: a place where a robot grasps a moving part."""
 
 from __future__ import annotations
 
@@ -86,6 +86,6 @@ class Affordance:
 
 
 def belongs(affordance: Affordance, tree: KinematicTree) -> bool:
-    """Whether its joint is in ``tree``, moves, and has the same child."""
+    """True if its joint is in ``tree``, moves, and has the same child."""
     joint = tree.by_name.get(affordance.joint)
     return joint is not None and joint.moves and joint.child == affordance.link

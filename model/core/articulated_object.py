@@ -27,8 +27,8 @@ class Part:
         mesh, cloud: its geometry; at least one.
         name: what it is in the field's words (door, drawer, lid, …), or None.
         remarks: what was passed over on reading the source it comes from (points that are no
-            numbers, a missing texture), for people.
-        completed: what of the mesh was made up behind the cloud's surface, see
+            numbers, a missing texture), human-readable.
+        completed: kinds of completion behind the cloud's surface, see
             :func:`model.geometry.completion.complete`.
     """
 
@@ -56,13 +56,13 @@ def remarks_of(parts: Iterable[Part]) -> tuple[str, ...]:
 
 @dataclass(frozen=True, eq=False)
 class SegmentedObject:
-    """What a predictor reads: the rigid parts of one object, in one frame.
+    """Input of a predictor: the rigid parts of one object, in one frame.
 
     The order of the parts says nothing about which one is the base.
 
     Attributes:
-        inertials: link → mass properties where the source tells them; no predictor reads them.
-        shapes: link → collision shapes, object frame, where the source tells them.
+        inertials: link → mass properties that the source declares; no predictor reads them.
+        shapes: link → collision shapes that the source declares, object frame.
     """
 
     name: str
@@ -131,12 +131,12 @@ class Prediction:
 
     Attributes:
         tree: None where nothing usable came out.
-        problems: what went wrong or is doubtful, for people.
+        problems: human-readable errors and doubts.
         confidence: child link → 0..1 for its joint.
         backend: predictor and version; of a file's joints "file" and its name.
         raw_text: the model's own words, "" for a predictor without any.
-        notes: child link → how the joint was decided, for people.
-        file: name of the file that tells the joints; None where a predictor answered.
+        notes: child link → human-readable explanation of the joint.
+        file: name of the file that declares the joints; None where a predictor answered.
         alternatives: child link → other joints that it may have, likeliest first.
     """
 

@@ -27,7 +27,7 @@ MAX_PARTS = 1000
 
 @dataclass(frozen=True)
 class Source:
-    """Where an asset came from and what was done on reading.
+    """Origin of an asset, and the changes made on reading.
 
     Attributes:
         path: the file or folder.
@@ -52,7 +52,7 @@ class Asset:
     The *elements* are what labels belong to: faces where there is a mesh, else points.
 
     Attributes:
-        name: short, for people.
+        name: short display name.
         mesh, cloud: exactly one leads; where both are given the mesh leads.
         source: None for an asset made in memory.
         element_part: (E,) int32 part of each element where the source was already cut into parts
@@ -63,7 +63,7 @@ class Asset:
         category: the object's category where the source tells it.
         inertials: mass properties of those links where the source tells them.
         shapes: collision shapes of those links where the source tells them.
-        warnings: what was passed over on reading (a missing texture, NaN points), for people.
+        warnings: human-readable; content skipped on reading (a missing texture, NaN points).
     """
 
     name: str
@@ -86,7 +86,7 @@ class Asset:
 
     @property
     def element_kind(self) -> ElementKind:
-        """What labels belong to."""
+        """Kind of element that labels refer to."""
         return "face" if self.mesh is not None else "point"
 
     @property

@@ -39,7 +39,7 @@ PARALLEL = 1e-6
 
 @dataclass(frozen=True)
 class Composite:
-    """How a part moves.
+    """Motion of a part.
 
     Attributes:
         kind: "single" for one joint.
@@ -141,7 +141,7 @@ def with_composite(
 
 
 def composite_of(tree: KinematicTree, child: str, holds: Callable[[str], bool]) -> Composite:
-    """How a part moves; chains of another make are "single"."""
+    """Motion of a part; unknown chains are "single"."""
     own = tree.joint_of.get(child)
     if own is None:
         return Composite()

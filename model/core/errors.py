@@ -1,7 +1,7 @@
 """Errors that a user can cause. Each message names the file or value and says what would be right.
 
 The command line answers any :class:`ArtiworldError` with exit code 2 and its one-line message;
-everything else is our own fault (exit code 1).
+everything else is an internal error (exit code 1).
 """
 
 from __future__ import annotations

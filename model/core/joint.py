@@ -70,7 +70,7 @@ class Mimic:
 
 @dataclass(frozen=True)
 class DeclaredDynamics:
-    """What a joint's source says of what resists its motion; None where it says nothing.
+    """Resistance and limits of motion that a joint's source declares; None where it doesn't.
 
     Attributes:
         damping: N s/m or N m s/rad.
@@ -93,7 +93,7 @@ VELOCITY = 3.0
 
 @dataclass(frozen=True)
 class JointDynamics:
-    """What resists a joint's motion; N, N m, metres, radians, seconds.
+    """Resistance and limits of a joint's motion; N, N m, metres, radians, seconds.
 
     Attributes:
         damping: N s/m or N m s/rad.
@@ -234,7 +234,7 @@ def canonical_axis_sign(joint: Joint) -> Joint:
 
 
 def same_motion(a: Joint, b: Joint, angle: float, line: float) -> bool:
-    """Whether both turn, or both slide, along one axis; its direction and the limits aside.
+    """True if both turn, or both slide, along one axis; its sign and the limits don't count.
 
     Args:
         angle: between the axes, radians. line: between those of joints that turn, metres.

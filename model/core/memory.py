@@ -1,4 +1,4 @@
-"""How much memory there is, and a limit for a process that handles what strangers made."""
+"""Memory of the machine, and a limit for a process that reads untrusted files."""
 
 from __future__ import annotations
 

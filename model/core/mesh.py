@@ -36,7 +36,7 @@ class Material:
 
     @property
     def pictured(self) -> bool:
-        """Whether it has an image, which needs texture coordinates."""
+        """True if it has an image, which needs texture coordinates."""
         return self.texture is not None or bool(self.maps.images)
 
 

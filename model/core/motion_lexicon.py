@@ -1,4 +1,4 @@
-"""What part names and categories say about motion: readable tables.
+"""Motion lexicon: readable tables from part names and categories to motions.
 
 A *mechanism* is a way to move; :mod:`model.prediction.geometric.mechanisms` builds the joint for
 each:
@@ -278,7 +278,7 @@ TURNING: dict[Mechanism, Mechanism] = {
     "lift": "flap",
     "press": "toggle",
 }
-"""What ``rotation_…`` makes of a mechanism that slides."""
+"""Mechanism that slides → its mechanism with the prefix ``rotation_``."""
 
 SLIDING: dict[Mechanism, Mechanism] = {
     "hinge": "slide_along",
@@ -294,7 +294,7 @@ SLIDING: dict[Mechanism, Mechanism] = {
     "lever": "slide_along",
     "toggle": "slide_along",
 }
-"""What ``translation_…`` makes of a mechanism that turns."""
+"""Mechanism that turns → its mechanism with the prefix ``translation_``."""
 
 BASE_WORDS: dict[str, float] = {
     "base": 3.0,

@@ -1,5 +1,4 @@
-"""How the words of part names and categories reach
-:mod:`model.core.motion_lexicon`."""
+"""Lookup of part names and categories in :mod:`model.core.motion_lexicon`."""
 
 from __future__ import annotations
 
@@ -120,7 +119,7 @@ def _mechanisms(found: Sequence[str], category: str | None) -> Iterator[tuple[Me
 
 
 def base_score(name: str | None, category: str | None) -> float:
-    """How strongly a name says "this is the base"; negative for names of things that move."""
+    """Evidence in a name for "this is the base"; negative for names of things that move."""
     found = words(name)
     if not found:
         return 0.0

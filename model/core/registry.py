@@ -14,7 +14,7 @@ T = TypeVar("T")
 
 
 def at_place(place: str) -> Any:
-    """What ``"package.module:name"`` stands for, imported now.
+    """Object that ``"package.module:name"`` refers to, imported now.
 
     Raises:
         ImportError: where it can't be.

@@ -1,4 +1,4 @@
-"""Where the files that ship with ArtiWorld are."""
+"""Location of the files that ship with ArtiWorld."""
 
 from __future__ import annotations
 

@@ -66,7 +66,7 @@ def open_image_file(path: Path) -> ImageFile:
 
 
 def holds_normals(image: ImageFile) -> bool:
-    """Whether it is a normal map: directions away from the surface, not heights in grey."""
+    """True if it is a normal map: directions away from the surface, not heights in grey."""
     import numpy as np
     from PIL import Image
 

@@ -11,11 +11,11 @@ from pathlib import Path
 from PIL import Image
 
 MAX_PIXELS = 16384 * 16384
-"""Of one image."""
+"""Most pixels of one image."""
 MOST_PIXELS = 1 << 30
-"""Of all textures that one reading keeps, 4 bytes each: 64 images of 4096 x 4096."""
+"""Most pixels of all textures that one reading keeps, 4 bytes each: 64 images of 4096 x 4096."""
 MOST_BYTES = 1 << 30
-"""Of an image file."""
+"""Largest image file."""
 _kept_pixels: ContextVar[list[int] | None] = ContextVar("kept pixels", default=None)
 _KEPT = {"JPEG": ".jpg", "PNG": ".png"}
 _ATTRIBUTE = "artiworld_encoded"

@@ -29,7 +29,7 @@ def with_threads(environment: Mapping[str, str], threads: int) -> dict[str, str]
 
 
 def chosen_by_person(environment: Mapping[str, str]) -> bool:
-    """Whether the number of torch's threads was set by the user."""
+    """True if the user set the number of torch's threads."""
     ours = environment.get(BY_DEFAULT, "").split(",")
     return any(n in environment and n not in ours for n in ("OMP_NUM_THREADS", "MKL_NUM_THREADS"))
 

@@ -143,7 +143,7 @@ class KinematicTree:
         return out
 
     def pose(self, q: Mapping[str, float]) -> dict[str, npt.NDArray[np.float64]]:
-        """Where every link is.
+        """Pose of every link.
 
         Args:
             q: joint name → radians or metres; missing joints are at 0. Limits are not applied.

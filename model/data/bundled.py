@@ -42,7 +42,7 @@ class Bundled:
         return found
 
     def category(self, object_id: str) -> str | None:
-        """Of the example."""
+        """Category of the example."""
         return self._truth(object_id)["category"]
 
     def _truth(self, object_id: str) -> dict[str, Any]:

@@ -129,7 +129,7 @@ def _chain(tree: KinematicTree, link: str) -> list[Joint]:
 
 
 def _same_range(joint: Joint, node: Mapping[str, Any]) -> bool:
-    """Whether the node's limits are the joint's, up to the axis' sign and whole turns."""
+    """True if the node's limits are the joint's, up to the axis' sign and whole turns."""
     limit = (node.get("jointData") or {}).get("limit")
     if not limit:
         return True

@@ -24,7 +24,7 @@ class ProceduralSet:
     """``n`` objects of each family; the same seed gives the same objects.
 
     Attributes:
-        seed: of the objects; ids are ``<family>_<seed>_<index>``, as ``generate`` names folders.
+        seed: random seed; ids are ``<family>_<seed>_<index>``, as ``generate`` names folders.
         n: objects a family.
         families: names of families; all of them where empty.
         fault: one of :data:`~model.data.procedural.corruption.FAULTS`, "" for clean meshes.

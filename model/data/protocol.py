@@ -16,7 +16,7 @@ class GroundTruth:
         id: the object's name within its data set.
         object: parts (already merged to those that move on their own), tree, category. Links
             without geometry are helpers and don't begin with ``link_``.
-        notes: what was changed on reading, for people.
+        notes: human-readable remarks on changes made on reading.
     """
 
     id: str
@@ -41,7 +41,7 @@ class Dataset(Protocol):
 
     @property
     def name(self) -> str:
-        """Of the data set, as on the command line."""
+        """Name of the data set, as on the command line."""
         ...
 
     def category(self, object_id: str) -> str | None:

@@ -12,7 +12,7 @@ from model.data.protocol import Dataset
 
 @dataclass(frozen=True)
 class DatasetOptions:
-    """Where a data set comes from.
+    """Location or generator of a data set.
 
     Attributes:
         name: one of :func:`dataset_names`.

@@ -16,7 +16,7 @@ from model.data.protocol import Dataset
 HELD_OUT = ("display", "suitcase", "plier", "kettle", "oven")
 """The categories that the paper never trains on (*ArtiWorld*, section on data)."""
 TEST_SHARE = 0.2
-"""Of ``train`` and ``test`` where no share is given."""
+"""Share of the test part where no share is given."""
 FORMS = "all, held-out, known, train[:SHARE], test[:SHARE] or category:NAME,NAME"
 
 
@@ -27,7 +27,7 @@ def select(dataset: Dataset, split: str, *, seed: int = 0) -> tuple[str, ...]:
         dataset: asked for ids and, where the split needs it, categories.
         split: ``all``; ``held-out`` (the paper's five categories); ``known`` (all others);
             ``test`` or ``train``, with the test's share as in ``test:0.1``; ``category:Oven,Door``.
-        seed: of ``train`` and ``test``.
+        seed: random seed of ``train`` and ``test``.
 
     Raises:
         ConfigurationError: for another word, or where nothing is left.
@@ -74,12 +74,12 @@ def _category(dataset: Dataset, object_id: str) -> str | None:
 
 
 def is_held_out(category: str | None) -> bool:
-    """Whether the paper holds this category out; case and plural don't matter."""
+    """True if the paper holds this category out; case and plural don't matter."""
     return _plain(category or "") in {_plain(c) for c in HELD_OUT}
 
 
 def in_test(object_id: str, seed: int, share: float = TEST_SHARE) -> bool:
-    """Whether an object belongs to the test part of a split by ``seed``."""
+    """True if an object belongs to the test part of a split by ``seed``."""
     return zlib.crc32(f"{seed}:{object_id}".encode()) / 2**32 < share
 
 

@@ -15,7 +15,7 @@ from model.io.urdf.reader import read_urdf_model
 from model.io.urdf.sidecar import description_beside
 
 PREFERRED = ("object.urdf", "mobility.urdf")
-"""What is taken where a folder has several URDFs, after the one with the folder's own name."""
+"""Preferred files of a folder with several URDFs, after the one with the folder's own name."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""How well two annotations of one object agree.
+"""Agreement of two annotations of one object.
 
 Parts are matched by their surfaces (:mod:`model.evaluation.part_matching`), then joints are
 compared as predictions are (:mod:`model.evaluation.joint_metrics`), the first annotation in the
@@ -35,7 +35,7 @@ class Agreement:
         range_iou: mean overlap of the ranges of joints of one type, 0..1.
         disagreement: 0 (the same) to 1: mean of what the figures above lack, an angle in shares
             of a right angle.
-        what: where they differ beyond the tolerances of a usable joint, for people.
+        what: human-readable differences beyond the tolerances of a usable joint.
     """
 
     part_iou: float
@@ -48,7 +48,7 @@ class Agreement:
 
     @property
     def agrees(self) -> bool:
-        """Whether nobody has to look at it."""
+        """True if there is no difference to review."""
         return not self.what
 
 

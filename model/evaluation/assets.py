@@ -37,14 +37,14 @@ SECONDS = 600.0
 
 @dataclass(frozen=True)
 class AssetsConfig:
-    """What is measured.
+    """Objects, engines and formats to measure.
 
     Attributes:
         data: the objects. half: see :func:`~model.evaluation.scans.half_of`. limit: of them; 0 for
             all.
         joints: the true ones, or predicted ones with names given.
         engines: see :data:`~model.validation.engines.ENGINES`. formats: that are written.
-        seed: of the shuffle. jobs: processes.
+        seed: random seed of the shuffle. jobs: processes.
     """
 
     data: DatasetOptions
@@ -58,13 +58,13 @@ class AssetsConfig:
 
     @property
     def label(self) -> str:
-        """Of its row."""
+        """Label of its row."""
         return f"{self.data.name}, {self.joints} joints"
 
 
 @dataclass(frozen=True)
 class AssetScore:
-    """What came of one object.
+    """Result for one object.
 
     Attributes:
         id: of the object.
@@ -72,7 +72,7 @@ class AssetScore:
         readers: reader or validator → whether it found no problem, in all formats.
         links, shapes: number of links and of collision shapes.
         seconds: of shapes and masses, drives, and all formats, each by the clock.
-        problems: everything that is wrong, for people.
+        problems: human-readable messages.
     """
 
     id: str

@@ -25,7 +25,7 @@ class ObjectChange:
 
     Attributes:
         kind: "mended" where it became usable, "broken" where it no longer is, else "changed": the
-            words of ``comparison.json``; :data:`KIND_NAMES` has those for people.
+            words of ``comparison.json``; :data:`KIND_NAMES` has their display names.
         gone, new: faults of the first run only, and of the second only.
     """
 

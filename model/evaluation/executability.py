@@ -1,4 +1,4 @@
-"""Whether a predicted object works: every joint over its range, alone, together, and in an engine.
+"""Executability of a predicted object: each joint over its range, alone, together, in an engine.
 
 The findings of :mod:`model.validation` become figures of an object: penetration, parts that come
 off, jam or float, impossible limits, and in the simulator values that are no numbers, explode,
@@ -27,7 +27,7 @@ class Execution:
 
     Attributes:
         executable: no errors, and the simulator ran.
-        why: errors and warnings, for people; "" where all joints move freely.
+        why: human-readable errors and warnings; "" where all joints move freely.
         kinds: kinds of the errors, see :data:`model.validation.report.Kind`.
         depth: deepest penetration over the object's diagonal.
         drift: largest share of a joint's range by which it moved while others were driven.
@@ -60,7 +60,7 @@ def execute(
 
     Args:
         obj: None where there is no prediction: not executable.
-        seed: of the random combinations.
+        seed: random seed of the combinations.
         timeout: seconds, after which the object counts as not executable.
         engines: names; the object is executable where it is so in all.
         shapes: whether its collision shapes take part. store: folder that keeps them.

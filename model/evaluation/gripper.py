@@ -57,12 +57,12 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Try:
-    """What came of one affordance.
+    """Result for one affordance.
 
     Attributes:
         kind: of the affordance. moved: share of the range that was measured at the end.
         deepest: metres of penetration between hand and object. seconds: simulated.
-        why: it failed; "" where the joint reached :data:`~model.physics.affordances.REACHED`.
+        why: of a failure; "" where the joint reached :data:`~model.physics.affordances.REACHED`.
     """
 
     kind: str
@@ -108,7 +108,7 @@ class GripperBench:
         return [n for n in names if not n.startswith("robot_")]
 
     def end(self, joint: int | str) -> float:
-        """Where the joint is moved to in the end, rad or m; see ``opened_range``."""
+        """Target value of the joint, rad or m; see ``opened_range``."""
         j = self.model.joint(joint)
         if not self.model.jnt_limited[j.id]:
             return FREE_TURN
@@ -119,12 +119,12 @@ class GripperBench:
         """Reset the object, take hold, and move the joint.
 
         Args:
-            watch: told of the data after each step, for pictures.
+            watch: called with the data after each step, for pictures.
         """
         return _Run(self, affordance, watch).go()
 
     def jams(self, joint: str) -> bool:
-        """Whether a motor in the joint, as strong as the hand is there, doesn't move it either."""
+        """True if a motor in the joint, as strong as the hand there, can't move it either."""
         mujoco, model = self._mujoco, self.model
         data, found = mujoco.MjData(model), model.joint(joint)
         data.qpos[self._free.qposadr[0] : self._free.qposadr[0] + 3] = FAR

@@ -113,17 +113,17 @@ class JointScore:
 
     @property
     def type_right(self) -> bool:
-        """Whether the joint type is the true one, or as good."""
+        """True if the joint type is the true one, or as good."""
         return self.type == self.true_type or self.full_turn
 
     @property
     def present(self) -> bool:
-        """Whether there is a joint to compare."""
+        """True if there is a joint to compare."""
         return self.type not in ABSENT
 
     @property
     def rotates(self) -> bool:
-        """Whether the true joint turns."""
+        """True if the true joint turns."""
         return JOINT_KINDS[self.true_type].rotates
 
 
@@ -140,7 +140,7 @@ class ObjectScore:
         tree_edits: see :func:`model.evaluation.tree_metrics.tree_edits`.
         part_iou: mean over the true parts, 0 for unmatched ones; None where parts were given.
         parts, matched: number of true parts, and of those that were found.
-        note: remarks on reading the prediction, for people.
+        note: human-readable remarks on reading the prediction.
         execution: result of driving the joints, or None.
     """
 
@@ -230,7 +230,7 @@ def score_object(
 
 
 def _equal_base(truth: ArticulatedObject, predicted: KinematicTree) -> bool:
-    """Whether another part is the predicted base that could be it as well as the true one."""
+    """True if the predicted base isn't the true one, but could be it as well."""
     sides = {p.link: np.ptp(p.bounds, axis=0) for p in truth.parts}
     bases = (predicted.root, truth.tree.root)
     if bases[0] == bases[1] or not {*bases} <= sides.keys() & {*predicted.links}:

@@ -152,7 +152,7 @@ def outlines(
 
 
 def _confidence(path: Path) -> dict[str, float]:
-    """Confidences of our own predictions; empty where the file is missing or something else."""
+    """Confidences of ArtiWorld's predictions; empty where the file is missing or unusable."""
     try:
         joints = json.loads(path.read_text(encoding="utf-8"))["joints"]
         found = {str(j["child"]): j.get("confidence") for j in joints}

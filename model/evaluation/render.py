@@ -38,7 +38,7 @@ FloatArray = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class View:
-    """Where the camera is and how large the picture.
+    """Direction of the camera, and size of the picture.
 
     Attributes:
         azimuth: rad from +x, where the camera stands; objects of the data sets face -x.
@@ -79,7 +79,7 @@ def draw(
         joints: whether axes are drawn.
         bounds: (2, 3) corners of what has to fit in; the object's at rest by default.
         view: the camera.
-        seed: of the sampling.
+        seed: random seed of the sampling.
     """
     view = view or View()
     if bounds is None:

@@ -68,7 +68,7 @@ class Report:
 
     @cached_property
     def calibration(self) -> Calibration:
-        """Of the predictor's confidences."""
+        """Calibration of the predictor's confidences."""
         return calibrate(self.scores)
 
     @cached_property

@@ -91,7 +91,7 @@ def methods_in(root: Path) -> dict[str, Path]:
 
     Raises:
         InputFileError: where the folder isn't there.
-        ConfigurationError: where a folder is called like one of :data:`OURS`.
+        ConfigurationError: where a folder has a name of :data:`OURS`.
     """
     if not root.is_dir():
         raise InputFileError(root, "no such folder", "give one with a folder a method in it")
@@ -174,7 +174,7 @@ def _seconds(folder: Path, ids: list[str]) -> float:
 
 
 def _kept(config: EvaluationConfig, object_id: str) -> tuple[float, float] | None:
-    """Of one prediction; None without any, which its score tells."""
+    """Geometry kept by one prediction; None without any, which its score tells."""
     try:
         with time_limit(config.timeout):
             truth = load_truth(config, object_id)

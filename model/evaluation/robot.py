@@ -45,7 +45,7 @@ SECONDS = 600.0
 
 @dataclass(frozen=True)
 class RobotConfig:
-    """What is measured.
+    """Objects and joints to measure.
 
     Attributes:
         data: the objects. half: see :func:`~model.evaluation.scans.half_of`. limit: of them; 0 for
@@ -53,7 +53,7 @@ class RobotConfig:
         joints: the true ones, or predicted ones with names given.
         most: joints of an object, spread over all of them.
         usual: whether objects of unusual height get the height that the app proposes.
-        seed: of the shuffle. jobs: processes. pictures: folder of one GIF an object, or None.
+        seed: random seed. jobs: processes. pictures: folder of one GIF an object, or None.
     """
 
     data: DatasetOptions
@@ -68,13 +68,13 @@ class RobotConfig:
 
     @property
     def label(self) -> str:
-        """Of its row."""
+        """Label of its row."""
         return f"{self.data.name}, {self.joints} joints"
 
 
 @dataclass(frozen=True)
 class JointScore:
-    """What came of one joint.
+    """Result for one joint.
 
     Attributes:
         joint: name. kind: for the table. tries: of its affordances, best first, until one opens it.
@@ -88,7 +88,7 @@ class JointScore:
 
     @property
     def opened(self) -> bool:
-        """Whether one of the tries opened it."""
+        """True if one of the tries opened it."""
         return bool(self.tries) and not self.tries[-1].why
 
     @property
@@ -101,7 +101,7 @@ class JointScore:
 
 @dataclass(frozen=True)
 class RobotScore:
-    """What came of one object.
+    """Result for one object.
 
     Attributes:
         id: of the object. joints: those that were tried. seconds: of shapes and affordances, and

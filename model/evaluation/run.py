@@ -52,7 +52,7 @@ class EvaluationConfig:
         corruption: of the objects before prediction; not for ``predictions``.
         jobs: processes.
         limit: most objects, spread over the whole set, or None.
-        seed: of the predictor, the corruption and the split.
+        seed: random seed of the predictor, the corruption and the split.
         timeout: seconds after which one object counts as failed.
         execute: whether the joints of each prediction are driven, too. engines: in which.
         limits: tolerances of usable joints.

@@ -57,13 +57,13 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ScansConfig:
-    """What is measured.
+    """Objects and scans to measure.
 
     Attributes:
         data: the objects.
         half: "choose" and "table" are two halves of the shuffled objects that share none.
         limit: objects of that half; 0 for all.
-        seed: of the shuffle and the scans.
+        seed: random seed of the shuffle and the scans.
         frames: of :data:`FRAMES`.
         points: of a scan.
         predictor: name.
@@ -82,7 +82,7 @@ class ScansConfig:
 
 @dataclass(frozen=True)
 class ScanScore:
-    """What came of one scan.
+    """Result for one scan.
 
     Attributes:
         id, frame: of the object, and how it was delivered.
@@ -110,7 +110,7 @@ class ScanScore:
 
     @property
     def whole(self) -> bool:
-        """Whether every joint of the object is right and none is extra."""
+        """True if every joint of the object is right and none is extra."""
         return not self.problem and self.joints == self.right > 0 and not self.extra
 
 
@@ -270,7 +270,7 @@ def joints_right(
 
 
 def _agrees(true: Joint, found: Joint, asset_from_truth: Array, diagonal: float) -> bool:
-    """Whether type, axis and, of what turns, the axis line are right."""
+    """True if type, axis and, for joints that turn, the axis line are right."""
     linear = asset_from_truth[:3, :3]
     axis = linear @ np.asarray(true.axis)
     origin = linear @ np.asarray(true.origin) + asset_from_truth[:3, 3]

@@ -38,7 +38,7 @@ class Metric:
         label: heading of a column.
         unit: "%" (a share, 0..1 in JSON), "rad", "m", "diagonals", "edits" or "" (0..1).
         higher: whether more is better.
-        definition, source: for people.
+        definition, source: human-readable.
         terms: what an object adds to the two sums whose ratio it is.
     """
 

@@ -1,4 +1,4 @@
-"""How far a predicted tree of parts is from the true one."""
+"""Distance of a predicted tree of parts from the true one."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def tree_edits(truth: Mapping[str, str], predicted: Mapping[str, str], *, extra:
 
     Nodes are known apart (they were matched by geometry), so the distance for labelled trees
     (Zhang and Shasha, 1989, with re-attaching as one edit) is a count: one for each part that
-    hangs on another parent than it should, is missing, or is too much. 0 is the true tree.
+    has the wrong parent, is missing, or is extra. 0 is the true tree.
 
     Args:
         truth, predicted: part → parent, "" at the root.

@@ -18,11 +18,11 @@ CREASE = np.radians(30.0)
 _FACES = 20_000
 """Faces that a mesh is refined to at most: a browser draws them smoothly in software."""
 _FINEST = 0.025
-"""Of the diagonal: edges aren't split any shorter."""
+"""Share of the diagonal: edges aren't split any shorter."""
 _REACH = 0.12
-"""Of the diagonal: what is farther away takes no light."""
+"""Share of the diagonal: what is farther away takes no light."""
 _STRENGTH, _DARKEST = 0.9, 0.3
-"""Of the occlusion, and the least share of its color that a surface keeps."""
+"""Share of the occlusion, and the least share of its color that a surface keeps."""
 _RAYS = 32
 """Rays a side and vertex; evenly spread, so that more hardly change a picture."""
 _INSET, _LIFTED = 0.03, 5e-4
@@ -49,7 +49,7 @@ class CreaseEdges:
 
 
 def is_plain(mesh: Mesh) -> bool:
-    """Whether a mesh has neither images nor vertex colors that show its shape."""
+    """True if a mesh has neither images nor vertex colors that show its shape."""
     colors = mesh.vertex_colors
     one_color = colors is None or not len(colors) or bool((colors == colors[0]).all())
     return one_color and not any(m.pictured for m in mesh.materials)

@@ -28,7 +28,7 @@ _OUTLIER_SHARE = 0.002
 _MOST = 1_000_000
 """Points that outlines are measured on, against the time."""
 _BESIDE = 0.02
-"""How far beyond the object's outline a piece may stand and still belong to it, in its width."""
+"""Most that a piece of the object may stand out of the object's outline, in its width."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +127,7 @@ def _grid(points: Points) -> _Grid:
 
 
 def _thickness(height: Points, support: float, cell: float) -> float:
-    """How far above the supporting surface its points scatter."""
+    """Height up to which the supporting surface's points scatter above it, metres."""
     near = np.abs(height - support)
     near = near[near < 2 * cell]
     if not len(near):

@@ -44,7 +44,7 @@ def closed_solid(
     Args:
         cloud: with normals that point outwards.
         wall: metres behind the points that are solid where nobody saw what is there.
-        front: (4,) a plane whose positive side was seen: n · x + d > 0. Nothing is made up there.
+        front: (4,) a plane whose positive side was seen: n · x + d > 0. Nothing is added there.
 
     Returns:
         A solid within the points' box, grown by the wall; None where there is none.

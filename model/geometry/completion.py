@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 Array = npt.NDArray[Any]
 
 MAX_POINTS = 40_000
-"""Of the whole object; larger scans are thinned, which bounds the time."""
+"""Most points of the whole object; larger scans are thinned, which bounds the time."""
 FEW = 300
 """Points below which a part keeps its reconstructed surface."""
 NOISE = 0.15
@@ -44,9 +44,9 @@ LEAST = 800
 BOARD = 0.02
 """Metres, the usual thickness of furniture's boards; less for panels below 16 cm."""
 SMALL = 0.05
-"""Of the object's diagonal: no board of a small object is thicker."""
+"""Share of the object's diagonal: no board of a small object is thicker."""
 GAP = 0.004
-"""Of the object's diagonal, between what is made up and the body: the error of convex shapes."""
+"""Share of the object's diagonal between completion and body: the error of convex shapes."""
 FLAT = 0.25
 """A panel's depth over its smaller side up to which it is one."""
 HOST = 0.3
@@ -57,7 +57,7 @@ SWING = 9
 """Poses in which a panel's made-up side must not meet the body."""
 
 SURFACE, THICKNESS, TRAY, OPENING = "closed surface", "thickness", "tray", "opening"
-"""What is made up of a part, see :attr:`~model.core.articulated_object.Part.completed`."""
+"""Kinds of completion, see :attr:`~model.core.articulated_object.Part.completed`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +113,7 @@ def complete(obj: ArticulatedObject, progress: Progress = no_progress) -> Articu
 def _solids(
     obj: ArticulatedObject, progress: Progress
 ) -> dict[str, tuple[Manifold, tuple[str, ...]]]:
-    """Link → closed surface and the words for what of it was made up."""
+    """Link → closed surface and the kinds of its completion."""
     clouds = _clouds(obj, progress)
     if not clouds:
         return {}
@@ -380,7 +380,7 @@ def _tray(panel: Panel, room: float, gap: float) -> Manifold | None:
 
 
 def _cut(panel: Panel, room: float, gap: float) -> Manifold:
-    """What a panel takes of its body: its own place, its way, and the opening behind it."""
+    """Solid to remove from a panel's body: its own place, its path, and the opening behind it."""
     from manifold3d import JoinType, Manifold, OpType
 
     wide = panel.outline.offset(gap, JoinType.Miter)
@@ -469,7 +469,7 @@ def _mesh(solid: Manifold, cloud: PointCloud) -> Mesh | None:
 
 
 def completed_arrays(obj: ArticulatedObject) -> dict[str, Array]:
-    """What :func:`complete` made of an object, as arrays for a cache."""
+    """Geometry that :func:`complete` added to an object, as arrays for a cache."""
     out: dict[str, Array] = {}
     for i, part in enumerate(obj.parts):
         if part.completed and part.mesh is not None:

@@ -133,7 +133,7 @@ def _border_plane(
 def _reaches_out(
     points: npt.NDArray[np.float64], near: Bool, normal: npt.NDArray[np.float64]
 ) -> bool:
-    """Whether along one of its axes the plane spans more than 1.2 times what the rest spans."""
+    """True if along one of its axes the plane spans more than 1.2 times what the rest spans."""
     if near.all():
         return True
     side = np.cross(normal, [0.0, 0.0, 1.0]) if abs(normal[2]) < 0.5 else np.array([1.0, 0, 0])

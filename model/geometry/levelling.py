@@ -32,7 +32,7 @@ _SAMPLE = 20_000
 _MOST = 1_000_000
 """Points among which they are chosen, against the time."""
 _LONE = 0.03
-"""Of the usual number of points in a cell: with fewer it holds outliers, in dense scans alone."""
+"""Share of a cell's usual number of points: with fewer it holds outliers, in dense scans alone."""
 _DIRECTIONS = 1500
 """Directions of the half sphere whose share of normals is counted, 3.6 degrees apart."""
 _SQUARE = np.radians(6)
@@ -83,7 +83,7 @@ class Levelling:
         return float(np.arccos(np.clip(self.up[2], -1, 1)))
 
     def lies(self, declared: bool) -> bool:
-        """Whether it lies on its back or front; ``declared``: the format says which axis is up."""
+        """True if it lies on its back or front; ``declared``: the format declares the up axis."""
         return (self.lying or 0.0) >= (LYING_DECLARED if declared else LYING)
 
 
@@ -187,7 +187,7 @@ def supporting_height(
 
 @dataclass(frozen=True, eq=False)
 class Described:
-    """What speaks for one candidate.
+    """Evidence for one candidate.
 
     Attributes:
         features: (F,) see :data:`FEATURES`.
@@ -262,7 +262,7 @@ BARE_FEATURES = (
     "height against diagonal",
 )  # fmt: skip
 _MIRRORED = 0.025
-"""Of the diagonal: how near a point has to lie to its mirror image."""
+"""Share of the diagonal: greatest distance of a point from its mirror image."""
 
 
 def bare_features(points: Array, normals: Array, up: Array) -> Array:

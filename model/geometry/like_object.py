@@ -25,9 +25,9 @@ from model.geometry.upright_box import box_yaw
 Points = npt.NDArray[np.float64]
 
 POINTS = 4000
-"""Of each object that is compared."""
+"""Points of each object that is compared."""
 _LEAST_POINTS = 60
-"""Of each part, however small."""
+"""Points of each part, however small."""
 PROPORTIONS = 1.35
 """Largest factor between two sides' scales."""
 SCALE = 1.6
@@ -38,7 +38,7 @@ _ROUNDS = 6
 _CLOSER = 6
 """Starts that are fitted closer."""
 _MIRRORED = 0.03
-"""How much better a mirror image has to fit: most things look like their own."""
+"""Least advantage of a mirror image: most things look like their own."""
 _FEWER, _WIDER = 8, 2.0
 """Divisor of the points by which starts are compared, and factor of the reach then."""
 _CLOSEST = 0.8
@@ -50,7 +50,7 @@ class Example:
     """A finished object as others are compared with it.
 
     Attributes:
-        name: for people.
+        name: display name.
         points: (N, 3) on its surface, metres.
         part: (N,) index into ``links``; the base is one of them.
         links: the parts' links. names: what people call them, or None.
@@ -74,7 +74,7 @@ class Example:
 
     @cached_property
     def tree(self) -> KDTree:
-        """Of its points."""
+        """KD-tree of its points."""
         return KDTree(self.points)
 
 

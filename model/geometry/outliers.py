@@ -54,7 +54,7 @@ class OutlierTest:
                 self._far = far
 
     def is_outlier(self, index: int) -> bool:
-        """Whether a point is an outlier; points of small groups may not be recognised."""
+        """True if a point is an outlier; points of small groups may not be recognised."""
         at = np.array([index])
         if _apart(self._tree, self._points[at])[0] <= self._far:
             return False

@@ -43,7 +43,7 @@ _MOST = 1_000_000
 
 @dataclass(frozen=True)
 class PrepareSettings:
-    """How a scan is prepared.
+    """Settings for preparing a scan.
 
     Attributes:
         up: the source's up direction; None finds it.
@@ -77,7 +77,7 @@ class PrepareSettings:
 
 @dataclass(frozen=True, eq=False)
 class PrepareProposal:
-    """How a scan would be prepared.
+    """Proposed preparation of a scan.
 
     Attributes:
         object_from_source: (4, 4) rotation, uniform scale and shift.
@@ -143,7 +143,7 @@ def propose(
 
 
 def tilt_remark(asset: Asset, declared: bool = False) -> str | None:
-    """A remark for people where a scan seems not to be upright, else None.
+    """Human-readable remark where a scan seems not to be upright, else None.
 
     Args:
         declared: whether the file's format says which axis is up.
@@ -258,7 +258,7 @@ def _surface(asset: Asset) -> tuple[Array, Array | None, npt.NDArray[np.int32] |
 def _face_kinds(
     asset: Asset, points: Array, face: npt.NDArray[np.int32], of_points: Kinds
 ) -> Kinds:
-    """What most samples of each face are; of a face without any, what the nearest one is."""
+    """Most frequent kind among each face's samples; without any, that of the nearest sample."""
     count = len(KIND_NAMES)
     votes = np.bincount(face * count + of_points, minlength=count * asset.element_count)
     votes = votes.reshape(-1, count)

@@ -75,7 +75,7 @@ class OddSize:
     """An implausible size.
 
     Attributes:
-        question: for people, such as "1000 m tall: is the file in millimetres?".
+        question: human-readable, such as "1000 m tall: is the file in millimetres?".
         unit: one of :data:`UNITS` that makes it about a metre, or None.
     """
 

@@ -49,7 +49,7 @@ class Opened:
         element_part: (E,) int32 part of each face or point; None where there is but one part.
         part_names: by part, "" for none.
         tree: joints of the links ``link_<part>`` and of helpers; None where none moves.
-        notes: what was changed or passed over on reading, for people.
+        notes: human-readable remarks on content changed or skipped on reading.
         files: what was read.
         inertials: by those links, mass properties where the file tells them.
         shapes: by those links, collision shapes where the file tells them.
@@ -80,7 +80,7 @@ def open_model(
         path: the file; its meshes lie in its folder, or in that of its ROS package.
         target_from_file: (4, 4) rotation and uniform scale to metres and +z up.
         max_bytes: refuse larger meshes.
-        progress: told of each link.
+        progress: reports each link.
         model: what was read of the file already, or None.
 
     Raises:

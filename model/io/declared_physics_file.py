@@ -1,5 +1,5 @@
-"""What a source told of its parts' masses and collision shapes, beside the part meshes that were
-written of it: a working copy of a scene's asset loses nothing so."""
+"""Declared masses and collision shapes of a source, saved beside the part meshes, so that a working
+copy of a scene's asset keeps them."""
 
 from __future__ import annotations
 

@@ -177,7 +177,7 @@ def part_of_file_name(link: str, name: str | None) -> int | None:
     """The number of the part that ``link`` was written for, None for other names.
 
     Args:
-        name: of the part, as its file says.
+        name: of the part, as in its file.
     """
     if link == BASE and name in (None, BASE):
         return 0
@@ -188,6 +188,6 @@ def part_of_file_name(link: str, name: str | None) -> int | None:
 
 
 def part_name_in(link: str) -> str:
-    """What a part was called whose link this file named: "drawer door" of ``drawer_door_2``."""
+    """Part name in a link's file name: "drawer door" of ``drawer_door_2``; "" without one."""
     found = re.fullmatch(r"(.+)_\d+", link)
     return "" if found is None or found[1] == "link" else found[1].replace("_", " ")

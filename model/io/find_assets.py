@@ -39,8 +39,8 @@ def refusal(path: Path) -> InputFileError | None:
 
 
 def asset_name(path: Path) -> str:
-    """What people call a file or folder: ``object.urdf``, ``object.xml`` and ``mobility.urdf``,
-    as all are called so, have their folder's name."""
+    """Display name of a file or folder: ``object.urdf``, ``object.xml`` and ``mobility.urdf``,
+    names that many files share, have their folder's."""
     if path.name in _WHOLE_FOLDER:
         path = path.absolute().parent
     return path.name if path.is_dir() else path.stem
@@ -83,10 +83,10 @@ def _only_mjcf(folder: Path) -> Path | None:
 
 
 def find_assets(paths: Iterable[str | Path]) -> list[Path]:
-    """What can be opened among ``paths``: files as they are, folders searched in depth.
+    """Assets that can be opened among ``paths``: files as they are, folders searched in depth.
 
     A folder with a ``mobility.urdf``, an ``object.urdf``, an ``object.xml``, an ``object.json`` or
-    ``link_*`` meshes is one item. What a URDF or MJCF in the folder is made of is none, nor is the
+    ``link_*`` meshes is one item. Files of a URDF or MJCF in the folder are none, nor is the
     MJCF of a converted scene. A file that is named directly is always in, so that opening it can
     say what is wrong with it.
 
@@ -106,7 +106,7 @@ def find_assets(paths: Iterable[str | Path]) -> list[Path]:
 
 
 def _search(folder: Path, seen: set[Path]) -> list[Path]:
-    """What can be opened in ``folder``, but for folders in ``seen``, which takes up all visited."""
+    """Assets in ``folder``, except in folders of ``seen``, to which all visited ones are added."""
     real = folder.resolve()
     if real in seen:  # a link back up, or another name of a folder
         return []
@@ -137,7 +137,7 @@ def _search(folder: Path, seen: set[Path]) -> list[Path]:
 
 
 def _is_scene(folder: Path) -> bool:
-    """Whether ``scene convert`` wrote it: its MJCF describes all objects together."""
+    """True if ``scene convert`` wrote it: its MJCF describes all objects together."""
     return (folder / "scene.json").is_file() and (folder / "assets").is_dir()
 
 

@@ -76,7 +76,7 @@ def default_up_axis(path: Path, *, part_of_folder: bool = False) -> UpAxis:
 
 
 def declares_up(path: Path) -> bool:
-    """Whether the format of a file or folder says which axis is up."""
+    """True if the format of a file or folder declares the up axis."""
     return path.is_dir() or path.suffix.lower() in _DECLARED_UP
 
 

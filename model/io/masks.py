@@ -66,13 +66,13 @@ FloatArray = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Masks:
-    """What a file of masks holds.
+    """Content of a file of masks.
 
     Attributes:
         path: the file or folder. sha256: of what was read.
         labels: (N,) of the faces or points of ``geometry``, or of the asset's elements where it is
             None; -1 is none.
-        names: label → what the part is called, where the file tells it.
+        names: label → part name, where the file declares it.
         geometry: in its own frame, or None.
     """
 
@@ -213,8 +213,8 @@ def _pieces(
 
 
 def _painted(loaded: list[Loaded]) -> bool:
-    """Whether these are one cloud in several colours, black where it is none of the part, as
-    PartSLIP writes it."""
+    """True if these are one cloud in several colours, black outside the part, as PartSLIP writes
+    it."""
     first = loaded[0].vertices
     return all(
         not len(p.faces) and p.colors is not None and not p.colors[:, :3].any(axis=1).all()
@@ -268,7 +268,7 @@ def _first(held: Mapping[str, Any], keys: tuple[str, ...]) -> str | None:
 
 
 def _name(text: str) -> str:
-    """What a part is called; "" for names such as ``mesh_3``. ``door@0`` is an instance of door."""
+    """Name of a part; "" for names such as ``mesh_3``. ``door@0`` is an instance of door."""
     plain = "".join(c for c in re.sub(r"@\d+$", "", text) if c.isprintable()).strip()
     return "" if _UNNAMED.fullmatch(plain) else plain
 

@@ -41,16 +41,16 @@ def merge_rigid(
         name: of the object.
         tree: over all links, object frame.
         parts: link → its geometry; links without any are helpers.
-        names: link → what it is in people's words.
+        names: link → display name.
         category: of the object.
         apart: names of fixed joints whose two sides stay two parts.
-        inertials: link → mass properties that the source tells; of a group they count together,
-            where they are told of all of it that can be seen.
-        collision: link → what the source tells of collision shapes; a group has those of all its
-            links. What can't be had of them is among its part's remarks.
+        inertials: link → declared mass properties; those of a group are combined, where they are
+            declared for all of its visible links.
+        collision: link → declared collision shapes; a group has those of all its links. Shapes
+            that can't be loaded are among its part's remarks.
 
     Returns:
-        The object and what was merged, for people.
+        The object, and human-readable remarks on the merged links.
 
     Raises:
         KinematicsError: where no link has geometry.
@@ -91,8 +91,8 @@ def merge_rigid(
 def group_inertial(
     links: Sequence[str], seen: Collection[str], declared: Mapping[str, Inertial]
 ) -> Inertial | None:
-    """What links that are fixed to each other weigh together; None unless it is told of all of
-    them that can be seen: a handle's mass alone is not its door's."""
+    """Combined inertial of links that are fixed to each other; None unless it is declared for all
+    of them that can be seen: a handle's mass alone is not its door's."""
     own = [declared[link] for link in links if link in declared]
     return (
         together(own) if own and all(link in declared for link in links if link in seen) else None

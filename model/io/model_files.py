@@ -20,13 +20,13 @@ MODEL_SUFFIXES = (URDF_SUFFIX, *MJCF_SUFFIXES, SDF_SUFFIX)
 
 
 def is_model(path: Path) -> bool:
-    """Whether ``path`` is a URDF, an XML file that begins as an MJCF does, an SDF of one model, or
+    """True if ``path`` is a URDF, an XML file that begins as an MJCF does, an SDF of one model, or
     AnyMesh's JSON."""
     return is_urdf(path) or is_mjcf(path) or is_sdf(path) or is_anymesh(path)
 
 
 def articulated_stage(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> UrdfModel | None:
-    """What a USD stage holds that is one object with joints; None for any other file.
+    """Articulated object of a USD stage; None for any other file.
 
     Raises:
         InputFileError: where it is a damaged stage.

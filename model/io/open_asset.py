@@ -54,7 +54,7 @@ def open_asset(
 
     Args:
         path: what to open.
-        up_axis: the source's up axis; by default told by the format, see the module's text.
+        up_axis: the source's up axis; by default declared by the format, see the module's text.
         unit_scale: metres per source unit.
         max_bytes: refuse larger files.
         files: of a single OBJ file: where its materials and textures may lie, read once for

@@ -57,12 +57,12 @@ def safe_link(stem: str) -> str:
 
 
 def has_part_files(folder: Path, suffixes: tuple[str, ...]) -> bool:
-    """Whether the folder has ``link_*`` meshes."""
+    """True if the folder has ``link_*`` meshes."""
     return bool(_files(folder, suffixes, "link_"))
 
 
 def is_part_folder(folder: Path, suffixes: tuple[str, ...]) -> bool:
-    """Whether the folder is one object in parts."""
+    """True if the folder is one object in parts."""
     return (folder / OBJECT_JSON).is_file() or has_part_files(folder, suffixes)
 
 

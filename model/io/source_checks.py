@@ -71,7 +71,7 @@ def shifted(loaded: Loaded, shift: tuple[float, float, float]) -> Loaded:
 
 
 def is_solid(loaded: Loaded) -> bool:
-    """Whether it is a mesh, not a cloud."""
+    """True if it is a mesh, not a cloud."""
     return len(loaded.faces) > 0
 
 

@@ -126,7 +126,7 @@ class _Reader:
         return name
 
     def _several(self, joints: list[_Link]) -> bool:
-        """Whether joints that move hold more than one group of bodies: a scene of objects."""
+        """True if joints that move hold more than one group of bodies: a scene of objects."""
         group = {link: link for link in (WORLD, *self.link_of.values())}
 
         def top(link: str) -> str:
@@ -217,7 +217,7 @@ class _Reader:
         return out
 
     def _value(self, prim: Any, type_: JointType, zero: FloatArray, one: FloatArray) -> float:
-        """Where the joint stands; a remark where its frames differ by anything else."""
+        """Present joint value; adds a remark where the joint's frames differ by anything else."""
         apart = np.linalg.inv(zero) @ one
         shift, turn = apart[:3, 3].copy(), Rotation.from_matrix(apart[:3, :3]).as_rotvec()
         value = turn[0] if JOINT_KINDS[type_].rotates else 0.0

@@ -1,4 +1,4 @@
-"""What a reader of XML knows of its format, so that nothing else in a file passes in silence."""
+"""Content of a format that its XML reader knows, so that all else in a file gets a remark."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ class XmlSchema:
         return [f"not read: {listed}{rest}"]
 
     def _is_further(self, tag: str, child: str, seen: set[str]) -> bool:
-        """Whether a reader took another element in its place."""
+        """True if a reader took another element in its place."""
         if tag in self.choices:
             return True
         return child in seen and self.repeated is not None and child not in self.repeated

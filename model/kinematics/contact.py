@@ -44,7 +44,7 @@ class Contact:
 
     @property
     def touches(self) -> bool:
-        """Whether the gap is within the tolerance."""
+        """True if the gap is within the tolerance."""
         return bool(self.distance <= self.tolerance)
 
     @property

@@ -106,7 +106,7 @@ def tree_poses(tree: KinematicTree, values: Sequence[Mapping[str, float]]) -> di
 
 
 def has_mimics(tree: KinematicTree, joint: Joint) -> bool:
-    """Whether mimics may move links that aren't below ``joint``."""
+    """True if mimics may move links that aren't below ``joint``."""
     return joint.mimic is not None or any(j.mimic is not None for j in tree.joints)
 
 

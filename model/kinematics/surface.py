@@ -174,7 +174,7 @@ class Surface:
 
     @cached_property
     def _solid(self) -> tuple[npt.NDArray[np.bool_], KDTree]:
-        """Whether each coarse sample bounds a solid, and the KD-tree of these samples."""
+        """Mask of the coarse samples that bound a solid, and the KD-tree of these samples."""
         points, normals = self.points[:COARSE], self.normals[:COARSE]
         out = np.zeros(len(points), bool)
         if self.oriented:

@@ -54,7 +54,7 @@ TILTS = (0.0, np.radians(30))
 FACING = 0.6
 """Least cosine between the motion and what pushes or hooks."""
 FROM_BELOW = 0.8
-"""What a place counts that the hand comes to from below."""
+"""Weight of a place that the hand comes to from below."""
 BATCH, FEW = 400, 24
 """Candidates whose room is looked at together, best first: by samples, and by the shapes."""
 CLOSE = 0.03
@@ -72,7 +72,7 @@ Array = npt.NDArray[np.float64]
 
 
 def opened_range(joint: Joint) -> float:
-    """Where a robot moves the joint from rest: its farther limit; half a turn without limits."""
+    """Joint value at which a robot stops: the farther limit; half a turn without limits."""
     low, high = joint.motion_range
     return FREE_TURN if not joint.limited else high if high >= -low else low
 
@@ -94,7 +94,7 @@ def find_affordances(
         collision: link → shapes, object frame: what a gripper meets. Links without any count by
             their meshes or clouds; where no link has one, nothing is looked for.
         most: of a joint.
-        seed: of the samples.
+        seed: random seed of the samples.
         remarks: gets one for each search that failed.
     """
     said = [] if remarks is None else remarks
@@ -191,7 +191,7 @@ class _Surface:
 
     @cached_property
     def tree(self) -> KDTree:
-        """Of all points."""
+        """KD-tree of all points."""
         return KDTree(self.points)
 
     @cached_property
@@ -467,7 +467,7 @@ class _Search:
         return self._free(poses, np.repeat(at[None], len(poses), axis=0), radii, share)
 
     def _reached(self, poses: _Poses) -> npt.NDArray[np.bool_]:
-        """Whether the hand comes straight from outside of the object."""
+        """Mask of the poses that the hand reaches straight from outside of the object."""
         rows = np.arange(FINGER[2] + PALM[2], self.surface.size, 0.04)
         at = np.column_stack([np.zeros((len(rows), 2)), -rows])
         at = np.repeat(at[None], len(poses), axis=0)

@@ -40,7 +40,7 @@ NAMED = 5
 
 @dataclass(frozen=True)
 class PhysicsSettings:
-    """How physics is computed.
+    """Settings for computing physics.
 
     Attributes:
         collision: how shapes are made; None leaves them out.

@@ -25,7 +25,7 @@ class PredictionBuilder:
 
     Attributes:
         links: of the parts. locked: joints fixed by a person, kept unchanged.
-        confidence_model: of the predictor. problems: for people.
+        confidence_model: of the predictor. problems: human-readable.
         evidence: child link → evidence of its joint.
         alternatives: see :class:`~model.core.articulated_object.Prediction`.
     """

@@ -1,4 +1,4 @@
-"""What a workspace's accepted objects say about the joints of an object of their category.
+"""Evidence about joints from a workspace's accepted objects of the same category.
 
 Each accepted joint is kept with the name of its part, where its axis lies in the part's box, its
 limits, and the name of the part that carries it. A part of the same name in an object of the same
@@ -34,7 +34,7 @@ FORMAT = 1
 _WORDS = re.compile(r"[a-z0-9]+")
 FILE = "experience.json"
 FOLDER, CURRENT, RECORD = "learned", "current.json", "record.json"
-"""Of a workspace: its versions, which of them is in use, and in each what came of it."""
+"""Folder of a workspace's versions, file of the one in use, and file of each one's results."""
 SAME_AXIS, SAME_LINE = 0.95, 0.35
 """Least cosine between axes, and most between their lines in half extents of the part's box."""
 THIN = 0.25
@@ -69,7 +69,7 @@ class JointExample:
 
     @property
     def rotates(self) -> bool:
-        """Whether it turns."""
+        """True if it turns."""
         return JOINT_KINDS[self.type].rotates
 
 
@@ -111,7 +111,7 @@ class Motions:
 
 @dataclass(frozen=True)
 class Recalled:
-    """What experience says about one part.
+    """Evidence about one part.
 
     Attributes:
         objects: accepted objects that have a part of this name.
@@ -129,7 +129,7 @@ class Recalled:
     limits: Array
 
     def agreed(self, shares: Mapping[str, float]) -> str | None:
-        """What most of enough objects have, or None."""
+        """Name that most of enough objects have, or None."""
         if self.objects < ENOUGH or not shares:
             return None
         best = max(shares, key=lambda k: shares[k])
@@ -176,9 +176,8 @@ class Experience:
         return Experience(tuple(o for o in self.objects if o.source != source), self.trust)
 
     def recall(self, category: str | None, parts: Mapping[int, Motions]) -> dict[int, Recalled]:
-        """What is known about the parts of an object, by their keys; only of named ones, and
-        nothing without a category.
-        """
+        """Evidence about the parts of an object, by their keys; only for named ones, and none
+        without a category."""
         if category is None:
             return {}
         names = {key: part_name(m.name) for key, m in parts.items()}

@@ -44,7 +44,7 @@ LOCKED = "Locked joint"
 
 
 def as_on(objects: int) -> str:
-    """Where the joints of accepted objects were asked."""
+    """Remark that joints of accepted objects were compared."""
     return f"Compared with {objects} accepted object{'s' * (objects != 1)}"
 
 

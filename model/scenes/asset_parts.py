@@ -48,11 +48,11 @@ class AssetParts:
     """Parts in the asset's own frame, metres, +z up.
 
     Attributes:
-        how: where the cut comes from, for people.
+        how: human-readable origin of the cut.
         truth: the joints of the asset's own URDF, where it has one.
-        notes: what was changed on reading that URDF, for people.
-        inertials: link → mass properties where that URDF tells them.
-        shapes: link → collision shapes where it tells them.
+        notes: human-readable remarks on changes made on reading that URDF.
+        inertials: link → mass properties where that URDF declares them.
+        shapes: link → collision shapes where it declares them.
     """
 
     parts: tuple[Part, ...]

@@ -16,12 +16,12 @@ from model.io.urdf.files import MOBILITY, URDF_SUFFIX
 
 _URDF_NAMES = (MOBILITY, "object.urdf")
 _FOLDERS_MODEL = "raw_model"
-"""What 3D-FUTURE calls the mesh in the folder of each model."""
+"""Name of the mesh in the folder of each model of 3D-FUTURE."""
 
 
 @dataclass(frozen=True)
 class AssetIndex:
-    """Where assets are.
+    """Index of assets by id.
 
     Attributes:
         folders: that were searched.

@@ -8,7 +8,7 @@ from typing import Any
 from model.core.installing import require
 
 MOST_BYTES = 16 << 20
-"""Of an answer; a model that says all it may sends less than one."""
+"""Largest answer; a model's longest takes less than one."""
 
 
 def bounded_client(timeout: float) -> Any:

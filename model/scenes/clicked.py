@@ -23,14 +23,14 @@ FAR = 0.1
 
 @dataclass(frozen=True, eq=False)
 class ObjectClicks:
-    """What a person clicked on one object.
+    """Clicks of a person on one object.
 
     Attributes:
         prompts: positions in metres, +z up; elements, where a click or a region names them, are the
             object's own.
-        names: part → what it is.
+        names: part → display name.
         category: of the object, or None.
-        segmenter: who answers.
+        segmenter: registered name.
         in_scene: whether positions are the scene's; else the asset's own, before its scale.
     """
 

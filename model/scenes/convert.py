@@ -66,11 +66,11 @@ LIMITS, LOCK, UNPACKED = "work/limits", "work/lock", "work/unpacked"
 
 @dataclass(frozen=True)
 class ConvertSettings:
-    """How a scene is converted.
+    """Settings for converting a scene.
 
     Attributes:
         jobs: processes.
-        predictor, seed: who predicts joints.
+        predictor, seed: predictor of the joints, and its random seed.
         keep_limits: leave joint limits as predicted, whatever stands in the way.
         collision: make collision shapes; bases that are free are free in MJCF only with them, as
             they would fall through the floor without.
@@ -231,7 +231,7 @@ def _filled(obj: SceneObject, assets: AssetIndex) -> SceneObject:
 
 
 def _moves(path: Path) -> bool | None:
-    """Whether the asset's own URDF has a moving joint; None where it has no URDF."""
+    """True if the asset's own URDF has a moving joint; None without a readable URDF."""
     for name in (MOBILITY, "object.urdf"):
         if (path / name).is_file():
             try:

@@ -50,7 +50,7 @@ def unpack(scene: Scene, folder: Path) -> Unpacked:
 
 
 def holds_geometry(scene: Scene) -> bool:
-    """Whether the assets are inside of the scene's own file."""
+    """True if the scene's own file holds the assets."""
     return _geometry_reader(scene) is not None
 
 

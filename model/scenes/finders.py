@@ -129,7 +129,7 @@ class LexiconFinder:
         return Decision(False, (), f"no articulable kind fits {shown!r}", confidence=0.8)
 
     def _match(self, text: str) -> tuple[Kind, str, float] | None:
-        """The kind of the head of ``text``, the word that told it, and how alike it is."""
+        """Kind of the head of ``text``, the word that matched it, and their similarity."""
         text = _SIZE.sub(" ", _COUNTED.sub("", _split_case(text)))
         head = _HEAD_ENDS.split(text, maxsplit=1)[0] or text
         if (whole := _plain(text)) in self._kind_of:  # "chest of drawers"

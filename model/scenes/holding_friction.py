@@ -16,7 +16,7 @@ from model.scenes.readers.lisdf import parse_xml
 from model.scenes.scene import FloatArray
 
 UPRIGHT = 1e-3
-"""Of a unit vector's length: less is no tilt, but rounding."""
+"""Share of a unit vector's length: less is no tilt, but rounding."""
 
 
 def frictions(

@@ -41,12 +41,12 @@ from model.scenes.scene import FloatArray, SceneObject
 
 ASSETS, DONE, MJCF = "assets", "work/assets", "mjcf"
 PREDICTED, STATIC, ANNOTATE, FAILED = "predicted", "static", "annotate", "failed"
-"""What became of an asset; ``annotate`` stands there rigid until a person cuts it."""
+"""Results for an asset; ``annotate`` stands there rigid until a person cuts it."""
 ACCEPTED = "accepted"
 """As predicted, and a person said that it is right."""
 MOVING = (PREDICTED, ACCEPTED)
 REJECTED, TODO = "rejected", "todo"
-"""What people said no to, and what nobody has decided on; both stand there rigid."""
+"""Results of review: rejected, and undecided; both stand there rigid."""
 MISSING, PLAIN = "missing", "plain"
 """States of objects whose asset isn't there, and of plain boxes without one."""
 
@@ -59,7 +59,7 @@ class AssetJob:
         key: names its folder; the same for the same files, size and settings.
         path: of the asset.
         scale, fit: as in :class:`~model.scenes.scene.SceneObject`.
-        articulate: whether joints are wanted.
+        articulate: whether joints are requested.
         category: hint for the predictor.
         predictor, seed: as :func:`model.prediction.registry.load_predictor` and ``predict`` take
         them.
@@ -197,7 +197,7 @@ def write_formats(
 def usability(
     obj: ArticulatedObject, found: AssetParts | None, factors: FloatArray, state: str
 ) -> bool | None:
-    """Whether every joint is right (ArtiWorld, usability); None without a true URDF."""
+    """True if every joint is right (ArtiWorld, usability); None without a true URDF."""
     if found is None or found.truth is None:
         return None
     if state != PREDICTED:

@@ -57,7 +57,7 @@ SCHEMA: dict[str, Any] = {
 
 MOST_PARTS, LONGEST_PART, LONGEST_REASON = 24, 40, 300
 _BYTES_A_TOKEN = 3.5
-"""Of JSON and English, by the usual tokenizers; an estimate."""
+"""Bytes a token of JSON and English, by the usual tokenizers; an estimate."""
 _LOOKS_UP = 0.25
 """Seconds after which whoever waits for an answer hears an interrupt."""
 _TOKENS_AN_ANSWER = 70
@@ -72,7 +72,7 @@ class Answer:
     """A model's reply.
 
     Attributes:
-        text: "" where it said nothing usable.
+        text: "" without a usable answer.
         input_tokens, output_tokens: as the server counted them; 0 where it doesn't say.
     """
 
@@ -139,7 +139,7 @@ class LanguageFinder:
         engine: runs the model.
         cache: folder of answers, or None to keep none.
         fallback: decides where the model doesn't.
-        progress: told of each answer.
+        progress: reports each answer.
         usage: so far.
     """
 
@@ -256,7 +256,7 @@ def question(objects: Sequence[ObjectDescription]) -> str:
 
 
 def parse_answer(text: str, count: int) -> dict[int, Decision]:
-    """Decisions by number out of what a model said; what is no decision is passed over.
+    """Decisions by number, parsed from a model's answer; other content is skipped.
 
     Args:
         text: JSON, which may stand in a code fence or behind thoughts.

@@ -54,7 +54,7 @@ class Standing:
 
 
 def shortened(me: Standing, others: tuple[Standing, ...]) -> list[dict[str, Any]]:
-    """What each joint of ``me`` loses to its neighbours, the other joints at rest.
+    """Range that each joint of ``me`` loses to its neighbours, the other joints at rest.
 
     Returns:
         For each shortened joint ``{"joint", "was", "limits", "hits"}``, radians or metres; a

@@ -171,7 +171,7 @@ def _answer(said: Any) -> Answer:
 
 
 def _redirect_of(error: Exception) -> str:
-    """Where a server sends its clients, "" where it doesn't."""
+    """Address that a server redirects to, "" without one."""
     response = getattr(error, "response", None)
     if response is None or not 300 <= response.status_code < 400:
         return ""

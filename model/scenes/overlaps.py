@@ -57,7 +57,7 @@ def at_rest(stands: Sequence[Stand], out: Path) -> tuple[list[Stand], dict[str, 
             changes.
 
     Returns:
-        The stands in their order, and for each whose base is held its id and why, for people.
+        The stands in their order, and for each whose base is held its id and a readable reason.
     """
     read: dict[str, list[tuple[str, list[Hull], bool]]] = {}
     bodies: list[_Body] = []

@@ -18,11 +18,11 @@ class SceneReader(Protocol):
     description: str
 
     def recognises(self, path: Path, head: bytes) -> bool:
-        """Whether the file is of this kind, by its name and its first 64 KiB."""
+        """True if the file is of this kind, by its name and its first 64 KiB."""
         ...
 
     def read(self, path: Path) -> Scene:
-        """Read it; a broken object is told in ``problems`` and left out, the rest goes on.
+        """Read it; a broken object is reported in ``problems`` and left out, the rest goes on.
 
         Raises:
             InputFileError: where the file as a whole is no scene of this kind.
@@ -35,7 +35,7 @@ class ObjectDescription:
     """A finder's input for one object.
 
     Attributes:
-        description: in people's words.
+        description: human-readable.
         category: or None.
         size: (x, y, z) metres, or None where nobody knows.
     """
@@ -47,13 +47,13 @@ class ObjectDescription:
 
 @dataclass(frozen=True)
 class Decision:
-    """Whether an object can be articulated.
+    """Decision whether an object can be articulated.
 
     Attributes:
         articulable: yes or no.
         parts: kinds of moving parts to expect.
-        reason: why, for people.
-        kind: what the object is taken for, or None.
+        reason: human-readable.
+        kind: recognised kind of object, or None.
         base: whether its base belongs to the world (``fixed``) or is free to move; None where
             nobody knows.
         confidence: 0..1.

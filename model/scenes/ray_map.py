@@ -12,7 +12,7 @@ from model.core.installing import require
 T = TypeVar("T")
 
 TRIES = 3
-"""How often the worker of one object may die before the object is given up."""
+"""Deaths of its worker after which an object is given up."""
 
 CONNECT_SECONDS = 5.0
 

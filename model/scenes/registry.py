@@ -51,7 +51,7 @@ def load_reader(name: str) -> SceneReader:
 
 
 def recognised(path: Path) -> bool:
-    """Whether the file is a scene of a known format.
+    """True if the file is a scene of a known format.
 
     Raises:
         InputFileError: where it can't be read.

@@ -26,7 +26,7 @@ class SceneObjectError(ArtiworldError):
 
 @dataclass(frozen=True)
 class SceneFrame:
-    """How the file tells places; everything in a :class:`Scene` is metres, right-handed, +z up.
+    """Coordinate frame of the file; everything in a :class:`Scene` is metres, right-handed, +z up.
 
     Attributes:
         up_axis: of the file.
@@ -68,7 +68,7 @@ class SceneObject:
 
     Attributes:
         id: unique within the scene.
-        description: in people's words.
+        description: human-readable.
         category: what it is, where the file tells it, or None.
         world_from_object: (4, 4) rigid pose, metres, world +z up.
         scale: (3,) factors on the asset's axes, its own frame; the first one is negative where the
@@ -125,7 +125,7 @@ class SceneObject:
         object.__setattr__(self, "scale", scale)
 
     def placed(self, bounds: npt.ArrayLike) -> Placement:
-        """Where an asset with the (2, 3) ``bounds`` (metres, its own frame) stands."""
+        """Placement of an asset with the (2, 3) ``bounds`` (metres, its own frame)."""
         low, high = np.asarray(bounds, np.float64)
         factor = self.scale.copy()
         if self.fit is not None:
@@ -170,12 +170,12 @@ class Scene:
     """A scene as it was read.
 
     Attributes:
-        name: short, for people.
+        name: short display name.
         path: the file.
         reader: name of who read it.
         objects: ids are unique.
-        problems: what was left out or changed, for people.
-        frame: how the file tells places, for writing back.
+        problems: human-readable remarks on content left out or changed.
+        frame: the file's coordinate frame, for writing back.
     """
 
     name: str

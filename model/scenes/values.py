@@ -116,7 +116,7 @@ def collect(
 ) -> tuple[tuple[SceneObject, ...], tuple[SceneProblem, ...]]:
     """Make an object of each entry; a broken one is reported and left out.
 
-    A second object of the same id stays in the scene under an id of its own, which is told too.
+    A second object of the same id stays in the scene under an id of its own, which is reported too.
 
     Args:
         entries: place in the file and what is there.

@@ -1,4 +1,4 @@
-"""What the clicks so far have established about one part, in superpoints."""
+"""State of one part after the clicks so far, in superpoints."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class PartState:
         streak: latest consecutive corrective clicks of one sign, negative for removals.
         drawn: how often the person chose or drew another mask than the clicks gave.
         least, most: bounds on the true size in nodes: the largest mask that lacked something and
-            the smallest that held too much.
+            the smallest that held excess.
         confirmed: how many positive and negative clicks agreed with the mask.
         corrections: the other clicks, in order.
     """
@@ -57,7 +57,7 @@ class PartState:
 
     @property
     def has_mask(self) -> bool:
-        """Whether any superpoint belongs to the part."""
+        """True if any superpoint belongs to the part."""
         return self.mask is not None and bool(self.mask.any())
 
     @property

@@ -1,4 +1,4 @@
-"""What all prompts so far have established, and how each one changes it.
+"""State of a session after all prompts so far, and its update by each prompt.
 
 The state after some prompts is a pure function of them, so undo is going back to an earlier one.
 """
@@ -36,7 +36,7 @@ _CHOSEN_SHARE = 0.1
 
 @dataclass(frozen=True, eq=False)
 class SessionState:
-    """Where a session stands after some prompts.
+    """State of a session after some prompts.
 
     Attributes:
         parts: masks and clicks of the parts other than the base.

@@ -82,7 +82,7 @@ class _Compared:
     """Child links whose joints are as most accepted ones."""
 
     def right(self) -> list[bool]:
-        """Whether each of those joints came out as accepted."""
+        """One bool for each of those joints: True if predicted as accepted."""
         return [j.usable for j in self.after.joints if j.child in self.followed]
 
     def trusting(self, trust: float) -> ObjectScore:

@@ -45,8 +45,8 @@ RIDGE = 0.01
 
 
 POSES = ((0, 2, 3), (3, 0, 1), (2, 1, 0))
-"""What lies along z, y and -y of a file that stands, or lies on its back or front: 0 is the
-object's top, 1 its bottom, 2 its back, 3 its front."""
+"""Sides along z, y and -y of a file that stands, or lies on its back or front: 0 is the object's
+top, 1 its bottom, 2 its back, 3 its front."""
 
 
 @dataclass(frozen=True)

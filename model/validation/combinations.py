@@ -35,7 +35,7 @@ def combination_findings(
 
     Args:
         known: pairs of links that collide when one joint moves alone; they are left out.
-        seed: of the poses (of low discrepancy).
+        seed: random seed of the poses (of low discrepancy).
     """
     tree = scene.obj.tree
     joints = [j for j in tree.joints if j.moves and j.mimic is None]

@@ -118,7 +118,7 @@ class DriveCache:
 def _unaffected(
     before: Bounds, now: Bounds, result: DriveResult, driven: npt.NDArray[np.int64]
 ) -> bool:
-    """Whether the changed limits make no difference to a result."""
+    """True if the changed limits make no difference to a result."""
     low, high = before.low != now.low, before.high != now.high
     starts = [np.clip(0.0, b.low, b.high) for b in (before, now)]
     span = np.minimum(before.high - before.low, now.high - now.low)

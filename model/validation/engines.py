@@ -93,20 +93,20 @@ class Engine(Protocol):
 
     @property
     def stable(self) -> bool:
-        """Whether all values are finite numbers."""
+        """True if all values are finite numbers."""
         ...
 
     def touches(self) -> list[Touch]:
-        """What touches now."""
+        """Present contacts."""
         ...
 
 
 @dataclass(frozen=True)
 class EngineInfo:
-    """Where an engine is, and what it needs.
+    """Location and requirements of an engine.
 
     Attributes:
-        title: for people. module: that must be installed. extra: of ours that installs it.
+        title: display name. module: that must be installed. extra: of artiworld, installs it.
         place: of its class.
     """
 
@@ -117,12 +117,12 @@ class EngineInfo:
 
     @property
     def installed(self) -> bool:
-        """Whether its package is installed."""
+        """True if its package is installed."""
         return importlib.util.find_spec(self.module) is not None
 
     @property
     def command(self) -> str:
-        """What installs it."""
+        """Command that installs it."""
         return install_command(f"artiworld[{self.extra}]")
 
     def build(self, obj: ArticulatedObject, joints: Sequence[Joint], physics: Physics) -> Engine:
@@ -163,7 +163,7 @@ def require_engines(text: str, option: str = "--engine") -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Load:
-    """What a joint carries at rest.
+    """Load of a joint at rest.
 
     Attributes:
         inertia: kg along its axis, or kg m² about it.

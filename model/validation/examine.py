@@ -65,7 +65,7 @@ class Scene:
     points: int = 2048
 
     def display_name(self, link: str) -> str:
-        """Name of a link for people."""
+        """Display name of a link."""
         return display_names.display_name(self.obj, link)
 
     def with_joint(self, joint: Joint) -> Scene:
@@ -212,7 +212,7 @@ def first_open(scene: Scene, joint: Joint, sweep: Sweep, other: str | None) -> J
 
 
 def _clears(scene: Scene, joint: Joint, sweep: Sweep, first: Joint, end: float, other: str) -> bool:
-    """Whether ``joint`` passes ``other`` once ``first`` is at ``end``."""
+    """True if ``joint`` passes ``other`` once ``first`` is at ``end``."""
     below = scene.obj.tree.descendants(joint.child)
     pairs = {frozenset((k, other)) for k in below}
     obj, points = scene.with_joint(joint).obj, scene.points // 2
@@ -274,13 +274,13 @@ def _how_detached(scene: Scene, joint: Joint, support: str, q: float, lifted: bo
 
 
 def _both_oriented(scene: Scene, joint: Joint, support: str) -> bool:
-    """Whether the part and its support are meshes: clouds show their outside alone."""
+    """True if the part and its support are meshes: clouds show their outside alone."""
     both = [scene.surfaces[k] for k in (joint.child, support) if k in scene.surfaces]
     return all(s.oriented for s in both)
 
 
 def _may_reach_inside(scene: Scene, joint: Joint, support: str, q: float) -> bool:
-    """Whether what a scan doesn't show can hold a part at ``q``: of a drawer it shows the front,
+    """True if unscanned geometry can hold a part at ``q``: a scan of a drawer shows its front,
     while the rest of it reaches as far in as its support is deep."""
     part, around = scene.surfaces.get(joint.child), scene.surfaces[support]
     if part is None or joint.rotates or abs(joint.axis[2]) > UPWARD:

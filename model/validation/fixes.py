@@ -73,7 +73,7 @@ def _shrink(joint: Joint, problems: Iterable[Finding]) -> tuple[Fix, ...]:
 
 
 def _is_fixed(scene: Scene, joint: Joint) -> bool:
-    """Whether ``joint`` neither collides nor leaves its support over its range."""
+    """True if ``joint`` neither collides nor leaves its support over its range."""
     sweep = sweep_joint(
         scene.obj, joint, scene.samples, tolerance=scene.tolerance, points=scene.points
     )

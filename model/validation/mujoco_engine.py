@@ -69,7 +69,7 @@ class Mujoco:
 
     @property
     def stable(self) -> bool:
-        """Whether MuJoCo warned of no bad acceleration, and all values are finite."""
+        """True if MuJoCo warned of no bad acceleration, and all values are finite."""
         bad = self.data.warning[self._mujoco.mjtWarning.mjWARN_BADQACC].number
         return not bad and bool(np.isfinite(self.data.qpos).all())
 

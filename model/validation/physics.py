@@ -244,7 +244,7 @@ class Simulation:
                 self._result.missed.append((k, float(short), self._stop(k)))
 
     def _stop(self, k: int) -> Stop:
-        """Where a joint is, and which other link touches its subtree."""
+        """Value of a joint, and the other link that touches its subtree."""
         moved = self.obj.tree.descendants(self.joints[k].child)
         across = [t for t in self.engine.touches() if (t.a in moved) != (t.b in moved)]
         first = min(across, key=lambda t: t.gap, default=None)

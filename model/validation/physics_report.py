@@ -9,7 +9,7 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Stop:
-    """Where a driven joint stopped short, or was when it left its limits.
+    """State of a driven joint that stopped short, or left its limits.
 
     Attributes:
         q: its joint value there.
@@ -29,13 +29,13 @@ class PhysicsReport:
     Attributes:
         ran: whether it ran; False where no simulator is installed, or none could load the object.
         problem: why it didn't run, or "".
-        exploded: joint → how (not a number, far outside the limits), for people.
+        exploded: joint → readable cause (not a number, far outside the limits).
         drifted: joint → share of its range by which it moved while others were driven.
         missed: joint → share of its range that it fell short of its target.
         shapes: number of collision shapes; 0 where masses and joints were driven alone.
         seconds: simulated.
         stops: joint → where it stopped or left its limits.
-        engine: for people.
+        engine: display name.
     """
 
     ran: bool

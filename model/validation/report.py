@@ -13,7 +13,7 @@ from model.validation.physics_report import PhysicsReport
 
 
 class Severity(StrEnum):
-    """How bad a finding is; the values are the words that provenance.json and caches hold."""
+    """Severity of a finding; the values are the words that provenance.json and caches hold."""
 
     OK = "fine"
     WARNING = "look"
@@ -31,7 +31,7 @@ Kind = Literal[
     "geometry", "jammed", "floating", "limits", "collision", "detached", "physics", "combination",
     "unsure", "name",
 ]  # fmt: skip
-"""What is checked, in the order of equally bad findings; "unsure" is the written name of a low
+"""Checks, in the order of equally bad findings; "unsure" is the written name of a low
 confidence."""
 KINDS: tuple[Kind, ...] = Kind.__args__  # type: ignore[attr-defined]
 FixKind = Literal["flip", "shift", "limits", "shrink"]
@@ -42,12 +42,12 @@ class Finding:
     """One result of a check.
 
     Attributes:
-        kind: what was checked. severity: how bad it is. message: for people.
+        kind: the check. severity: of the finding. message: human-readable.
         depth: metres: of a collision, or of the gap between a part and its support.
         q: joint values at the worst pose; joints that are left out are at 0.
         where: (3,) the contact at that pose, object frame; None without one.
         other: the other link, or None.
-        engine: that found it, for people; "" where none did.
+        engine: display name of the one that found it; "" where none did.
     """
 
     kind: Kind
@@ -72,7 +72,7 @@ class Fix:
     Attributes:
         kind: flip the direction, shift the axis, set the limits, or shrink the collision shapes.
         joint: takes the place of its child's joint.
-        message: for people.
+        message: human-readable.
     """
 
     kind: FixKind
@@ -141,7 +141,7 @@ class ValidationReport:
     others: tuple[PhysicsReport, ...] = ()
 
     def executable_in(self, run: PhysicsReport) -> bool:
-        """Whether an engine ran, and no joint has an error that it or the checks found."""
+        """True if an engine ran, and no joint has an error that it or the checks found."""
         return run.ran and not any(
             f.severity == Severity.ERROR and f.engine in ("", run.engine)
             for j in self.joints

@@ -60,7 +60,7 @@ def validate(
     """Check every joint of ``obj``.
 
     Args:
-        seed: of the poses in which several joints move.
+        seed: random seed of the poses in which several joints move.
         physics: whether to drive the joints in ``engines``, where they are installed.
         shapes: whether the parts collide there with the shapes that are exported. An object with
             errors is driven without: it will be changed, and making shapes takes seconds.

@@ -176,7 +176,7 @@ class Sapien:
 
     @property
     def stable(self) -> bool:
-        """Whether all values are finite."""
+        """True if all values are finite."""
         return bool(np.isfinite(self._whole.qpos).all() and np.isfinite(self._whole.qvel).all())
 
     def touches(self) -> list[Touch]:

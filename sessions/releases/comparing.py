@@ -1,4 +1,4 @@
-"""What changed between two releases."""
+"""Changes between two releases."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class AssetChange:
     Attributes:
         key: of the asset.
         kind: added, removed or changed.
-        what: for people: each field with its values before and after, or "files".
+        what: human-readable: each field with its values before and after, or "files".
     """
 
     key: str

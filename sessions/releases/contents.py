@@ -1,4 +1,4 @@
-"""What a release holds: accepted assets as they were saved, without names of people and paths."""
+"""Contents of a release: saved accepted assets, without names of people and paths."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from model.io.assets.reader import PROVENANCE, TREE, read_provenance
 from sessions.store import Store
 
 FORMAT: Final = 1
-"""Of ``release.json``."""
+"""Format of ``release.json``."""
 NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
-"""What a release's name and version may be: they become names of folders and files."""
+"""Names and versions that a release may have: they become names of folders and files."""
 _PEOPLE = ("who", "by")
 _PATHS = ("path", "scene", "file")
 
@@ -80,7 +80,7 @@ class Release:
         return max((a.accepted[:10] for a in self.assets), default="")
 
     def count(self, attribute: str) -> Counter[str]:
-        """How many assets have each value of an attribute."""
+        """Number of assets with each value of an attribute."""
         return Counter(getattr(a, attribute) or "unknown" for a in self.assets)
 
     def to_json(self) -> dict[str, Any]:
@@ -210,7 +210,7 @@ def files_of(asset: AcceptedAsset, people: Mapping[str, str]) -> dict[str, Path 
 
 
 def described(key: str, asset: AcceptedAsset, files: Mapping[str, Path | bytes]) -> ReleasedAsset:
-    """What the release says of an asset."""
+    """Entry of an asset in the release."""
     kept = read_provenance(asset.folder)
     source, predictor = kept.get("source") or {}, kept.get("predictor") or {}
     sums = {name: sha256_of(content) for name, content in files.items()}

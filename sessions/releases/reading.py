@@ -28,7 +28,7 @@ MOST_NAMED: Final = 3
 
 
 def read_release(folder: Path) -> Release:
-    """What ``release.json`` says; files aren't checked.
+    """Content of ``release.json``; files aren't checked.
 
     Raises:
         InputFileError: where it is missing or damaged, or of a newer version.
@@ -101,7 +101,7 @@ def _manifest(path: Path) -> dict[str, str]:
 
 
 def is_inside(name: str) -> bool:
-    """Whether a file's name leads to a place below its folder, on every system."""
+    """True if a file's name leads to a place below its folder, on every system."""
     path = PurePosixPath(name)
     parts = name.split("/")
     return (

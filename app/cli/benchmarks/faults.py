@@ -81,7 +81,7 @@ def _sample_of(samples: list[FaultSample], seed: int) -> FaultSample:
 
 
 def _read(worker: WorkerProcess, sample: FaultSample, seed: int, root: Path) -> tuple[str, str]:
-    """How the reading of one damaged source ended, and what was said."""
+    """Outcome and message of reading one damaged source."""
     rng = random.Random(f"{seed}")
     name = rng.choice([*sample.files, sample.main])
     folder = root / f"{seed}"

@@ -75,7 +75,7 @@ def _killed(workspace: Path, name: str, rng: random.Random) -> list[list[str]]:
 
 
 def _lost(workspace: Path, decided: list[list[str]]) -> list[str]:
-    """What the next server of the workspace doesn't have."""
+    """Decisions that are missing in the workspace's next server."""
     state = AppState(ServeConfig(workspace=workspace), Store(workspace), [])
     try:
         queued = {record.id for record in state.queue.records()}

@@ -191,7 +191,7 @@ def _language_model(
 
 
 def _too_large(size: DecoderConfig) -> bool:
-    """Whether weights, gradients and Adam's two moments in float32 exceed the GPU's memory."""
+    """True if weights, gradients and Adam's two moments in float32 exceed the GPU's memory."""
     if not torch.cuda.is_available():
         return False
     with torch.device("meta"):

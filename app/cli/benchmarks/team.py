@@ -31,7 +31,7 @@ from model.io.write.meshes import write_cloud
 from sessions.store import Store
 
 POINTS = 20_000
-"""Of each scan."""
+"""Points of each scan."""
 FRONT = np.array([-0.4, -0.272, 0.0])
 """A corner of the drawers' fronts, metres."""
 PAUSE = 0.5, 2.0

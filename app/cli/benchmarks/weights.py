@@ -22,7 +22,7 @@ from model.training.arti4urdf.probes import (
 )
 
 OBJECTS = 64
-"""Of half as many, two decisions that turn over can hide what a whole cloud is worth."""
+"""With half as many, two decisions that turn over can hide what a whole cloud is worth."""
 
 
 def bench(options: BenchCommand, progress: Progress) -> Result:

@@ -66,7 +66,7 @@ def log_out(person: Visitor, request: Request, response: Response, state: State)
 
 @router.get("/me")
 def me(person: Visitor) -> dict[str, Any]:
-    """Who asks, and what they may do."""
+    """Current user and permissions."""
     role = None if person.account is None else person.account.role
     return {"name": person.name, "role": role, "scopes": sorted(person.scopes)}
 

@@ -1,4 +1,4 @@
-"""Who asks the API, and what is refused before anything else looks at a request."""
+"""Authentication of API requests, and early refusal of those that aren't allowed."""
 
 from __future__ import annotations
 
@@ -152,7 +152,7 @@ def _person(request: Request) -> Person:
 
 
 def need(scope: TokenScope) -> Any:
-    """Return a dependency: the person who asks, who needs ``scope``."""
+    """Return a dependency: the current user, who needs ``scope``."""
 
     def allowed(person: Annotated[Person, Depends(_person)]) -> Person:
         if scope not in person.scopes:

@@ -67,7 +67,7 @@ async def upload(request: Request, name: str, person: Annotator, state: State) -
 
 @router.get("/objects/{object_id}")
 def one_object(object_id: int, person: Reader, state: State) -> dict[str, Any]:
-    """What is decided about one object: parts, prompts, joints, review."""
+    """Decisions about one object: parts, prompts, joints, review."""
     record = record_of(state, object_id)
     assigned = state.store.people.work.assigned().get(object_id)
     now = state.session(object_id).refresh()  # another server may be ahead

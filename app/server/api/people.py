@@ -17,20 +17,20 @@ router = APIRouter(tags=["people"])
 
 
 class InviteBody(BaseModel):
-    """Who is invited, and for what."""
+    """Name and role of an invited person."""
 
     name: str = Field(max_length=200)
     role: Role = "annotator"
 
 
 class RoleBody(BaseModel):
-    """What an account may do from now on."""
+    """New role of an account."""
 
     role: Role
 
 
 class TokenBody(BaseModel):
-    """What a new token is for, what it allows, and how long."""
+    """Label, scopes and lifetime in days of a new token."""
 
     label: str = Field(max_length=200)
     scopes: list[str] = Field(min_length=1, max_length=10)
@@ -108,7 +108,7 @@ def audit(
     before: int | None = None,
     count: Annotated[int, Query(ge=1, le=MOST_EVENTS)] = 200,
 ) -> list[dict[str, Any]]:
-    """What happened to accounts, the newest first; ``before`` an id gives the next page."""
+    """Audit log of accounts, newest first; ``before`` an id gives the next page."""
     log = state.store.people.audit
     events = log.events(name=name, kind=kind, since=since, before=before, count=count)
     return [asdict(event) for event in events]
@@ -125,7 +125,7 @@ def decisions(
     first: Annotated[int, Query(ge=0)] = 0,
     count: Annotated[int, Query(ge=1, le=MOST_EVENTS)] = 200,
 ) -> list[dict[str, Any]]:
-    """Who decided what about which object, the newest first."""
+    """Decisions about objects with their authors, newest first."""
     log = state.store.people.audit
     found = log.decisions(
         who=who, object_id=object_id, kind=kind, since=since, first=first, count=count

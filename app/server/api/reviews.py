@@ -18,17 +18,17 @@ router = APIRouter(tags=["reviews"])
 
 
 class CommentBody(BaseModel):
-    """A comment for people."""
+    """Human-readable comment."""
 
     comment: str = ""
 
 
 class AcceptBody(CommentBody):
-    """How to accept.
+    """Request to accept an object.
 
     Attributes:
         override: reason for accepting despite errors.
-        warnings_seen: whether somebody looked at the warnings of the checks.
+        warnings_seen: whether a person saw the warnings of the checks.
     """
 
     override: str = ""
@@ -57,7 +57,7 @@ class NewCommentBody(BaseModel):
 
 
 class DoneBody(BaseModel):
-    """Whether a comment is done."""
+    """New state of a comment."""
 
     done: bool = True
 
@@ -80,7 +80,7 @@ def resolve_comment(
 
 @router.get("/objects/{object_id}/checks")
 def checks(object_id: int, person: Reader, state: State) -> dict[str, Any]:
-    """What the checks say of the joints, once they are done."""
+    """Validation report of the joints, once it is complete."""
     obj = opened(state, object_id)
     wait(lambda: obj.validation.report is not None or bool(obj.validation.problem)
          or obj.document.tree is None)  # fmt: skip

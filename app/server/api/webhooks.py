@@ -15,7 +15,7 @@ router = APIRouter(tags=["webhooks"])
 
 
 class WebhookBody(BaseModel):
-    """Where messages go, and about what."""
+    """Address and events of a webhook."""
 
     url: str = Field(max_length=1000)
     events: list[str] = Field(min_length=1, max_length=50)

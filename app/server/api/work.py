@@ -42,7 +42,7 @@ def next_object(person: Annotator, state: State) -> dict[str, Any]:
 
 @router.get("/objects/{object_id}/presence")
 def presence(object_id: int, person: Reader, state: State) -> list[dict[str, Any]]:
-    """Who has an object open, and who leased it."""
+    """Users who have an object open, and who leased it."""
     record_of(state, object_id)
     return [asdict(one) for one in state.store.people.work.present(object_id)]
 

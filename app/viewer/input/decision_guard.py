@@ -54,7 +54,7 @@ class DecisionGuard:
         set_page_state(self._tab.client, shown=self._number)
 
     def long_enough(self, pressed_at: float) -> bool:
-        """Whether the present subject was visible at that time of the monotonic clock."""
+        """True if the subject was visible for long enough at ``pressed_at`` (monotonic seconds)."""
         if self._sent != self._subject():
             return False
         since = self._shown_at

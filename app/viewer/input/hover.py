@@ -115,7 +115,7 @@ class Hover:
         return True
 
     def _ready(self, obj: OpenObject) -> bool:
-        """Whether a click here and now would be a prompt that is answered at once."""
+        """True if a click here and now would be a prompt that is answered at once."""
         busy = {"open", "encode", "segment", "room", "tool"} & set(obj.busy)
         return self.on and self._clicking() and not busy
 

@@ -20,7 +20,7 @@ Shape = tuple[npt.NDArray[np.floating], npt.NDArray[Any] | None]
 SNAP_PIXELS: Final = 10.0
 """So near to the ray a vertex takes it."""
 _BEHIND = 0.02
-"""Of the object's diagonal: what lies so much farther off than the surface isn't seen."""
+"""Share of the object's diagonal: what lies farther than this behind the surface isn't seen."""
 
 
 class Measuring:
@@ -32,7 +32,7 @@ class Measuring:
 
     @property
     def hint(self) -> str:
-        """What the next click is."""
+        """Instruction for the next click."""
         return (words.HINT_FIRST, words.HINT_SECOND, words.HINT_MEASURED)[len(self._places)]
 
     def clear(self) -> None:
@@ -70,7 +70,7 @@ class Measuring:
         self._picture.overlays.show_measure(tuple(self._places), text)
 
     def _shapes(self, obj: OpenObject) -> Iterator[Shape]:
-        """What is drawn now, where it is drawn."""
+        """Shapes as drawn now, with their poses."""
         hidden, asset = self._tab.selection.hidden, obj.asset
         posed = self._picture.posed_parts(hidden)
         if posed is not None:
@@ -93,7 +93,7 @@ def snapped_hit(
 
     Args:
         tolerance: radians between the ray and a vertex that takes it.
-        behind: metres; vertices so much farther off than the surface are hidden by it.
+        behind: metres; vertices farther than this behind the surface are hidden.
     """
     unit = direction / np.linalg.norm(direction)
     shapes = [(v, f) for v, f in shapes if len(v) and (f is None or len(f))]

@@ -42,17 +42,17 @@ Armed = Literal[
 Tool = Literal["click", "lasso", "brush"]
 _CUTS = {"cut": words.CUT, "rectangle": words.CUT_RECTANGLE}
 _EVERYWHERE: Final = ("measure", "parent", "comment")
-"""What may be asked for in steps in which parts move, too."""
+"""Tools that are also available in steps in which parts move."""
 _PLACES: Final = {"floor": 3, "edge": 2, "length": 2}
-"""What the prepare step asks for → its number of places."""
+"""Tool of the prepare step → its number of places."""
 _IN_VAIN = 2
 """Clicks that brought hardly anything, after which other tools are pointed to."""
 _FACE_APART = 0.02
-"""Of the object's diagonal: clicks that are nearer mean the same place."""
+"""Share of the object's diagonal: clicks that are nearer mean the same place."""
 
 
 def shares_face(click: Click, earlier: list[Click], apart: float) -> bool:
-    """Whether an earlier click elsewhere on the clicked face gives it another label.
+    """True if an earlier click elsewhere on the clicked face gives it another label.
 
     Args:
         apart: metres; nearer clicks are about the same place.
@@ -95,7 +95,7 @@ class PointerActions:
 
 
 class Pointing:
-    """What a click or a drag in the picture means now.
+    """Meaning of clicks and drags in the picture.
 
     Attributes:
         armed: "cut" waits for places along a cut, "rectangle" for two corners, "merge" for a part,
@@ -126,7 +126,7 @@ class Pointing:
         tab.selection.on_step(self._step_begins)
 
     def _clicking(self) -> bool:
-        """Whether a click would be a prompt."""
+        """True while a click would be a prompt."""
         return self._selection.step == "Annotate" and not self.armed and self.tool == "click"
 
     def _step_begins(self, step: Step) -> None:
@@ -324,13 +324,13 @@ class Pointing:
         )  # fmt: skip
 
     def _situation(self) -> tuple[Any, ...]:
-        """What a click is about; its answer counts only while that is so."""
+        """Context of a click; its answer counts only while that stays the same."""
         selection = self._selection
         obj = selection.need_object()
         return obj, obj.asset, selection.step, self.armed
 
     def _is_still(self, situation: tuple[Any, ...]) -> bool:
-        """Whether an answer still belongs to what the person sees; else say that it doesn't."""
+        """True if an answer still belongs to the displayed state; else notify the user."""
         if self._selection.object is not None and self._situation() == situation:
             return True
         self._tab.notify(*words.CLICK_PASSED, "yellow")
@@ -441,7 +441,7 @@ class Pointing:
         self._tab.invalidate()
 
     def _rectangle_frame(self, corner: Point, view: Point) -> dict[str, Point] | None:
-        """What the page needs to draw the rectangle that the pointer spans."""
+        """Frame for drawing the rectangle that the pointer spans, or None."""
         if self.armed != "rectangle":
             return None
         asset = self._selection.need_object().need_asset()

@@ -23,16 +23,16 @@ _PADS: Final[dict[str, str]] = {
 VIEWS: Final = ("front", "back", "right", "left", "top", "bottom", "opposite")
 _AXES: Final = "xyz"
 _TILT = 0.01
-"""Of the direction: straight views from above and below lean to the front so much, which so stays
-at the lower edge."""
+"""Forward tilt of top and bottom views, a share of the direction's length; it keeps the front at
+the lower edge."""
 
 
 class Views:
-    """What the camera of one tab looks at, and from where.
+    """Camera views of one tab.
 
     Args:
-        number: takes a digit of the number pad while a question waits for one.
-        asking: whether one does.
+        number: takes a digit of the number pad while a prompt waits for one.
+        asking: True while a prompt waits for a digit.
     """
 
     def __init__(
@@ -76,7 +76,7 @@ class Views:
         call_page(self._tab.client, "View.look", [float(v) for v in direction])
 
     def _front(self) -> npt.NDArray[np.float64]:
-        """(3,) unit, from the object to who stands before it."""
+        """Unit vector (3,) pointing out of the front."""
         obj = self._tab.selection.object
         asset = None if obj is None else obj.asset
         return np.array((0.0, -1.0, 0.0) if asset is None else asset.front)

@@ -39,8 +39,8 @@ def category_guesses(
 ) -> tuple[str, ...]:
     """Categories that an object without one may have, likeliest first; few enough for one row.
 
-    What its file's name says, or one of the folders that hold it; where they say nothing, what
-    was said last of objects of like names ("scan_3", "scan_4"), by ``who`` before others.
+    From the name of its file or of a folder that holds it; without a match, the latest
+    categories of objects of similar names ("scan_3", "scan_4"), by ``who`` before others.
     """
     path = record.path
     texts = (path.stem, *reversed(path.parent.parts[1:][-_FOLDERS:]))
@@ -62,7 +62,7 @@ def category_guesses(
 
 
 def _alike(one: ObjectRecord, other: ObjectRecord) -> bool:
-    """Whether two objects are numbered alike, as those of one series are."""
+    """True if two objects have the same name but for numbers, as those of one series."""
     a, b = (re.sub(r"\d+", "", r.path.stem).lower() for r in (one, other))
     return a == b
 
@@ -97,7 +97,7 @@ def _meant(phrase: Sequence[str]) -> str | None:
 
 @lru_cache(maxsize=1)
 def _kinds() -> dict[str, str]:
-    """What the lexicon of scenes calls a kind → its name."""
+    """Word for a kind in the lexicon of scenes → the kind's name."""
     return {word: kind.name for kind in reversed(read_lexicon().kinds) for word in kind.words}
 
 

@@ -73,7 +73,7 @@ def range_warnings(joint: Joint) -> list[str]:
 
 
 def joint_note(joint: Joint, doc: Document, checks: list[JointCollision]) -> str:
-    """How the joint was decided, and what its sweep hit."""
+    """Explanation of the joint's values, and the collisions of its sweep."""
     lines = []
     if doc.prediction is not None:
         note = doc.prediction.notes.get(joint.child)

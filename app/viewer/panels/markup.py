@@ -1,4 +1,4 @@
-"""Controls of our own beside viser's: buttons as HTML that call back when they are pressed."""
+"""Custom controls beside viser's: HTML buttons that call back when they are pressed."""
 
 from __future__ import annotations
 

@@ -29,7 +29,7 @@ class Entry:
 
 @dataclass(frozen=True)
 class ButtonLook:
-    """How the button of an object looks."""
+    """Appearance of an object's button."""
 
     label: str
     icon: Any

@@ -29,7 +29,7 @@ from sessions.statistics import csv_text, duration
 _SECONDS = 60.0
 """Longest reading of the log."""
 _COLORS = ("#2f9e44", "#5b8def")
-"""Of the plot's two lines; seen on light and dark ground alike."""
+"""Colors of the plot's two lines; seen on light and dark ground alike."""
 
 
 class ProjectPage:
@@ -69,7 +69,7 @@ class ProjectPage:
 
     @property
     def _may_change(self) -> bool:
-        """Whether this person may change the project's settings."""
+        """True if this person may change the project's settings."""
         account = self._tab.account
         return account is None or account.role == ROLES[-1]
 
@@ -78,7 +78,7 @@ class ProjectPage:
         self.dialogs.show(which)
 
     def _learn(self) -> None:
-        """Learn from accepted objects; who asked for it is told what came of it."""
+        """Learn from accepted objects and notify the current user of the result."""
         tab = self._tab
         if not self._may_change:  # the page has no button for them, but a script can send anything
             raise NotPermittedError(words.MANAGERS_ONLY)
@@ -152,7 +152,7 @@ class ProjectPage:
 
 
 def learned_text(record: Mapping[str, Any]) -> tuple[str, str]:
-    """What came of learning, as a title and a sentence."""
+    """Result of learning, as a title and a sentence."""
     after, before = (
         round(100 * record[side]["usable"] / max(record[side]["joints"], 1))
         for side in ("after", "before")

@@ -1,4 +1,4 @@
-"""The prompts as a list for people: a click and the other masks that it was given are one."""
+"""Readable list of the prompts: a click and the other masks that it was given are one entry."""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ _IN_TURN = "*"
 
 
 class QueuePanel:
-    """What the queue's panel shows; the page's script asks for the objects that are seen.
+    """Panel of the queue; the page's script requests the objects that are visible.
 
     Attributes:
         on_hold: the button that opens the first object on hold.

@@ -16,7 +16,7 @@ from model.scenes.finders import read_lexicon
 SHOWN, ROW = 6, 3
 """Names with a button, and buttons in a row."""
 USUAL: Final[tuple[str, ...]] = ("door", "drawer", "lid", "knob", "button", "wheel")
-"""What most parts are; the list beside them has the rest."""
+"""Names of most parts; the list beside them has the rest."""
 
 
 @lru_cache(maxsize=256)

@@ -33,7 +33,7 @@ class Rejecting:
 
     @property
     def asking(self) -> bool:
-        """Whether the next number is a reason."""
+        """True while the next number is a reason."""
         self.end_elsewhere()
         return self._asked is not None
 
@@ -76,7 +76,7 @@ class RejectButtons:
     """A button that asks for a reason, then one for each reason."""
 
     def __init__(self, tab: Tab, rejecting: Rejecting, clicked: Callable[[], None]) -> None:
-        """Make the buttons; ``clicked`` is called where the question is wanted or off."""
+        """Make the buttons; ``clicked`` toggles the question."""
         self._tab, self._rejecting = tab, rejecting
         gui = tab.client.gui
         self._reject = gui.add_button(words.REJECT, icon=viser.Icon.X, color="red")

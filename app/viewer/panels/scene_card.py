@@ -252,7 +252,7 @@ def _about_work(work: Work, refusal: Refusal | None, expected: tuple[str, ...]) 
 
 
 def count_text(rows: Sequence[Row], count: int, above: float, coming: int = 0) -> str:
-    """What is left to decide.
+    """Number of open decisions, as text.
 
     Args:
         count: objects with a confidence of at least ``above``, 0..1.

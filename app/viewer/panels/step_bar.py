@@ -16,7 +16,7 @@ _SIGNS = {"": "", words.DONE: "✓", words.ATTENTION: "●", words.REFUSED: "✕
 
 
 class StepBar:
-    """Where the work on the open object stands, and what runs; each has a place of its own."""
+    """Steps of the open object and progress of its jobs, each in a place of its own."""
 
     def __init__(
         self, tab: Tab, presses: Presses, bulk: BulkWork, cancel: Callable[[], None]
@@ -53,7 +53,7 @@ class StepBar:
         )  # fmt: skip
 
     def _running(self, obj: OpenObject) -> str:
-        """What runs, how far it is, and the button that stops it."""
+        """Running job, its progress, and the button that stops it."""
         jobs = dict(obj.busy)  # they end while this is drawn
         stoppable = {"open", "predict", "save", "room"} & set(jobs)
         if self._tab.selection.step == "Prepare":
@@ -83,7 +83,7 @@ def _progress(text: str, done: float | None, stop: tuple[str, str] | None) -> st
 
 
 def _state(step: Step, obj: OpenObject, noticed: bool) -> str:
-    """Where a step stands, in the words of the screens; "" for nothing to say."""
+    """Displayed state of a step; "" for none."""
     doc = obj.document
     if step == "Prepare":
         return words.ATTENTION if noticed else ""

@@ -12,5 +12,5 @@ def put(handle: Any, name: str, value: Any) -> None:
 
 
 def differs(a: tuple[float, ...], b: tuple[float, ...], tolerance: float = 1e-6) -> bool:
-    """Whether two vectors of a widget differ by more than it shows."""
+    """True if two vectors of a widget differ by more than it shows."""
     return any(abs(x - y) > tolerance for x, y in zip(a, b, strict=True))

@@ -12,7 +12,7 @@ import viser
 from app.viewer.picture import palette
 
 _RADIUS = 0.014
-"""Of a marker, and :data:`_REACH` of what a click on it may miss; in the object's diagonal."""
+"""Radius of a marker, and :data:`_REACH`, tolerance of a click on it; in the object's diagonal."""
 _REACH = 0.02
 Point = tuple[float, float, float]
 

@@ -52,13 +52,13 @@ class ObjectDrawing:
 
     @property
     def drawn(self) -> bool:
-        """Whether the open object's picture was sent."""
+        """True if the open object's picture was sent."""
         obj = self._tab.selection.object
         return obj is not None and self._asset is obj.asset is not None
 
     @property
     def shows_labels(self) -> bool:
-        """Whether the newest labels were sent."""
+        """True if the newest labels were sent."""
         obj = self._tab.selection.object
         return obj is not None and self._picture.labels is obj.labels
 
@@ -90,7 +90,7 @@ class ObjectDrawing:
             self._motion.forget()
 
     def _is_reloading(self, obj: OpenObject) -> bool:
-        """Whether what is shown is the same object, whose faces are numbered anew just now."""
+        """True while the displayed object is read again, with new face numbers."""
         return self._id == obj.record.id and not obj.problem
 
     def _draw(self, obj: OpenObject, doc: Document, touch: bool) -> None:

@@ -24,11 +24,11 @@ Array = npt.NDArray[np.float64]
 MOST = 60_000
 """Points, so that it is soon sent."""
 POINT_SIZE = 0.4
-"""Of the scans' point size: ghosts let through what lies behind them."""
+"""Share of the scans' point size: ghosts let through what lies behind them."""
 _RESTS = 0.2
 """Seconds without a movement after which the camera counts as resting."""
 _MARGIN = 0.02
-"""Of the object's size, around its box."""
+"""Share of the object's size, around its box."""
 
 log = logging.getLogger(__name__)
 

@@ -21,7 +21,7 @@ Poses = Mapping[str, npt.NDArray[np.float64]]
 """Link → posed_from_rest."""
 
 NEAR_TURN, NEAR_SHIFT = np.radians(4.0), 0.025
-"""How near to the pose of a contact its mark shows: radians, and diagonals at the contact."""
+"""Distance from a contact's pose up to which its mark shows: radians, diagonals at the contact."""
 
 
 @dataclass(frozen=True)

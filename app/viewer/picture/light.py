@@ -41,7 +41,7 @@ class LightSwitch:
 
     @property
     def plain(self) -> bool:
-        """Whether there are no reflections."""
+        """True if there are no reflections."""
         return self._box.value
 
     @plain.setter

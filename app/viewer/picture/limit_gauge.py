@@ -1,4 +1,4 @@
-"""Where the limits of a joint are in 3D: on an arc round its axis, or on a bar along it."""
+"""Limits of a joint in 3D: on an arc round its axis, or on a bar along it."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ Array = npt.NDArray[np.float64]
 Side = Literal["lower", "upper"]
 
 STEP: Final[dict[bool, float]] = {True: math.radians(5.0), False: 0.005}
-"""What Shift snaps to, by whether the joint rotates: 5° or 5 mm."""
+"""Steps of Shift, by whether the joint rotates: 5° or 5 mm."""
 FINE: Final[dict[bool, float]] = {True: math.radians(0.1), False: 1e-4}
 """Without Shift: as the fields show it, 0.1° or 0.1 mm."""
 _OUTSIDE = 1.06
 """The arc's radius over that of the part, so that the part doesn't hide it."""
 _LEAST, _MOST = 0.09, 0.9
-"""Of the object's diagonal: bounds of the arc's radius."""
+"""Bounds of the arc's radius, shares of the object's diagonal."""
 _SLANTED = 0.15
 """Sine of the angle between ray and the arc's plane, below which the plane is seen edge-on."""
 _ARC_STEP = math.radians(4.0)
@@ -108,7 +108,7 @@ class LimitGauge:
         return near + math.remainder(angle - near, math.tau)
 
     def _nearest_on_axis(self, eye: Array, along: Array, near: float) -> float:
-        """Where the bar's line comes nearest to a ray."""
+        """Coordinate along the bar's line, metres from its centre, that is nearest to a ray."""
         cosine = float(along @ self.axis)
         if 1.0 - cosine * cosine < 1e-4:  # seen end-on
             return near

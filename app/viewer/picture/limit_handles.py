@@ -22,7 +22,7 @@ from sessions import commands as cmd
 Pose = npt.NDArray[np.float64]
 _ROOT: Final = "/limits"
 _GRIP = 0.013
-"""Of the object's diagonal: radius of a grip."""
+"""Radius of a grip, a share of the object's diagonal."""
 _LINE_PIXELS = 3.0
 _FAN_OPACITY = 0.16
 _PAUSE = 0.25

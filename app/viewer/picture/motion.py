@@ -21,7 +21,7 @@ from model.validation.report import Finding
 
 
 class Motion:
-    """What moves in one tab, and how far.
+    """Joint motion in one tab.
 
     Attributes:
         q: joint name → radians or metres; a joint that isn't in it rests.

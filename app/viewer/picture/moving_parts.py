@@ -86,7 +86,7 @@ class MovingParts:
 
     @property
     def payloads(self) -> list[PartPayload] | None:
-        """What was drawn last."""
+        """Payloads of the last drawing."""
         return self._payloads
 
     @property

@@ -1,4 +1,4 @@
-"""What one browser tab draws of an object. Draws differences only; decides nothing.
+"""Picture of an object in one browser tab. Draws differences only; decides nothing.
 
 Node names are flat (``/part/<id>``), since viser's node names are its scene tree: link poses come
 from forward kinematics on the server, not from nesting.
@@ -39,9 +39,9 @@ View = Literal["front", "side", "top"]
 _VIEWS: Final[dict[View, tuple[float, float]]] = {
     "front": (0.0, 0.0), "side": (1e3, 0.0), "top": (0.0, 1e2),
 }  # fmt: skip
-"""How far aside and above the front."""
+"""Offsets aside and above the front."""
 _OTHER_SHAPE = 0.02
-"""Of the aspect: a larger change, as where panels open, asks for another distance."""
+"""Share of the aspect: a larger change, as where panels open, asks for another distance."""
 
 
 class ObjectPicture:

@@ -18,15 +18,15 @@ PART_COLORS: Final[tuple[Rgb, ...]] = (
 """Chosen greedily for the largest least distance (OKLab) as seen with normal, red-, green- and
 blue-blind eyes (Machado et al. 2009), away from the selection's, the axes' and the base's color."""
 _LIGHTER, _DARKER, _TURN = 0.66, 0.52, 0.14
-"""What further parts have of the first ones' colors: light, and a turn of the hue each round."""
+"""Changes of the first parts' colors for further ones: light, and a turn of the hue each round."""
 SELECTED: Final[Rgb] = (236, 0, 140)
 GHOST: Final[Rgb] = (150, 150, 160)
 CONTACT: Final[Rgb] = (220, 20, 40)
 COMMENT: Final[Rgb] = (214, 108, 0)
 DIRECTIONS: Final[tuple[Rgb, Rgb, Rgb]] = ((204, 51, 51), (60, 150, 60), (51, 90, 204))
-"""Of X, Y and Z, as everywhere in 3D."""
+"""Colors of X, Y and Z, as everywhere in 3D."""
 MARKED: Final[Rgb] = (176, 182, 190)
-"""Of what is marked for removal, and of what was removed."""
+"""Color of elements that are marked for removal or removed."""
 NEGATIVE: Final[Rgb] = (25, 25, 30)
 
 PART_NAMES: Final[tuple[str, ...]] = (
@@ -66,7 +66,7 @@ SCENE_ALBEDO: Final[dict[str, Rgb]] = {s: albedo(color) for s, color in SCENE_CO
 """The same for surfaces."""
 SCENE_GHOST: Final[Rgb] = (120, 130, 145)
 SCAN_GHOST: Final[Rgb] = (186, 192, 201)
-"""Of points, which nothing shows through."""
+"""Color of points, which nothing shows through."""
 SEVERITY_COLORS: Final[dict[Severity, Rgb]] = {
     Severity.OK: (47, 158, 68),
     Severity.WARNING: (201, 118, 0),

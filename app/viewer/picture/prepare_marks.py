@@ -1,4 +1,4 @@
-"""What is drawn while a scan is prepared: removed points, the crop box, the rotation handle."""
+"""Marks of a scan being prepared: removed points, the crop box, the rotation handle."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from app.viewer.tab import Tab
 Array = npt.NDArray[np.float64]
 Box = tuple[tuple[float, float, float], tuple[float, float, float]]
 _DOT = 0.0015
-"""Of removed points, in diagonals: small enough to look through."""
+"""Size of removed points, in diagonals: small enough to look through."""
 _CORNERS = np.array([[i >> 2 & 1, i >> 1 & 1, i & 1] for i in range(8)], float)
 _EDGES = np.array([(i, i | bit) for bit in (1, 2, 4) for i in range(8) if not i & bit])
 
@@ -42,7 +42,7 @@ class PrepareMarks:
     def draw(
         self, box: Box | None, frame: Array | None = None, *, removed: bool, handle: bool
     ) -> None:
-        """Show the crop box and the others where wanted.
+        """Show the crop box and the other marks that are requested.
 
         Args:
             box: in a frame, (4, 4) from the asset's.

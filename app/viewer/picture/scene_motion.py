@@ -32,7 +32,7 @@ class SceneMotion:
 
     @property
     def playing(self) -> bool:
-        """Whether the joints move now."""
+        """True while the joints move."""
         return self._thread is not None and self._thread.is_alive()
 
     def play(self, works: list[Work], joint: str | None = None) -> int:

@@ -1,7 +1,7 @@
 """Nodes of a scene in a browser: merged surroundings, instances of assets, scans.
 
-Each can look three ways: as the source does, in the colors of states, and as a ghost around the
-object that is worked on. What a look needs is sent when it is first wanted.
+Each has three appearances: as in the source, in the colors of states, and as a ghost around the
+edited object. An appearance is sent when it is first shown.
 """
 
 from __future__ import annotations
@@ -42,12 +42,12 @@ class Placement:
 
 @dataclass(frozen=True)
 class Look:
-    """How the scene is drawn.
+    """Appearance of the scene.
 
     Attributes:
         status: object → its state.
-        own: everything as the source has it; else the static objects alone.
-        ghosted: the object that is worked on among ghosts, or None.
+        original_colors: draw everything as in the source; else the static objects alone.
+        ghosted: the object that is edited among ghosts, or None.
         chosen: the object whose parts have colors of their own, or None.
     """
 
@@ -108,7 +108,7 @@ class Node:
         return np.stack([at.min(1), at.max(1)], axis=1)
 
     def hit(self, k: int, origin: Array, direction: Array) -> float:
-        """How far along a ray object ``k`` is met; infinity where it isn't."""
+        """Distance along a ray to object ``k``; infinity for a miss."""
         local, along = self._ray_in_object(k, origin, direction)
         return hit_distance(local, along, self.shape.vertices, self._faces(k))
 
@@ -167,7 +167,7 @@ class Surroundings(Node):
 
     @property
     def ghost(self) -> Any:
-        """What is shown while an object is worked on, or None where that never was."""
+        """Node shown while an object is edited, or None if that never happened."""
         return self._ghost
 
     def paint(self, look: Look) -> None:

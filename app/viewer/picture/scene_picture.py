@@ -182,7 +182,7 @@ class ScenePicture:
             self._merge(solid)
 
     def _as_merged(self, id: str) -> bool:
-        """Whether the object is still what was sent."""
+        """True if the object's asset is still the one that was sent."""
         return self._merged.get(id) == self._workspace.items[id].path
 
     def _merge(self, solid: list[tuple[str, Shape, Placement]]) -> None:
@@ -310,7 +310,7 @@ class ScenePicture:
             self._aim(*((p - world[:3, 3]) @ world[:3, :3] for p in (eye, at)))
 
     def in_scene(self, point: Array) -> Array:
-        """Where a place of the object that is worked on is in the scene, as it is drawn now."""
+        """Position in the displayed scene of a point of the edited object."""
         if self._root is None:
             return point
         turned = vtf.SO3(np.asarray(self._root.wxyz)).inverse().as_matrix()

@@ -11,9 +11,9 @@ from model.geometry.picking import DEFAULT_PIXEL_ANGLE, TOLERANCE, rings_around
 
 Array = npt.NDArray[np.float64]
 NEAR_RAY = 0.015
-"""Of a cloud's diagonal: points so near to the ray are hit."""
+"""Share of a cloud's diagonal: points nearer than this to the ray are hit."""
 _WIDE = float(np.tan((TOLERANCE + 1) * DEFAULT_PIXEL_ANGLE))
-"""Of the distance: what a ray passes farther off is beyond the tolerance."""
+"""Share of the distance: points farther than this from a ray are beyond the tolerance."""
 
 
 def hit_distance(

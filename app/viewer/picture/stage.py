@@ -20,8 +20,8 @@ _LIGHT = (222.0, 228.0, 236.0), (243.0, 244.0, 246.0)
 _DARK = (58.0, 64.0, 72.0), (36.0, 39.0, 44.0)
 """RGB of the backdrop at its top and its bottom."""
 _FLAT_NEAR = 0.01, 0.5
-"""Of the distance, and metres at most: from far away depths stay exact, and viser's backdrop, which
-is one metre away, is not cut off."""
+"""Share of the distance, and metres at most: from far away depths stay exact, and viser's backdrop,
+which is one metre away, is not cut off."""
 LIGHT_ROOT = "/light"
 """Node above the lights that the user chose."""
 
@@ -47,7 +47,7 @@ GRID: Final[dict[bool, tuple[tuple[int, int, int], ...]]] = {
 
 
 def may_be_a_room(bounds: npt.NDArray[np.floating]) -> bool:
-    """Whether (2, 3) bounds in metres are a room's: a row of cabinets is not as deep."""
+    """True if (2, 3) bounds in metres may be a room's: a row of cabinets is not as deep."""
     return bool(np.ptp(bounds[:, :2], axis=0).min() > ROOM_METRES)
 
 

@@ -20,7 +20,7 @@ _EDGE_PIXELS: Final = 1.2
 
 
 class SurfaceDetail:
-    """Of the open object in one tab; workers compute it once the object is drawn.
+    """Surface detail of the open object in one tab; workers compute it after the first drawing.
 
     Attributes:
         edges_on: whether edges are drawn.
@@ -36,7 +36,7 @@ class SurfaceDetail:
 
     @property
     def lit(self) -> bool:
-        """Whether the light in the surface is drawn."""
+        """True if the light in the surface is drawn."""
         return self._shown
 
     def draw(self, obj: OpenObject, moving: bool) -> None:

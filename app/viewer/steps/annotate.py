@@ -33,13 +33,13 @@ from sessions.records import ObjectRecord
 
 
 class AnnotateStep:
-    """What the annotate step shows.
+    """Controls of the annotate step.
 
     Args:
         records: the queue.
         open_object: gets the id of an object that was cut out.
         prepare: the step before.
-        presses: of the controls of our own.
+        presses: events of the custom controls.
 
     Attributes:
         instructions: of the project.

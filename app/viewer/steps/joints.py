@@ -150,7 +150,7 @@ class JointsStep:
         self.editor.draw(obj, tree)
 
     def _choose(self, doc: Document, wanted: bool) -> None:
-        """Where no joint is chosen: the first whose part has no name, else the first that moves."""
+        """Select a joint if none is: the first with an unnamed part, else the first that moves."""
         selection, tree = self._tab.selection, doc.tree
         if tree is None or selection.child in tree.joint_of:
             return
@@ -333,7 +333,7 @@ class JointsStep:
 
 
 def _settled(doc: Document) -> bool:
-    """Whether the user has edited or locked a joint, or the joints come from a file."""
+    """True if the user has edited or locked a joint, or the joints come from a file."""
     return bool(doc.joints_file or doc.locked or doc.edited_joints)
 
 

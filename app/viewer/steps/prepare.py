@@ -38,7 +38,7 @@ _LEAST_TILT = np.radians(0.5)
 
 
 class PrepareStep:
-    """What the prepare step shows.
+    """Controls of the prepare step.
 
     Args:
         category: gives the category that is set or suggested.
@@ -126,7 +126,7 @@ class PrepareStep:
         self._handle, self._length = False, None
 
     def noticed(self, obj: OpenObject) -> bool:
-        """Whether the object needs preparing, as far as is known."""
+        """True if the object needs preparing, as far as is known."""
         asset, preparing = obj.asset, obj.preparing
         if self._tab.in_scene or asset is None or not preparing.untouched:
             return False
@@ -147,7 +147,7 @@ class PrepareStep:
             selection.set_step("Prepare")
 
     def notice(self, obj: OpenObject) -> str | None:
-        """What was noticed, for the annotate step; None where nothing was."""
+        """Notice for the annotate step; None if nothing needs preparing."""
         if not self.noticed(obj):
             return None
         odd = _odd_size(obj)
@@ -157,7 +157,7 @@ class PrepareStep:
         return " ".join(lines)
 
     def _orientation(self, obj: OpenObject) -> list[str]:
-        """How the scan seems to lie, where it isn't upright."""
+        """Notice about the scan's orientation, unless it is upright."""
         found, preparing = obj.preparing.current, obj.preparing
         if found is not None and preparing.tilt:
             level = found.levelling
@@ -178,7 +178,7 @@ class PrepareStep:
         return found.object_from_asset if drifted and SUPPORT in self._chosen(found) else np.eye(4)
 
     def _levels(self, obj: OpenObject) -> bool:
-        """Whether the object is shown in another direction than it lies in."""
+        """True if the object is shown in another orientation than its own."""
         found, preparing = obj.preparing.current, obj.preparing
         if found is None:
             return False

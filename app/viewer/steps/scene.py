@@ -103,7 +103,7 @@ class SceneStep:
 
     @property
     def in_front(self) -> bool:
-        """Whether the scene is shown, and none of its objects is worked on."""
+        """True if the scene is shown, and none of its objects is edited."""
         return self._tab.selection.object is None
 
     @property

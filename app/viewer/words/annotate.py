@@ -151,7 +151,7 @@ def found(count: int) -> str:
 
 
 def connected(count: int, kind: str, share: str) -> str:
-    """How many elements ("face" or "point") were added."""
+    """Number of elements ("face" or "point") that were added."""
     return f"Connected: {count:,} {plural(kind, count)}, {share} of all"
 
 
@@ -234,13 +234,13 @@ EXTRACT_HELP: Final = (
 
 
 def extracted_from(scene: str, position: tuple[float, float, float]) -> str:
-    """Where an extracted object stands, in metres."""
+    """Position of an extracted object in its scene, in metres."""
     x, y, z = position
     return f"Extracted from {scene}, where its origin is at {x:.3f}, {y:.3f}, {z:.3f} m."
 
 
 def excluded(what: str, count: int) -> str:
-    """What of the source is ignored."""
+    """Elements of the source that are ignored."""
     return f"Excluded: {what}, {count:,} {plural('element', count)}."
 
 

@@ -96,7 +96,7 @@ def ask_name(part: str, other_selected: bool) -> str:
 
 
 def ask_why(settled: bool) -> str:
-    """What a name or category is good for."""
+    """Reason to give a name or category."""
     if settled:
         return "The next prediction uses it (P)."
     return "Naming this improves the prediction."
@@ -152,6 +152,6 @@ def collision(other: str, at: str, millimetres: float) -> str:
     )
 
 
-carries = Message("{part} can't hang on {other}: it carries that part, or is it")
+carries = Message("{part} can't hang on {other}: this would create a cycle")
 no_limits = Message("a {kind} joint has no limits: choose another type first")
 gone = Message("{title} no longer exists: select again")

@@ -28,7 +28,7 @@ KINDS_HINT: Final = "Support: table, floor and walls. What is checked is grey: E
 
 
 def tilted(tilt: float, up: tuple[float, float, float], confidence: float) -> str:
-    """Where up seems to be: radians of tilt, the direction, 0..1."""
+    """Likely up direction: radians of tilt, the direction, confidence 0..1."""
     sure = f"(confidence {100 * confidence:.0f}\u00a0%)"
     axis = int(np.abs(up).argmax())
     if abs(up[axis]) > np.cos(np.radians(3)):
@@ -42,20 +42,20 @@ def kind(kind: int, count: int) -> str:
 
 
 def enter(levels: bool, removes: bool) -> str:
-    """What Enter does now; "" where it changes nothing."""
+    """Effect of Enter now; "" if it changes nothing."""
     does = ["levels it"] * levels + ["removes what is grey"] * removes
     text = f"**Enter** {' and '.join(does)}." if does else ""
     return f"{text} **Tab:** other directions." if levels else text
 
 
 def also(kinds: dict[int, int]) -> str:
-    """What else is in the scan."""
+    """Other kinds of elements in the scan."""
     names = [KINDS[k].lower() for k in kinds]
     return f"Found: {' · '.join(names)}." if names else ""
 
 
 def applied(tilt: float, kinds: tuple[int, ...], more: bool) -> str:
-    """What a step does, for undo: radians of tilt, kinds removed, whether more is."""
+    """Label of a step for undo: radians of tilt, kinds removed, whether more is."""
     parts = [f"level by {np.degrees(tilt):.0f}°"] if tilt else []
     removed = [KINDS[k].lower() for k in kinds] + ["marked points"] * more
     if removed:

@@ -77,7 +77,7 @@ accepted_of = Message("{accepted} of {total} accepted ({share} %)")
 
 
 def ago(seconds: float) -> str:
-    """How long ago something was."""
+    """Time since an event."""
     if seconds < 60:
         return "just now"
     for size, unit in ((86400, "d"), (3600, "h"), (60, "min")):

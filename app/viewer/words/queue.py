@@ -25,7 +25,7 @@ STATE_ORDER: Final = ("accepted", "submitted", "predicted", "in_progress", "todo
 
 
 def progress(counts: dict[str, int], today: int) -> str:
-    """How far all objects are, and how many of them were accepted today."""
+    """Progress of all objects, and number accepted today."""
     total, done = sum(counts.values()), counts.get("accepted", 0)
     others = [f"{counts[s]} {STATES[s]}" for s in STATE_ORDER[1:] if counts.get(s)]
     first = f"**{done}/{total} accepted**" + (f", {today} today" if today else "")
@@ -64,7 +64,7 @@ PAGE_WORDS: Final[dict[str, str]] = {
     "assignTo": "Person",
     "project": "Project",
 }
-"""What the page's own script shows of the queue, by the names that it has for it."""
+"""Words of the queue that the page's own script shows, by its names for them."""
 found = Message("{count} objects · {today} accepted today")
 SORTS: Final[dict[str, str]] = {
     "order": "Order",

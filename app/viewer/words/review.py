@@ -50,7 +50,7 @@ comment_button = Message("Comment {number}: {text}")
 
 
 def comments_left(left: int, total: int) -> str:
-    """How many comments are open."""
+    """Number of open comments."""
     return f"Comments: {left} of {total} open"
 
 
@@ -81,7 +81,7 @@ saved_in = Message("Saved in {folder}")
 
 
 def pending(waiting: bool, held: str, interrupted: bool) -> str:
-    """What an acceptance waits for; "" where there is none."""
+    """Condition that an acceptance waits for; "" for none."""
     if waiting:
         return WAITING
     if held:
@@ -174,7 +174,7 @@ checks_failed = Message("⚠ **The checks failed:** {why}")
 
 
 def checking(share: float, detail: str) -> str:
-    """How far the checks are, 0..1."""
+    """Progress of the checks, 0..1."""
     return f"*Checking the joints… {100 * share:.0f} % {detail}".rstrip() + "*"
 
 
@@ -195,7 +195,7 @@ fixed = Message("{message} Undo with Ctrl+Z.")
 
 
 def moment(kind: str, metres: float) -> str:
-    """Beside the contact of a finding, whose kind it names."""
+    """Label next to a contact."""
     millimetres = f"{1000 * metres:.0f} mm"
     if kind in ("detached", "floating"):
         return f"{millimetres} gap"

@@ -80,7 +80,7 @@ def job(name: str, detail: str) -> str:
 
 
 def file_problems(lines: list[str], more: int) -> str:
-    """What the scene's file says that can't be used."""
+    """Unusable content of the scene's file."""
     rest = [f"and {more} more"] if more else []
     return "⚠ About the file:\n" + "\n".join(f"- {line}" for line in [*lines, *rest])
 
@@ -115,14 +115,14 @@ left = Message("⚠ Needs annotation: {reason}")
 
 
 def decided(state: str, user: str, reason: str) -> str:
-    """Who decided, and why it was rejected."""
+    """Author of a decision, and reason for a rejection."""
     return f"{state.capitalize()} by {user}{f': {reason}' * bool(reason)}"
 
 
 def to_decide(
     predicted: int, above: int, minimum: float, checking: int, held: int, coming: int, clicks: int
 ) -> str:
-    """What is left to decide; "" where nothing is.
+    """Number of open decisions; "" for none.
 
     Args:
         predicted: objects to review; ``above`` of them have a confidence of at least ``minimum``.
@@ -171,7 +171,7 @@ def done(decided: str) -> tuple[str, str]:
 
 
 def remaining(coming: int, left: int) -> str:
-    """What is left after the last predicted object."""
+    """Number of objects left after the last predicted one."""
     lines = [f"{coming} to be predicted"] if coming else []
     if left:
         lines.append(f"{left} {'needs' if left == 1 else 'need'} annotation: N, then Enter")

@@ -9,7 +9,7 @@ from app.viewer.words.message import Message
 TOUR: Final = "Tour"
 TOUR_TIP: Final = "Tour: from a mesh to moving joints in a minute"
 STEPS: Final[tuple[str, ...]] = (
-    "Click on a door of the cabinet. The part takes shape; Shift+click removes what is too much.",
+    "Click on a door of the cabinet. The part takes shape; Shift+click removes excess.",
     "Press 2 and click on a drawer, then 3 for the next one. All parts, in the rail of tools at "
     "the left, proposes them all at once.",
     "Name the parts at the right (Shift+1 is a door, Shift+2 a drawer) and choose the category. "

@@ -41,7 +41,7 @@ SYNONYMS: Mapping[str, tuple[str, ...]] = {
 
 @dataclass(frozen=True)
 class Corruption:
-    """How bad the input is. All faults are off by default; lengths are shares of the diagonal.
+    """Faults of the input. All are off by default; lengths are shares of the diagonal.
 
     Attributes:
         points: sampled a part.

@@ -49,7 +49,7 @@ STATIC = frozenset(("Door", "Window", "Switch", "Faucet", "Toilet"))
 
 @dataclass(frozen=True)
 class GenerateSettings:
-    """What to generate.
+    """Settings of the generator.
 
     Attributes:
         out: the folder that gets one sub-folder an object.

@@ -1,4 +1,4 @@
-"""How objects are put together: parts made of solids, joints by construction, and the rest pose."""
+"""Assembly of objects: parts made of solids, joints by construction, and the rest pose."""
 
 from __future__ import annotations
 

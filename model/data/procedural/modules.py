@@ -173,7 +173,7 @@ def panel(
 
 @dataclass(frozen=True)
 class DoorSpec:
-    """How a front door looks and opens.
+    """Appearance and hinge of a door.
 
     Attributes:
         hinge: which edge the hinge is on.

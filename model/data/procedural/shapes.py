@@ -1,6 +1,6 @@
 """Closed solids from a few primitives: almost everything is a loft of loops.
 
-All lengths are metres. Solids are built around the origin unless said otherwise, with +z up, the
+All lengths are metres. Solids are built around the origin unless stated otherwise, with +z up, the
 front towards -y and +x to the viewer's right, and then moved.
 """
 

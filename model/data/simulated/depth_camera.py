@@ -23,7 +23,7 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class View:
-    """Where a camera stands: it looks at the object's middle.
+    """Position of a camera: it looks at the object's middle.
 
     Attributes:
         azimuth: radians; 0 is before the front, positive to the viewer's right.
@@ -38,7 +38,7 @@ class View:
 
 @dataclass(frozen=True)
 class ScanSettings:
-    """How well the camera sees.
+    """Views of a scan, and faults of its camera.
 
     Attributes:
         views: at least one.

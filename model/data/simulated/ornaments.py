@@ -114,7 +114,7 @@ def _sides(shape: Shape, least: float) -> list[_Side]:
 
 
 def _covered(caster: Caster, side: _Side, reach: float) -> bool:
-    """Whether something is close in front of a side: the tray of a closed drawer is hidden."""
+    """True if something is close in front of a side: the tray of a closed drawer is hidden."""
     spots = np.array([(0.2, 0.2), (0.2, 0.8), (0.5, 0.5), (0.8, 0.2), (0.8, 0.8)]) * side.size
     start = side.corner + spots @ side.frame[:2] + 1e-4 * reach * side.frame[2]
     found = caster.cast(start, np.tile(side.frame[2], (len(start), 1)), colors=False)

@@ -29,7 +29,7 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ReconstructionSettings:
-    """How a reconstruction is made. Lengths are in diagonals of the object.
+    """Settings of a reconstruction. Lengths are in diagonals of the object.
 
     Attributes:
         views: pictures, spread over ``arc`` radians of azimuth around ``ahead``.

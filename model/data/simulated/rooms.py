@@ -61,7 +61,7 @@ class _Plan:
         self.of_mesh.append(label)
 
     def blocked(self, low: Array, high: Array, margin: float = 0.05) -> bool:
-        """Whether an object stands between two corners (x, y) of the floor."""
+        """True if an object stands between two corners (x, y) of the floor."""
         return any((low < h + margin).all() and (high > b - margin).all() for b, h in self.standing)
 
     def family(self, names: tuple[str, ...]) -> Mesh:

@@ -2,7 +2,7 @@
 
 The field's protocol clicks the deepest point of a part wherever that is, inside a closed drawer
 too. A person clicks the middle of the largest visible component of a part, then the middle of the
-largest visible error: for the part that it belongs to, or with Shift where it is too much.
+largest visible error: for the part that it belongs to, or with Shift on excess.
 """
 
 from __future__ import annotations

@@ -22,10 +22,10 @@ when, versions) and an entry ``asset`` of this module::
 
 Files are relative to the folder, areas in m² are those of the parts' own meshes; ``give_way`` are
 the joints whose collision shapes were to be shrunk; ``told`` names the links whose mass, the
-joints of whose dynamics something, and the links whose collision shapes the source told; all else
-was worked out. Links and joints have the names of :mod:`model.io.file_names`; what the caller gives
+joints of whose dynamics something, and the links whose collision shapes are declared; all else
+was computed. Links and joints have the names of :mod:`model.io.file_names`; what the caller gives
 has those of the session, ``link_1``, and ``names`` leads back to them. ``completed``, where it is
-there, names what of the parts' meshes was made up (see :mod:`model.geometry.completion`); their
+there, names the completion of the parts' meshes (see :mod:`model.geometry.completion`); their
 clouds are what was scanned.
 """
 
@@ -112,7 +112,7 @@ def write_asset(
         provenance: anything that JSON can hold.
         original: what the parts were cut from; their areas, or points, must add up to its own.
         physics: mass, collision shapes and joint dynamics; None leaves the shapes out.
-        progress: told of each part.
+        progress: reports each part.
 
     Raises:
         GeometryError: for a part without geometry, or parts that don't add up.

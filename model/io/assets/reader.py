@@ -26,9 +26,9 @@ URDF, TREE, PROVENANCE, MESHES = "object.urdf", "tree.json", "provenance.json", 
 MIN_CLOUD = 4
 """Points below which readers take a file for damaged; such a part comes back as its mesh alone."""
 DECLARED = "told"
-"""Entry of ``provenance.json`` that names what the source told of masses, joints and shapes."""
+"""Entry of ``provenance.json`` that names the masses, joints and shapes the source declared."""
 COMPLETED = "completed"
-"""Entry of ``provenance.json`` that names what was made up of the parts' meshes."""
+"""Entry of ``provenance.json`` that names the completion of the parts' meshes."""
 
 _LOG = logging.getLogger(__name__)
 
@@ -54,7 +54,7 @@ def load_object(asset: str | Path, progress: Progress = no_progress) -> Articula
     """The object of a saved asset, with its category, part names and clouds.
 
     Of a URDF or MJCF alone masses, joint dynamics and collision shapes are those of the file; of a
-    saved asset those that its own source told, while the others are worked out again.
+    saved asset those that its own source declared, while the others are computed again.
 
     Args:
         asset: the folder; or a URDF or MJCF file, or a folder with an ``object.urdf`` alone, which
@@ -124,7 +124,7 @@ def _read(path: Path, progress: Progress) -> tuple[ArticulatedObject, DeclaredPh
 
 
 def _listed(declared: DeclaredPhysics, entry: Any) -> DeclaredPhysics:
-    """What of ``told`` the entry ``told`` of a ``provenance.json`` names; all else is of ours."""
+    """Values of ``declared`` that the entry ``told`` of a ``provenance.json`` lists."""
     named = entry if isinstance(entry, dict) else {}
     masses, dynamics, shaped = (named.get(k) for k in ("masses", "dynamics", "collision"))
     links = masses if isinstance(masses, list) else []
@@ -142,8 +142,8 @@ def _listed(declared: DeclaredPhysics, entry: Any) -> DeclaredPhysics:
 
 
 def declared_links(folder: Path, what: Literal["masses", "collision"]) -> list[str] | None:
-    """Links of a saved asset whose masses or collision shapes its own source told; None where
-    ``folder`` is none, and its URDF tells all of them."""
+    """Links of a saved asset whose masses or collision shapes its own source declared; None where
+    ``folder`` is none, and its URDF declares all of them."""
     if not (folder / PROVENANCE).is_file():
         return None
     named = read_provenance(folder)["asset"].get(DECLARED)
@@ -152,10 +152,10 @@ def declared_links(folder: Path, what: Literal["masses", "collision"]) -> list[s
 
 
 def declared_entry(obj: ArticulatedObject, shaped: Collection[str] = ()) -> dict[str, Any]:
-    """The entry ``told`` of ``provenance.json``: what of masses and joints the source told.
+    """Entry ``told`` of ``provenance.json``: physics of links and joints that the source declared.
 
     Args:
-        shaped: links whose collision shapes, of those that are written, the source told.
+        shaped: links whose written collision shapes the source declared.
     """
     return {
         "masses": sorted(obj.inertials),
@@ -169,8 +169,8 @@ def declared_entry(obj: ArticulatedObject, shaped: Collection[str] = ()) -> dict
 
 
 def reading_notes(asset: str | Path, obj: ArticulatedObject) -> tuple[str, ...]:
-    """What :func:`load_object` changed of a file on reading ``obj`` from it, and what was passed
-    over of its meshes or of the source they come from, for people."""
+    """Remarks on reading ``obj`` with :func:`load_object`: changes, and content that was skipped in
+    its meshes or in the source they come from."""
     path = Path(asset)
     model = read_model(path if path.is_file() else path / URDF)
     return (*model.notes, *model.declared.notes, *remarks_of(obj.parts))

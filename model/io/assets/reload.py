@@ -1,4 +1,4 @@
-"""Whether a saved asset loads again, here and in other people's software."""
+"""Check that a saved asset loads again, here and in other software."""
 
 from __future__ import annotations
 

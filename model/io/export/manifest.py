@@ -26,7 +26,7 @@ def write_about(folder: Path, asset: Path, name: str, notes: Sequence[str]) -> P
         folder: of the export.
         asset: what was exported: an asset folder or a URDF file.
         name: of the export format.
-        notes: what was changed or passed over on reading and on writing, for people.
+        notes: human-readable remarks on content changed or skipped on reading and writing.
 
     Raises:
         InputFileError: where it can't be written, or the asset's ``provenance.json`` is damaged.

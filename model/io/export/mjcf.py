@@ -253,7 +253,7 @@ class _Writer:
 
 
 def losses_of(obj: ArticulatedObject) -> tuple[str, ...]:
-    """What of its materials MuJoCo has no place for, in words; empty where nothing is lost."""
+    """Material properties that MuJoCo can't represent, in words; empty where nothing is lost."""
     left: set[str] = set()
     for part in obj.parts:
         for material in part_mesh(part).materials:

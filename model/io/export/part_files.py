@@ -20,10 +20,10 @@ from model.physics.part_mesh import part_mesh
 
 @dataclass(frozen=True)
 class PartFile:
-    """What was written of a part; paths are relative to the asset's folder.
+    """Files written for a part; paths are relative to the asset's folder.
 
     Attributes:
-        flat: whether MuJoCo would refuse the mesh: it wants four corners and some volume.
+        flat: whether MuJoCo would refuse the mesh: it needs four corners and some volume.
     """
 
     link: str
@@ -95,7 +95,7 @@ def losses_of(obj: ArticulatedObject) -> tuple[str, ...]:
 
 
 def is_flat(mesh: Mesh) -> bool:
-    """Whether MuJoCo would refuse the mesh: it wants four corners and some volume."""
+    """True if MuJoCo would refuse the mesh: it needs four corners and some volume."""
     corners = np.unique(mesh.vertices[np.unique(mesh.faces)], axis=0)
     if len(corners) < 4:
         return True

@@ -16,7 +16,7 @@ class Exporter(Protocol):
 
     Attributes:
         name: what ``--format`` takes.
-        description: one line for people.
+        description: one human-readable line.
     """
 
     name: str
@@ -37,7 +37,7 @@ class Exporter(Protocol):
         Args:
             physics: mass, collision shapes and joint dynamics; None leaves shapes and dynamics
                 out and takes plain masses.
-            progress: told of each part.
+            progress: reports each part.
 
         Returns:
             The files, the one to open first.

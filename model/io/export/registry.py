@@ -74,7 +74,7 @@ def export(
         format: one of :func:`exporter_names`.
         out: folder for the files, created where needed.
         physics: of the asset, see :func:`model.physics.simulation_values.physics_of`.
-        progress: told of each part.
+        progress: reports each part.
 
     Returns:
         The files, the one to open first.

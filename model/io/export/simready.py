@@ -45,7 +45,7 @@ SECONDS = 300.0
 
 @dataclass(frozen=True)
 class AboutPackage:
-    """What a package says of itself beside what its object says.
+    """Metadata of a package beside those of its object.
 
     Attributes:
         author: person or organisation. license: such as ``CC-BY-4.0``.
@@ -145,12 +145,12 @@ def qcode_of(category: str | None) -> str:
 
 
 def validator_installed() -> bool:
-    """Whether NVIDIA's validator and its profiles are."""
+    """True if NVIDIA's validator and its profiles are installed."""
     return find_spec("simready") is not None and find_spec("simready.validate") is not None
 
 
 def simready_problems(path: Path) -> list[str]:
-    """What NVIDIA's validator finds missing of what the profile requires.
+    """Requirements of the profile that NVIDIA's validator finds missing.
 
     Raises:
         ConfigurationError: where the validator doesn't answer.

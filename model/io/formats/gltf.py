@@ -241,7 +241,7 @@ class Gltf:
                 seen.add(child)
 
     def _instances(self, node: Json, world: Array) -> list[Array]:
-        """Where the copies of a node's mesh stand (``EXT_mesh_gpu_instancing``)."""
+        """World transforms of the copies of a node's mesh (``EXT_mesh_gpu_instancing``)."""
         extension = as_dict(as_dict(node.get("extensions")).get("EXT_mesh_gpu_instancing"))
         given = {
             key: self._buffers.accessor(index).astype(np.float64)

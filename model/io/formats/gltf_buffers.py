@@ -56,7 +56,7 @@ class GltfBuffers:
         return self._buffers[index]
 
     def uri(self, uri: str, what: str) -> bytes:
-        """What an address inside the file leads to; ``what`` that is, for people."""
+        """Bytes at an address inside the file; ``what`` names them in errors."""
         if uri.startswith("data:"):
             head, _, body = uri.partition(",")
             try:

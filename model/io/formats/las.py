@@ -13,7 +13,7 @@ from model.core.installing import require
 from model.io.formats.loaded import DEFAULT_MAX_BYTES, Loaded, colors_from, read_bytes
 
 _PANIC = "PanicException"
-"""What Rust libraries raise where they fail; no ``Exception``."""
+"""Exception of failing Rust libraries; no ``Exception``."""
 _LASZIP = 22204
 """Number of the record that says how points are packed (LASzip, Isenburg 2013)."""
 _LARGEST_CHUNK = 1 << 30
@@ -59,7 +59,7 @@ def read_las(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
 
 
 def _plausible(data: bytes) -> bool:
-    """Whether the records that the header declares fit into the file (LAS 1.4, table 3)."""
+    """True if the records that the header declares fit into the file (LAS 1.4, table 3)."""
     if len(data) < 227 or data[24] != 1 or data[25] > 4:
         return False
     size, start, records = struct.unpack_from("<HII", data, 94)
@@ -76,7 +76,7 @@ def _plausible(data: bytes) -> bool:
 
 
 def _few_chunks(data: bytes, start: int) -> bool:
-    """Whether a LAZ file can hold the chunks that its table declares: lazrs ends the process where
+    """True if a LAZ file can hold the chunks that its table declares: lazrs ends the process where
     it gets no memory for them."""
     if start + 8 > len(data):
         return False

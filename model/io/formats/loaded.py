@@ -37,7 +37,7 @@ class Loaded:
         uv: (V, 2), v up, or None.
         face_material: (F,) indices into ``materials``.
         materials: empty stands for one plain material.
-        warnings: what was passed over, for people.
+        warnings: human-readable remarks on skipped content.
         pieces: where the file is in pieces that have names, each one's name and number of faces,
             in the faces' order; else empty.
         confidence: (V,) of a cloud's points where the file has it, or None.

@@ -198,7 +198,7 @@ def read_ascii(path: Path, body: bytes, elements: list[Element]) -> dict[str, Ta
 
 
 def _typed(column: Array, p: Property) -> Array:
-    """ASCII numbers keep double precision; colours need their integer type to be told apart."""
+    """ASCII numbers keep double precision; colours are recognised by their integer type."""
     if p.type in ("f4", "f8"):
         return column
     info = np.iinfo(p.type)

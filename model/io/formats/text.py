@@ -31,7 +31,7 @@ _NAMES = {
 def read_text(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
     """Read points from columns of numbers.
 
-    Columns are told by a heading line (``x,y,z,red,green,blue,nx,ny,nz``) where there is one. Else
+    A heading line names the columns (``x,y,z,red,green,blue,nx,ny,nz``) where there is one. Else
     three are xyz; six are xyz and RGB or normals, which their values tell apart; nine are both;
     what follows is passed over. A PTS file has an intensity after xyz, which is passed over too.
 
@@ -76,7 +76,7 @@ def _check_lines(path: Path, text: str) -> None:
 
 
 def _decimal_commas(text: str) -> bool:
-    """Whether numbers are written as in 0,55: each word of the first rows is one number."""
+    """True if numbers are written as in 0,55: each word of the first rows is one number."""
     rows = [
         w
         for line in text.split("\n", 50)[:50]

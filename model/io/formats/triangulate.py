@@ -14,7 +14,7 @@ from model.core.errors import InputFileError
 Array = npt.NDArray[Any]
 
 MOST_CORNERS = 10_000
-"""Of a concave face: half a second where it is well-formed; one that crosses itself takes more."""
+"""Most corners of a concave face: half a second if well-formed, more if it crosses itself."""
 MOST_SQUARES = 1e9
 """Sum over the concave faces of a file of their corners squared: some seconds."""
 

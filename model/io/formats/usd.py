@@ -173,7 +173,7 @@ class UsdStage:
             yield walk, prim
 
     def is_unread(self, prim: Any) -> bool:
-        """Whether a prim draws something that isn't read: copies, curves, points, a skeleton's."""
+        """True if a prim draws something that isn't read: copies, curves, points, skeletons."""
         if prim.GetTypeName() in ("Mesh", *SHAPES):
             return False
         return (

@@ -26,7 +26,7 @@ _NAME = re.compile(rf"(?:.*/)?affordance_({'|'.join(AFFORDANCE_KINDS)})_(\d+)_")
 
 
 def is_affordance(name: str | None) -> bool:
-    """Whether a site of this name is one."""
+    """True if a site of this name is an affordance."""
     return bool(name and _NAME.match(name))
 
 

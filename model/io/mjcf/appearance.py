@@ -25,7 +25,7 @@ class Looks:
     Args:
         model: MuJoCo's.
         textures: texture name → its image.
-        notes: told of images that can't be had.
+        notes: gets a remark on each image that can't be loaded.
     """
 
     def __init__(self, model: Any, textures: dict[str, Path], notes: list[str]) -> None:

@@ -60,7 +60,7 @@ def read_mjcf_model(
     - Seen are geoms of the groups 0 to 2: of a body that has some which collide with nothing, these
       and what is in their groups. Felt are geoms that collide with something.
     - Planes and height fields are left out.
-    - Masses are told where the file says something of a body's or of its geoms'.
+    - Masses count as declared where the file gives a body's or its geoms'.
     - The world is a link only where it carries something, or a joint.
 
     Args:

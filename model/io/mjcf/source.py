@@ -31,7 +31,7 @@ MOST_BODIES = 5000
 """More are no object; as for a URDF's links."""
 MOST_GEOMS = 20_000
 MOST_CELLS = 100_000_000
-"""Of a height field: 400 MB in MuJoCo, a square kilometre by the decimetre."""
+"""Cells of a height field: 400 MB in MuJoCo, a square kilometre by the decimetre."""
 MOST_FILES = 100
 """Included ones."""
 DEEPEST = 200
@@ -46,7 +46,7 @@ _TEXTS = ("name", "class", "childclass", "mesh", "material", "texture", "hfield"
 
 @dataclass(frozen=True, eq=False)
 class MjcfSource:
-    """What MuJoCo compiles, and what else the files say.
+    """Input of MuJoCo's compiler, and the files' other content.
 
     Attributes:
         name: of the model.
@@ -55,9 +55,9 @@ class MjcfSource:
         meshes: mesh name → its file.
         textures: texture name → its image, which may be missing.
         mimics: follower → the joint that it follows.
-        part_names: body → what it is in people's words.
+        part_names: body → display name.
         files: that were included.
-        notes: what was passed over, for people.
+        notes: human-readable remarks on skipped content.
         flat: ``text`` without frames, whose content MuJoCo 4.0 doesn't compare with its schema;
             "" where there are none.
     """
@@ -75,7 +75,7 @@ class MjcfSource:
 
 
 def is_mjcf(path: Path) -> bool:
-    """Whether ``path`` is an XML file that begins with ``<mujoco>`` and isn't hidden."""
+    """True if ``path`` is an XML file that begins with ``<mujoco>`` and isn't hidden."""
     if path.suffix.lower() not in MJCF_SUFFIXES or path.name.startswith(".") or not path.is_file():
         return False
     try:
@@ -86,8 +86,8 @@ def is_mjcf(path: Path) -> bool:
 
 
 def named_files(path: Path) -> list[Path]:
-    """Where the files that an MJCF names may lie, absolute and beside it or below; as
-    ``urdf_model.named_meshes``, for telling what belongs together."""
+    """Possible places of the files that an MJCF names, absolute and beside it or below; as
+    ``urdf_model.named_meshes``, to find which files belong together."""
     own = path.absolute().parent
     out: dict[Path, None] = {}
     ahead = [path.absolute()]
@@ -358,7 +358,7 @@ def _whole(text: str) -> int:
 
 
 def _finite(text: str) -> bool:
-    """Whether ``text`` holds no NaN and no infinity where it is made of numbers."""
+    """True unless ``text`` is made of numbers with a NaN or an infinity among them."""
     for word in text.split():
         try:
             if not math.isfinite(float(word)):

@@ -54,7 +54,7 @@ class ReadBack:
 
     @property
     def fine(self) -> bool:
-        """Whether at least one reader read it and none found a problem."""
+        """True if at least one reader read it and none found a problem."""
         return bool(self.readers) and not self.problems
 
 

@@ -1,4 +1,4 @@
-"""Link poses that a reader reports, compared with ours."""
+"""Comparison of the link poses that a reader reports with ``pose(q)``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What Articulate AnyMesh writes instead of a URDF: ``mobility.json`` beside ``mesh_parts/``.
+"""Output of Articulate AnyMesh instead of a URDF: ``mobility.json`` beside ``mesh_parts/``.
 
 A list of ``{id, parent, joint, name, jointData: {axis: {origin, direction}}}``, as its public code
 has it (``ArticulateAnymesh/joint_estimation.py``): ``parent`` is a part's name, None of ``base``,
@@ -26,7 +26,7 @@ _MOST_BYTES = 16 * 2**20
 
 
 def is_anymesh(path: Path) -> bool:
-    """Whether ``path`` is one, by its name and the meshes beside it."""
+    """True if ``path`` is such a file, by its name and the meshes beside it."""
     return path.name == ANYMESH and path.is_file() and (path.parent / MESHES).is_dir()
 
 

@@ -32,7 +32,7 @@ class DeclaredCollision:
 
     Attributes:
         pieces: those that could be read, poses in the object frame.
-        wrong: what is wrong with one of the others, for people; "" where nothing is.
+        wrong: human-readable problem of one of the others; "" for none.
         repeated: whether they are the meshes of its visuals once more. That is what converters
             write who know no better: nobody has made shapes for collisions.
     """
@@ -43,7 +43,7 @@ class DeclaredCollision:
 
 
 def repeats(pieces: Sequence[UrdfVisual], visuals: Sequence[UrdfVisual]) -> bool:
-    """Whether each of ``pieces`` is a mesh of ``visuals`` at the same place."""
+    """True if each of ``pieces`` is a mesh of ``visuals`` at the same place."""
     return all(
         (piece.file or piece.mesh) is not None
         and any(
@@ -59,8 +59,8 @@ def repeats(pieces: Sequence[UrdfVisual], visuals: Sequence[UrdfVisual]) -> bool
 def declared_shapes(
     links: Sequence[str], declared: Mapping[str, DeclaredCollision], remarks: list[str]
 ) -> tuple[Shape, ...] | None:
-    """The shapes of links that are fixed to each other, object frame; None where none are told, or
-    some can't be had, which is added to ``remarks``."""
+    """Shapes of links that are fixed to each other, object frame; None where none are declared, or
+    some can't be loaded, which is added to ``remarks``."""
     mine = [(link, declared[link]) for link in links if link in declared]
     if all(each.repeated for _, each in mine):
         return None

@@ -1,5 +1,5 @@
-"""What a URDF tells of masses, collision shapes and of what resists its joints; ``urdf_reader``
-reads the rest.
+"""Declared physics of a URDF: masses, collision shapes, joint dynamics; ``urdf_reader`` reads the
+rest.
 
 It isn't needed to move an object, so a mistake in it is a remark, not an error.
 """
@@ -40,7 +40,7 @@ class DeclaredPhysics:
     Attributes:
         inertials: by link.
         dynamics: by joint.
-        notes: what was passed over, for people.
+        notes: human-readable remarks on skipped content.
         collision: by link; its meshes aren't loaded.
         affordances: where a robot takes hold.
     """
@@ -52,8 +52,8 @@ class DeclaredPhysics:
     affordances: tuple[Affordance, ...] = ()
 
     def of(self, obj: ArticulatedObject) -> ArticulatedObject:
-        """``obj`` with what is told of its links and joints, collision meshes loaded; what can't be
-        had of these is a remark of the part."""
+        """``obj`` with the declared physics of its links and joints, collision meshes loaded; what
+        can't be loaded of these is a remark of the part."""
         joints = tuple(replace(j, dynamics=self.dynamics.get(j.name)) for j in obj.tree.joints)
         links = set(obj.tree.links)
         inertials = {link: i for link, i in self.inertials.items() if link in links}
@@ -72,7 +72,7 @@ class DeclaredPhysics:
 def read_declared_physics(
     robot: Element, object_from_link: Mapping[str, FloatArray]
 ) -> DeclaredPhysics:
-    """What the file tells, by the names that links and joints have there.
+    """Declared physics of the file, by the names that links and joints have there.
 
     Args:
         robot: the document's root.
@@ -102,7 +102,7 @@ def read_declared_physics(
 
 
 def _massless(link: Element, inertial: Element) -> bool:
-    """Whether it is a frame of declared zero mass, which is no mistake."""
+    """True if it is a frame of declared zero mass, which is no mistake."""
     mass = inertial.find("mass")
     bare = link.find("visual") is None and link.find("collision") is None
     try:
@@ -140,8 +140,8 @@ def _balanced(tensor: FloatArray) -> FloatArray:
 
 
 def _dynamics(joint: Element) -> DeclaredDynamics:
-    """What is absent or none that a joint can have is not told; 0 is what exporters that know
-    neither effort nor velocity write."""
+    """Declared dynamics; absent and impossible values are None, also an effort or velocity of 0,
+    which exporters write that know neither."""
     resists, limit = joint.find("dynamics"), joint.find("limit")
     damping = friction = None
     if resists is not None:  # URDF's default is 0

@@ -1,4 +1,4 @@
-"""Where the files of a URDF may lie: its folder, or the ROS package around it."""
+"""Possible places of a URDF's files: its folder, or the ROS package around it."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from model.io.xml_file import MAX_BYTES
 
 URDF_SUFFIX = ".urdf"
 MOBILITY = "mobility.urdf"
-"""What PartNet-Mobility calls an object's."""
+"""Name of an object's URDF in PartNet-Mobility."""
 PACKAGE = "package.xml"
-"""What marks the folder of a ROS package."""
+"""File that marks the folder of a ROS package."""
 PACKAGE_URI, MODEL_URI = "package://", "model://"
 _LEVELS = 4
 _FILENAME = re.compile(
@@ -24,7 +24,7 @@ _FILENAME = re.compile(
 
 
 def is_urdf(path: Path) -> bool:
-    """Whether ``path`` has the suffix of a URDF and isn't hidden."""
+    """True if ``path`` has the suffix of a URDF and isn't hidden."""
     name = path.name
     return path.suffix.lower() == URDF_SUFFIX and not name.startswith(".") and path.is_file()
 
@@ -40,10 +40,10 @@ def package_root(path: Path) -> Path:
 
 
 def named_meshes(path: Path) -> list[Path]:
-    """Where the meshes of a URDF or SDF may lie, absolute and inside its folder or package.
+    """Possible places of the meshes of a URDF or SDF, absolute, in its folder or package.
 
-    For telling what belongs together: neither is it read as XML, nor is the disk asked, so that
-    thousands are looked at in a moment. None where it can't be read.
+    Finds which files belong together; reads no XML and asks the disk for no mesh, so thousands take
+    a moment. Empty where the file can't be read.
     """
     try:
         if path.stat().st_size > MAX_BYTES:

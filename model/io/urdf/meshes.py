@@ -85,8 +85,8 @@ def _with_material(mesh: Mesh, visual: UrdfVisual) -> Mesh:
 
 
 def _plain(mesh: Mesh) -> bool:
-    """Whether its file says nothing of its looks: an STL, a PLY without colours, an OBJ without
-    materials. A URDF's colour is for such, and for no others."""
+    """True if its file declares no appearance: an STL, a PLY without colours, an OBJ without
+    materials. Only such meshes get a URDF's colour."""
     unsaid = Material()
     return mesh.vertex_colors is None and all(
         m.texture is None

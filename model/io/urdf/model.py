@@ -22,14 +22,14 @@ class UrdfModel:
     Attributes:
         tree: joints in the object's rest frame, which is the root link's frame.
         visuals: geometry in the file's order.
-        notes: what was changed on reading, for people.
-        rescaled: those of the notes that tell of an axis whose length wasn't 1: it means the same.
-        renamed: those that tell of a link that became a helper by name alone.
+        notes: human-readable remarks on changes made on reading.
+        rescaled: those of the notes about an axis whose length wasn't 1: it means the same.
+        renamed: those about a link that became a helper by name alone.
         faulty: joints that couldn't be read and stand as fixed ones; only of a lenient reading.
         swapped: joints whose lower limit was written above the upper one; here they are in order.
-        told: masses, joint dynamics and collision shapes; :meth:`load` leaves them out.
+        declared: masses, joint dynamics and collision shapes; :meth:`load` leaves them out.
         files: that were read beside the file itself and the meshes.
-        part_names: link → what the file says it is, in people's words.
+        part_names: link → display name that the file declares.
         category: what the file says of the whole, or None.
     """
 
@@ -78,7 +78,7 @@ def renamed_helpers(
     Args:
         links: all of the file.
         owning: those with geometry.
-        notes: told of each, for people.
+        notes: gets a human-readable remark on each.
     """
     out: dict[str, str] = {}
     for link in links:

@@ -64,7 +64,7 @@ def read_urdf(
         path: the URDF.
         root: the folder that mesh paths must not leave; by default that of the ROS package around
             the URDF (``urdf_model.package_root``), else the URDF's own.
-        progress: told of each link.
+        progress: reports each link.
 
     Raises:
         InputFileError: naming the file and everything that is wrong in it.

@@ -75,7 +75,7 @@ FloatArray = npt.NDArray[np.float64]
 
 
 def is_sdf(path: Path) -> bool:
-    """Whether ``path`` is an SDF of one model; worlds are scenes."""
+    """True if ``path`` is an SDF of one model; worlds are scenes."""
     if path.suffix.lower() != SDF_SUFFIX or path.name.startswith(".") or not path.is_file():
         return False
     try:
@@ -121,7 +121,7 @@ def _numbers(text: str, count: int, what: str) -> FloatArray:
 
 
 def robot_of_sdf(path: Path) -> tuple[Element, list[str]]:
-    """The ``<robot>`` that says the same, and what was passed over, for people.
+    """Equivalent ``<robot>``, and human-readable remarks on skipped content.
 
     Raises:
         InputFileError: where it holds no model, or several, or a pose that can't be resolved.
@@ -357,7 +357,7 @@ def _begun(
 
 
 def _pitch(joint: Element) -> float:
-    """Metres of a right-handed turn of a screw; 0 where nothing usable is said."""
+    """Metres of a right-handed turn of a screw; 0 where no usable pitch is declared."""
     said = _text(joint, "screw_thread_pitch")
     if said:
         return float(_numbers(said, 1, "screw_thread_pitch")[0])

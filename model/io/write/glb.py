@@ -21,7 +21,7 @@ from model.io.formats.srgb import to_linear
 
 Array = npt.NDArray[Any]
 METALLIC, ROUGHNESS = 0.0, 0.9
-"""Of materials that don't say."""
+"""Values of materials that declare none."""
 _MIME = {".jpg": "image/jpeg", ".png": "image/png"}
 
 
@@ -242,7 +242,7 @@ def _turned(vectors: Array, y_up: bool) -> Array:
 
 
 def _has_holes(image: Image.Image) -> bool:
-    """Whether some of it can be seen through."""
+    """True if parts of it are transparent."""
     if image.mode != "RGBA":
         return False
     lowest = image.getchannel("A").getextrema()[0]

@@ -56,7 +56,7 @@ MOST_FACES = 20_000
 
 @dataclass(frozen=True)
 class CollisionSettings:
-    """How collision shapes are made.
+    """Settings for collision shapes.
 
     Attributes:
         method: "hollow" decomposes walls into slabs, "coacd" runs coacd, "hull" takes one convex

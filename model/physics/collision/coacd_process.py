@@ -26,7 +26,7 @@ from model.core.threads import die_with_parent
 
 
 def coacd_installed() -> bool:
-    """Whether coacd (``artiworld[collision]``) is installed."""
+    """True if coacd (``artiworld[collision]``) is installed."""
     return find_spec("coacd") is not None
 
 

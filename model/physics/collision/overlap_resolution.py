@@ -8,7 +8,7 @@ The same is done along the path from rest to the joint's limits, in steps that a
 ends: vertices near a hinge graze the frame as soon as a door moves, and joints rest at their
 limits. Deeper overlaps are cut only where the parts themselves don't collide (a tube in a tube,
 decomposed coarsely), the deepest first; bodies that can't be cut there are removed. Elsewhere they
-stay: they are collisions for people to fix, by the range or by :attr:`Joint.give_way`.
+stay: they are collisions for the user to fix, by the range or by :attr:`Joint.give_way`.
 """
 
 from __future__ import annotations

@@ -109,7 +109,7 @@ def _travel(
 
 
 DECIMALS = 5
-"""Of the numbers that a language model writes: a hundredth of a millimetre."""
+"""Decimals of the numbers that a language model writes: a hundredth of a millimetre."""
 
 
 def rounded(answer: str) -> str:

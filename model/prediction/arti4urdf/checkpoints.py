@@ -1,4 +1,4 @@
-"""Our own checkpoint folders.
+"""ArtiWorld's checkpoint folders.
 
 A checkpoint is a folder of two files: ``config.json`` (with a format number) and
 ``weights.safetensors``.

@@ -116,7 +116,7 @@ class FullModel(nn.Module):
 
     @property
     def device(self) -> torch.device:
-        """Where the model computes."""
+        """Device that the model computes on."""
         return self.global_adapter.fc1.weight.device
 
     def train(self, mode: bool = True) -> FullModel:

@@ -33,7 +33,7 @@ class FullPredictor:
 
     Args:
         reader: encoder, adapters and word embeddings. engine: continues the prompt.
-        name: for people.
+        name: display name.
     """
 
     def __init__(self, reader: FullModel, engine: TextEngine, name: str) -> None:
@@ -129,7 +129,7 @@ def load_full_predictor(folder: Path, *, engine: str = "local") -> FullPredictor
 
 @lru_cache(maxsize=1)  # gigabytes: a worker keeps them
 def with_local_engine(folder: str) -> FullPredictor:
-    """The paper-size model with our own decoder."""
+    """The paper-size model with ArtiWorld's own decoder."""
     return load_full_predictor(Path(folder))
 
 

@@ -200,7 +200,7 @@ class Grammar:
             self._asks, self._part = "slot", part
 
     def _moves(self, part: int) -> bool:
-        """Whether a part's motion has to be chosen."""
+        """True if a part's motion has to be chosen."""
         lock = self.locked.get(part)
         fixed = self.decisions[part].type == v.TYPES.index("fixed")
         return part != self.root and not fixed and (lock is None or lock.type < 0)

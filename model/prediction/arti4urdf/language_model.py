@@ -102,7 +102,7 @@ class KeyValueCache:
 
 @dataclass(frozen=True)
 class _Pass:
-    """What all layers of one forward pass share.
+    """Tensors that all layers of one forward pass share.
 
     Attributes:
         cosine: (1, 1, T, head_dim) in the weights' type.

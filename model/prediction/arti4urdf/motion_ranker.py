@@ -189,7 +189,7 @@ class MotionRanker:
 
 
 def best_limits(candidate: int, rules: Array, same: Bools) -> int:
-    """Of the candidates with this motion the one whose limits the rules find likeliest."""
+    """Index of the candidate with this motion whose limits the rules find likeliest."""
     return int(np.argmax(np.where(same[candidate], rules, -np.inf)))
 
 

@@ -152,7 +152,7 @@ class ArtiModel(nn.Module):
 
     @property
     def device(self) -> torch.device:
-        """Where the weights are."""
+        """Device that holds the weights."""
         return self.type_head.weight.device
 
     def encode(self, prompts: Sequence[Prompt]) -> Encoded:

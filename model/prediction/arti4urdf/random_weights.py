@@ -30,7 +30,7 @@ def write_random_qwen3(
         folder: is created. size: of the language model and its vocabulary.
         texts: from which the tokenizer learns byte pairs, so that similar texts have about as many
             tokens as with the published one.
-        device: on which the weights are drawn. seed: of the weights.
+        device: on which the weights are drawn. seed: random seed.
 
     Returns:
         ``folder``.

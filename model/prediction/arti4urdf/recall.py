@@ -100,7 +100,7 @@ def _moved(
 
 
 def _below(decisions: Sequence[Decision], part: int, above: int) -> bool:
-    """Whether a part hangs on another one, or is it."""
+    """True if a part is ``above`` or one of its descendants."""
     seen: set[int] = set()
     while part >= 0 and part not in seen:
         if part == above:
@@ -128,7 +128,7 @@ def with_known_range(
 
 
 def follows(answer: Answer, part: int, known: Recalled) -> bool:
-    """Whether the decision about a part has the type and motion of most accepted joints."""
+    """True if the decision about a part has the type and motion of most accepted joints."""
     decision = answer.decisions[part]
     if known.agreed(known.types) != v.TYPES[decision.type]:
         return False

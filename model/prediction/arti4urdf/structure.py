@@ -176,7 +176,7 @@ def read_structure(
 
     Args:
         segmented: the parts, with or without names.
-        seed: of the surface samples. budget: surface points of all parts together.
+        seed: random seed of the samples. budget: surface points of all parts together.
         progress: reports each part.
     """
     sampled = sample_object(segmented, seed, budget=budget)

@@ -42,7 +42,7 @@ def make_example(
 
     Args:
         segmented: with or without names and category. points: of each cloud.
-        structure: describe the parts' places and contacts. seed: of the sampling.
+        structure: describe the parts' places and contacts. seed: random seed.
     """
     rng = np.random.default_rng(seed)
     clouds = [_sampled(part, points, rng) for part in segmented.parts]

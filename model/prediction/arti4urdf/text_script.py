@@ -56,7 +56,7 @@ class Numbers:
     least: float | None = None
 
     def allows(self, text: str, *, complete: bool = False) -> bool:
-        """Whether the numbers may begin with ``text``, or equal it if ``complete``."""
+        """True if the numbers may begin with ``text``, or equal it if ``complete``."""
         words = text.split(" ")
         if len(words) > self.count or (complete and len(words) < self.count):
             return False

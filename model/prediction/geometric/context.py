@@ -111,7 +111,7 @@ class PartContext:
 
     @cached_property
     def in_contact(self) -> bool:
-        """Whether the part is in contact with its parent."""
+        """True if the part is in contact with its parent."""
         return bool(self.sampled.gap[self.part, self.parent] < 2 * CONTACT_GAP)
 
     @cached_property
@@ -208,7 +208,7 @@ class PartContext:
 
     @cached_property
     def closed(self) -> bool:
-        """Whether the panel lies in or on its parent's box, as shut doors and lids do."""
+        """True if the panel lies in or on its parent's box, as shut doors and lids do."""
         shape, base = self.shape, self.parent_shape
         panel, box = shape.panel, shape.box
         low, high = -box.half.copy(), box.half.copy()
@@ -221,7 +221,7 @@ class PartContext:
 
     @cached_property
     def shut(self) -> bool:
-        """Whether a door, drawer or lid is shut: :attr:`closed`, or square to the object and close
+        """True if a door, drawer or lid is shut: :attr:`closed`, or square to the object and close
         in front of its parent."""
         if self.closed:
             return True
@@ -239,7 +239,7 @@ class PartContext:
 
     @cached_property
     def clock_hand(self) -> bool:
-        """Whether the part is a clock hand: by name, or a slender part on the face of a disc."""
+        """True if the part is a clock hand: by name, or a slender part on the face of a disc."""
         if "hand" in self.words:
             return True
         shape, base = self.shape, self.parent_shape

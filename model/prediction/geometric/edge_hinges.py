@@ -346,7 +346,7 @@ def _handle_cue(context: PartContext, across: int, along: int, side: float, norm
 def _sibling_beyond(
     context: PartContext, direction: Array, across: int, along: int, normal: int
 ) -> bool:
-    """Whether another moving panel in the same plane is adjacent to the edge."""
+    """True if another moving panel in the same plane is adjacent to the edge."""
     sampled, shape = context.sampled, context.shape
     box = shape.box
     for j in sampled.others(context.part):

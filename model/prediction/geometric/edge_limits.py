@@ -104,7 +104,7 @@ def _reclining(context: PartContext, best: JointProposal) -> JointProposal:
 
 
 def shut_front(context: PartContext, motion: JointProposal) -> bool:
-    """Whether a motion is that of a door, drawer or lid that was scanned shut."""
+    """True if a motion is that of a door, drawer or lid that was scanned shut."""
     named, _ = mechanism_of(context.shape.name, context.sampled.category)
     mechanisms = (named, motion.mechanism)
     if "hinge" in mechanisms or "drop" in mechanisms:

@@ -52,7 +52,7 @@ BUILDERS: dict[Mechanism, Callable[[PartContext], list[JointProposal]]] = {
     "press": press_proposals,
     "fixed": lambda c: [JointProposal("fixed", np.array([0.0, 0.0, 1.0]), c.shape.center)],
 }
-"""What proposes the joints of each mechanism; see :func:`proposals_for`."""
+"""Mechanism → function that proposes its joints; see :func:`proposals_for`."""
 
 SWEPT_LIMITS: dict[Mechanism, Callable[[PartContext, JointProposal], JointProposal]] = {
     "hinge": with_swept_limits,

@@ -262,7 +262,7 @@ def _pairs(c: _Cues) -> Scores:
 
 
 def _caps_the_end(part: PartContext) -> bool:
-    """Whether it is on one end of a long parent and equally thick, as the cap of a pen."""
+    """True if it is on one end of a long parent and equally thick, as the cap of a pen."""
     shape, base = part.shape, part.parent_shape
     thin, middle, long = base.order
     if base.slenderness > 0.5 or shape.size > 0.8 * base.size:
@@ -287,7 +287,7 @@ def _tallness(context: PartContext) -> float:
 
 
 def _holds_wheel(c: _Cues) -> bool:
-    """Whether it is a small part near the ground that carries a wheel."""
+    """True if it is a small part near the ground that carries a wheel."""
     context = c.part
     if c.features.size > 0.2 or c.features.height > 0.3:
         return False
@@ -301,7 +301,7 @@ def _holds_wheel(c: _Cues) -> bool:
 
 
 def passes_sibling(context: PartContext) -> bool:
-    """Whether another panel in a parallel plane partly overlaps this one."""
+    """True if another panel in a parallel plane partly overlaps this one."""
     shape, sampled = context.shape, context.sampled
     n = shape.panel.normal
     axes = shape.box.axes
@@ -329,7 +329,7 @@ def passes_sibling(context: PartContext) -> bool:
 
 
 def spans_doors(context: PartContext) -> bool:
-    """Whether it is a wide front above or below two or more adjacent doors in its plane, as the
+    """True if it is a wide front above or below two or more adjacent doors in its plane, as the
     freezer drawer of a refrigerator."""
     shape, sampled = context.shape, context.sampled
     normal = context.panel_normal

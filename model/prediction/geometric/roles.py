@@ -94,8 +94,8 @@ def named_mechanism(part: PartContext) -> Mechanism | None:
 
 
 def _is_round_cap(part: PartContext) -> bool:
-    """Whether a part is round about the upright axis of a round part below it, and its category
-    says nothing of lids."""
+    """True if a part is round about the upright axis of a round part below it, and its category's
+    lexicon doesn't list its name."""
     if CATEGORY_WORDS.get(part.category, {}).keys() & set(part.words):
         return False
     cap, base = part.shape.roundest, part.parent_shape
@@ -108,7 +108,7 @@ def _is_round_cap(part: PartContext) -> bool:
 
 
 def _flat_round(part: PartContext) -> bool:
-    """Whether a part is a flat disc that lies on its parent."""
+    """True if a part is a flat disc that lies on its parent."""
     disc = part.shape.roundest
     if disc is None or disc.half > disc.radius:
         return False

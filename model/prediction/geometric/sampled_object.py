@@ -145,7 +145,7 @@ class SampledObject:
 
     @cached_property
     def scanned(self) -> bool:
-        """Whether most parts are clouds."""
+        """True if most parts are clouds."""
         return sum(s.scanned for s in self.shapes) * 2 > len(self)
 
     def cover(

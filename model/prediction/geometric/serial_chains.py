@@ -38,7 +38,7 @@ class ChainPlane:
 
 
 def is_slender(assembly: Assembly, part: int) -> bool:
-    """Whether a part is long and thin."""
+    """True if a part is long and thin."""
     return assembly.sampled.shapes[part].slenderness <= SLENDER
 
 

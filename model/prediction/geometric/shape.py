@@ -37,7 +37,7 @@ class Roundness:
 
     @property
     def round(self) -> bool:
-        """Whether the outline counts as a circle."""
+        """True if the outline counts as a circle."""
         return self.spread < ROUND
 
 
@@ -210,7 +210,7 @@ class PartShape:
 
     @property
     def ball(self) -> bool:
-        """Whether the part is round about three axes."""
+        """True if the part is round about three axes."""
         return sum(r.round for r in self.roundnesses) >= 3
 
     @cached_property
@@ -347,7 +347,7 @@ def _box_in(points: Array, axes: Array, scanned: bool) -> Box:
 
 
 def same_extents(a: PartShape, b: PartShape, tolerance: float = 0.25, slack: float = 0.01) -> bool:
-    """Whether two boxes have nearly the same extents.
+    """True if two boxes have nearly the same extents.
 
     Args:
         tolerance: share of the extents of ``b``. slack: diagonals added to it.

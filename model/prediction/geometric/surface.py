@@ -15,7 +15,7 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Noise:
-    """How far points lie off their surface.
+    """Distance of points from their surface.
 
     Attributes:
         sigma: standard deviation across the surface (m), curvature included; only an upper bound
@@ -51,8 +51,8 @@ def part_surface(part: Part, count: int, seed: int) -> SurfaceSample:
     """Sample a part's mesh, or its cloud if it has no mesh.
 
     Args:
-        part: to sample. count: points wanted; a small cloud gives fewer.
-        seed: of the sampling.
+        part: to sample. count: requested points; a small cloud gives fewer.
+        seed: random seed of the sampling.
     """
     rng = np.random.default_rng(seed)
     mesh = part.mesh

@@ -157,7 +157,7 @@ def _leaves_apart(sampled: SampledObject, root: int, parent: list[int]) -> list[
 
 
 def _side_by_side(sampled: SampledObject, i: int, j: int) -> bool:
-    """Whether two leaves lie in one plane and share an edge."""
+    """True if two leaves lie in one plane and share an edge."""
     if not (_leaf(sampled, i) and _leaf(sampled, j)):
         return False
     a, b = sampled.shapes[i], sampled.shapes[j]
@@ -176,7 +176,7 @@ def _side_by_side(sampled: SampledObject, i: int, j: int) -> bool:
 
 
 def _leaf(sampled: SampledObject, i: int) -> bool:
-    """Whether a part is a flat panel without a name or with that of a door."""
+    """True if a part is a flat panel without a name or with that of a door."""
     shape = sampled.shapes[i]
     if words(shape.name) and mechanism_of(shape.name, sampled.category)[0] != "hinge":
         return False
@@ -215,7 +215,7 @@ def _holder(sampled: SampledObject, root: int, i: int) -> int | None:
 
 
 def _both_slender(sampled: SampledObject, root: int, i: int, j: int) -> bool:
-    """Whether both are slender and at the root, as clock hands: neither carries the other."""
+    """True if both are slender and at the root, as clock hands: neither carries the other."""
     slender = max(sampled.shapes[i].slenderness, sampled.shapes[j].slenderness) < 0.3
     return slender and bool(max(sampled.gap[i, root], sampled.gap[j, root]) < 2 * CONTACT_GAP)
 
@@ -261,7 +261,7 @@ def _above(parent: list[int], link: int) -> list[int]:
 
 
 def _below(parent: list[int], link: int, top: int) -> bool:
-    """Whether ``link`` is ``top`` or a descendant of it."""
+    """True if ``link`` is ``top`` or a descendant of it."""
     while link >= 0:
         if link == top:
             return True

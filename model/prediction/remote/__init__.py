@@ -5,5 +5,5 @@ TOKEN_VARIABLE = "ARTIWORLD_BACKEND_TOKEN"
 
 
 def is_backend(name: str) -> bool:
-    """Whether a predictor's name is the address of a backend."""
+    """True if a predictor's name is the address of a backend."""
     return name.startswith(("http://", "https://"))

@@ -66,7 +66,7 @@ def with_articulation(path: Path, said: dict[int, Any]) -> bytes:
     """The file's bytes with ``extras.articulation`` on nodes, geometry untouched.
 
     Args:
-        said: node → what is said of it.
+        said: node → its entries to add.
     """
     gltf = open_gltf(path)
     for index, entry in said.items():

@@ -133,7 +133,7 @@ def _pieces(width: float, height: float, holes: list[Hole]) -> Iterable[tuple[An
 def _holes(
     house: dict[str, Any], problems: list[SceneProblem]
 ) -> dict[str, list[tuple[Hole, bool]]]:
-    """Wall → its openings, and whether they are told from behind."""
+    """Wall → its openings, and whether they are declared from behind."""
     out: dict[str, list[tuple[Hole, bool]]] = {}
     for kind in ("doors", "windows"):
         entries = house.get(kind)

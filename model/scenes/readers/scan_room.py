@@ -48,7 +48,7 @@ from model.scenes.values import (
 Labels = npt.NDArray[np.int64]
 
 BACKGROUND, BUILDING, ROOM = "background", "building", "room"
-"""What no label names, walls and floor, and a room that nobody has labelled."""
+"""Surface without a label, walls and floor, and a room that nobody has labelled."""
 SCANNET20 = (
     "wall", "floor", "cabinet", "bed", "chair", "sofa", "table", "door", "window", "bookshelf",
     "picture", "counter", "desk", "curtain", "refrigerator", "shower curtain", "toilet", "sink",

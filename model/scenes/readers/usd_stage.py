@@ -66,7 +66,7 @@ def articulation_layer(source: Path, target: Path, said: dict[str, Any]) -> None
 
     Args:
         target: file to write; it refers to ``source`` by a relative path.
-        said: path of a prim → what is said of it.
+        said: path of a prim → its entries to add.
     """
     import os
 

@@ -28,7 +28,7 @@ from model.segmentation.prompt_steps import ClickStep, enforce, resolve
 from model.segmentation.prompts import BASE, PartSegmentation, Prompts
 
 RADIUS = 0.1
-"""Of a ball, in diagonals of the bounding box."""
+"""Radius of a ball, in diagonals of the bounding box."""
 
 
 class BallSession:

@@ -20,7 +20,7 @@ from torch.nn.functional import relu, scaled_dot_product_attention, silu
 EVA_HEAD = 64
 DECODER_HEADS = 8
 MASKS = 4
-"""Of the decoder: one for many prompts, three for a single one."""
+"""Masks of the decoder: one for many prompts, three for a single one."""
 
 
 @dataclass(frozen=True)

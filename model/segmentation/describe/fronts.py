@@ -31,7 +31,7 @@ _NONE = -3.0
 _CUTS = np.array([(k, pieces) for pieces in PIECES for k in range(1, pieces)])
 """Cuts of a rectangle into equal pieces: the number of each, and of the pieces."""
 _FIRST_CUTS = np.cumsum([0, *(pieces - 1 for pieces in PIECES[:-1])])
-"""Where in ``_CUTS`` those into each number of pieces begin."""
+"""Places in ``_CUTS`` at which those into each number of pieces begin."""
 
 
 def front_features(

@@ -27,11 +27,11 @@ HISTORY_FEATURES = (
     "past_other", "past_other_worst", "last_changed", "change_of_last",
     "past_depth", "past_depth_worst",
 )  # fmt: skip
-"""How well a mask explains this click and earlier ones as corrections of the masks then."""
+"""Fit of a mask to this click and earlier ones as corrections of the masks then."""
 OBJECT_FEATURE_NAMES = (*FEATURE_NAMES, *BOX_FEATURES, *HISTORY_FEATURES)
 MOVING_FEATURE_NAMES = (*OBJECT_FEATURE_NAMES, *FRONT_FEATURES)
-"""Of masks of moving parts, on objects whose fronts are laid out. The files of weights hold all
-these names, so they stay as they are."""
+"""Features of masks of moving parts, on objects whose fronts are laid out. The files of weights
+hold all these names, so they stay as they are."""
 _LOG_SIZE, _FIRST_DEPTH = (
     [n for n in FEATURE_NAMES if n not in MaskDescriber.relative].index(n)
     for n in ("log_size", "first_depth_relative")
@@ -124,7 +124,7 @@ class ObjectDescriber(MaskDescriber):
         """(H,) columns of ``HISTORY_FEATURES``.
 
         People click in the middle of the largest error. So if a mask is what they mean, every click
-        was deep in what was missing or too much at its time, and that was the larger error.
+        was deep in missing or extra surface at its time, and that was the larger error.
         """
         number, size = len(m), self._grid.size
         if context.before is None or not self.with_history:
@@ -146,7 +146,7 @@ class ObjectDescriber(MaskDescriber):
     def _explained(
         self, words: Uint64, m: Float, held: Float, click: CorrectiveClick
     ) -> tuple[Float, Float, Float, Float]:
-        """How well each of H masks, if it is the true one, explains a click.
+        """Fit of each of H masks, if it is the true one, to a click.
 
         Args:
             held: (H,) nodes in each mask.

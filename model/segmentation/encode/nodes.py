@@ -74,7 +74,7 @@ class ElementMap:
         _ = self._by_node, self._multi
 
     def is_outlier(self, element: int) -> bool:
-        """Whether an element lies on no surface."""
+        """True if an element lies on no surface."""
         at = int(np.searchsorted(self.outliers, element))
         return at < len(self.outliers) and int(self.outliers[at]) == element
 

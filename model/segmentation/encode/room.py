@@ -25,7 +25,7 @@ _CUT = 9.0
 
 @dataclass(frozen=True, eq=False)
 class Room:
-    """Where a room's borders are.
+    """Borders of a room.
 
     Attributes:
         border: (C,) superpoints of floor, ceiling and walls.

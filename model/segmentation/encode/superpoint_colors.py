@@ -24,7 +24,7 @@ _NEAR = 6
 
 
 def has_flat_colors(colors: Uint8, neighbors: Int) -> bool:
-    """Whether most colours (N, 3) equal that of one of their (N, K) neighbours."""
+    """True if most colours (N, 3) equal that of one of their (N, K) neighbours."""
     same = (colors[neighbors[:, :_NEAR]] == colors[:, None]).all(axis=2).any(axis=1)
     return bool(same.mean() > _FLAT)
 

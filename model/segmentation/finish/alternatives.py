@@ -9,8 +9,8 @@ from model.segmentation.arrays import Bool, Float
 
 ALTERNATIVES = 5
 _TEMPERATURE = 2.0
-"""Of the softmax over scores, which are overconfident; chosen of one to five by the best mask
-offered."""
+"""Temperature of the softmax over scores, which are overconfident; chosen of one to five by the
+best mask offered."""
 _ALIKE = 0.9
 """IoU above which two masks look the same."""
 
@@ -30,7 +30,7 @@ def overlaps(masks: Bool, size: Float) -> tuple[Float, Float]:
 
 
 def look_alike(one: Bool, other: Bool, size: Float) -> bool:
-    """Whether two masks (N,) overlap so much that a person can't tell them apart.
+    """True if two masks (N,) overlap so far that a person can't distinguish them.
 
     Args:
         size: (N,) weight of each element.

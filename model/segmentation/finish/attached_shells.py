@@ -42,7 +42,7 @@ _TRAY_OF_BASE = 0.4
 _FLAT = 0.5
 """Largest ratio of a front's thickness, with its handle, to its shorter side."""
 _STANDS_OUT = 0.02
-"""How far a tray may stand out at the sides of its front, in the front's diagonal."""
+"""Most that a tray stands out at the sides of its front, in the front's diagonal."""
 
 
 @dataclass(frozen=True, eq=False)

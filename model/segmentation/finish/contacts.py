@@ -15,14 +15,14 @@ from model.geometry.sampling import sample_surface
 from model.segmentation.arrays import Bool, Float32, Int, Int32, Int64
 
 TOUCHING = 1e-4
-"""Of the mesh's diagonal: 0.1 mm on a metre, more than the rounding of models."""
+"""Share of the mesh's diagonal: 0.1 mm on a metre, more than the rounding of models."""
 
 MOST_SHELLS = 400
 """The smallest shells of a scan beyond these are left out."""
 
 _SAMPLES = 1500
 _MOST_CORNERS = 20_000
-"""Of one shell that are tested: a scan has millions, and shells on it are tested by their own."""
+"""Most corners tested of one shell: a scan has millions; shells on it are tested by their own."""
 
 
 def contacts_of(mesh: Mesh, shell: Int, wanted: Bool) -> tuple[Int32, Int32]:
@@ -30,10 +30,10 @@ def contacts_of(mesh: Mesh, shell: Int, wanted: Bool) -> tuple[Int32, Int32]:
 
     Args:
         shell: (F,) the shell of each face.
-        wanted: (F,) faces of the shells whose contacts are wanted.
+        wanted: (F,) faces of the shells whose contacts are requested.
 
     Returns:
-        Two (K,) arrays: a face of a wanted shell, and one of another shell that it touches.
+        Two (K,) arrays: a face of a requested shell, and one of another shell that it touches.
     """
     faces = _faces_of_shells(shell)
     there = np.argsort(-np.bincount(shell, mesh.face_areas), kind="stable")[:MOST_SHELLS]

@@ -24,7 +24,7 @@ from model.segmentation.prompts import BASE
 FLAT = 0.01
 """Largest angle in radians between coplanar faces."""
 MOST_FACES = 12
-"""Of a facet."""
+"""Most faces of a facet."""
 SHELL_SHARE = 0.25
 """Share of the mesh's area above which a shell may be several parts in one."""
 LEAST_SHELLS = 3

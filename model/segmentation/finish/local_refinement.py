@@ -36,7 +36,7 @@ from model.segmentation.solvers import object_solver
 SMALL = 0.012
 """Share of all nodes up to which a part is refined."""
 _NODES = 4000
-"""Of a neighbourhood; with twice as many the smallest parts are chosen worse."""
+"""Nodes of a neighbourhood; with twice as many the smallest parts are chosen worse."""
 _FITS = 0.4
 """Share of the neighbourhood above which a part doesn't fit into it."""
 _CACHED = 12
@@ -58,7 +58,7 @@ class RefinedPart:
     scored: ScoredProposals
 
     def concerns(self, step: Step) -> bool:
-        """Whether a prompt touches the neighbourhood."""
+        """True if a prompt touches the neighbourhood."""
         nodes = np.atleast_1d(step.node if isinstance(step, ClickStep) else step.nodes)
         place = np.searchsorted(self.nodes, nodes).clip(max=len(self.nodes) - 1)
         return bool((self.nodes[place] == nodes).any())
@@ -199,7 +199,7 @@ class LocalRefinement:
         return Neighborhood(self._encoding, anchor, self._axes)
 
     def applies_to(self, mask: Bool) -> bool:
-        """Whether a mask over the object's superpoints (C,) is small enough to be refined."""
+        """True if a mask over the object's superpoints (C,) is small enough to be refined."""
         size = self._encoding.superpoints.size
         return 0 < float(size[mask].sum()) <= SMALL * float(size.sum())
 

@@ -24,7 +24,7 @@ CHANNELS = ("strength", "gap", "dark", "dent", "step", "tilt", "hue")
 """Evidence of a line: strong edges, missing points, darkness, a dent, a step in depth, slanting
 normals, a step in colour."""
 _WEIGHT = np.array([0.3, 0.25, 0.25, 0.2, 0.2, 0.1, 0.2])
-"""Of the channels in their mean."""
+"""Weights of the channels in their mean."""
 MAX_EVIDENCE = 4.0
 """In robust deviations of the region."""
 HIDDEN = 0.05

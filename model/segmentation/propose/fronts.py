@@ -58,12 +58,12 @@ _SHADE = 2
 BAR_LENGTH = 3.0
 """Least ratio of length to width of a bar; knobs are shorter."""
 _AROUND_SIDE, _AROUND_BAR = 3.0, 2
-"""How far the front extends around a clicked side of a bar (in reaches) and around the bar (in
+"""Extent of the front around a clicked side of a bar (in reaches) and around the bar (in
 squares)."""
 _LARGER = 4.0
 """Least ratio of surface between the front behind a handle and the handle."""
 _RECTANGLES = 12
-"""Of each front, for later clicks."""
+"""Rectangles of each front, for later clicks."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +111,7 @@ class _Layer:
 
 
 class _DepthProfile:
-    """How much surface faces to one side, by its depth."""
+    """Amount of surface that faces to one side, by its depth."""
 
     def __init__(self, depth: Float, size: Float, step: float) -> None:
         """``depth`` (K,) metres towards that side; ``size`` (K,) surface; ``step`` of a bin."""
@@ -216,7 +216,7 @@ class Fronts:
         return []
 
     def _alone_before(self, superpoint: int, axis: int, outward: int, depth: float) -> bool:
-        """Whether a front at ``depth`` surrounds a superpoint, and little else is as high above."""
+        """True if a front at ``depth`` surrounds a superpoint, with little surface before it."""
         across = [k for k in range(3) if k != axis]
         apart = self._center[:, across] - self._center[superpoint, across]
         near = np.flatnonzero((np.abs(apart) < _AROUND_SIDE * self._reach).all(1))

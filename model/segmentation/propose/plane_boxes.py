@@ -19,7 +19,7 @@ from model.segmentation.arrays import Bool, Float, Float64, Int, Int16, Int64, U
 from model.segmentation.encode.superpoints import Superpoints, totals
 
 STEPS = 256
-"""Of the grid along each direction."""
+"""Steps of the grid along each direction."""
 _SURFACES, _GAPS = 8, 3
 """Most planes of each direction."""
 _LEAST_FACING = 0.001
@@ -42,8 +42,8 @@ _MOST = 60_000
 
 
 SIDE_FEATURES = ("walked", "crossed", "strength", "lined")
-"""Of each side of a box, by its area: conductance and number of the links through it; their mean
-strength; the share that is lined with surface."""
+"""Features of each side of a box, by its area: conductance and number of the links through it;
+their mean strength; the share that is lined with surface."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,7 @@ SOURCES = (
     "contact", "absorb", "patch", "sweep",
     "grow", "replace", "union", "cut", "walk", "mend", "keep",
 )  # fmt: skip
-"""Where a mask came from; the weights' feature names contain these words, so they stay as they are.
+"""Sources of masks; the weights' feature names contain these words, so they stay as they are.
 
 contact, absorb, patch: one region of that merge tree; sweep: a level set of a random walk with
 little leak through its border; grow: the earlier mask and a region; replace: a region that holds

@@ -104,7 +104,7 @@ class Regions:
         return out + self._unions(positives, negatives)
 
     def _unions(self, positives: list[int], negatives: list[int]) -> list[Proposals]:
-        """Of each level the regions of all positive clicks, if they hold no negative one."""
+        """Unions of the regions of all positive clicks, one a level, if they hold no negative."""
         if not positives:
             return []
         labels = self._labels

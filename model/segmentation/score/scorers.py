@@ -14,7 +14,7 @@ from model.segmentation.models.trees import Scorer, load_scorer
 MOVING_SCORERS = ("first_click_moving.npz", "later_click_moving.npz")
 
 InputDomain = Literal["mesh", "cloud", "local", "room"]
-"""What is clicked: a mesh, a cloud, a cloud in a local refinement, or a room."""
+"""Input domain: a mesh, a cloud, a cloud in a local refinement, or a room."""
 SCORERS: dict[InputDomain, tuple[str, str]] = {
     "mesh": ("first_click.npz", "later_click.npz"),
     "cloud": ("first_click_cloud.npz", "later_click_cloud.npz"),
@@ -25,7 +25,7 @@ SCORERS: dict[InputDomain, tuple[str, str]] = {
 """Files of the scorers of first and later clicks. Local refinements of meshes use ``mesh``."""
 
 Scorers = tuple[Scorer | None, Scorer | None]
-"""Of first and of later clicks."""
+"""Scorers of first and of later clicks."""
 
 
 @lru_cache(maxsize=len(SCORERS))

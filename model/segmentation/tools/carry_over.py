@@ -21,7 +21,7 @@ _AGREES = 0.7
 
 @dataclass(frozen=True, eq=False)
 class CarriedParts:
-    """What an example says of an object.
+    """Parts of an object that an example suggests.
 
     Attributes:
         labels: (E,) int16, 0 is the base.

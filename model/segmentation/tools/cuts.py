@@ -43,7 +43,7 @@ class Cut:
         return out if self.whole is None else out | self.whole
 
     def splits_faces(self, asset: Asset) -> bool:
-        """Whether it crosses faces so large that they have to be split."""
+        """True if it crosses faces so large that they have to be split."""
         mesh = asset.mesh
         return mesh is not None and share_crossed(mesh, self.chosen, self.planes) > _COARSE
 

@@ -70,7 +70,7 @@ def fit_confidence(
         out: folder of the run; a stopped run resumes.
         weights: folder for another copy of ``confidence.json``, or None.
         samples: number of objects, families in turn, half of them with names.
-        seed: of the objects; the networks must not have been trained on them.
+        seed: random seed of the objects; the networks must not have been trained on them.
         jobs: processes.
 
     Returns:

@@ -30,7 +30,7 @@ class TrainingConfig:
         batch: objects per step. learning_rate: at its peak; warmup: steps until then, after which
             it falls along a cosine to a twentieth.
         steps: of the whole schedule. weight_decay: of matrices.
-        seed: of the weights and of the order of the samples.
+        seed: random seed of the weights and of the order of the samples.
         average: decay of the moving average of the weights, which is saved for use.
         every: steps between validations and states.
         bfloat16: forward in bfloat16, weights in float32.
@@ -75,7 +75,7 @@ class FullConfig:
             cosine to a twentieth.
         lora_rank: of low-rank updates; 0 trains every weight of the language model.
         bfloat16: compute in bfloat16, weights in float32. checkpointing: trade time for memory.
-        seed: of weights, objects, their order and variations.
+        seed: random seed of weights, objects, their order and variations.
         longest: tokens of prompt and answer; longer samples are left out.
         structure: describe the parts' geometric relations in the prompt.
         nameless: share of samples without any name. forgotten: probability that a single category

@@ -236,7 +236,7 @@ def renumbered(tree: KinematicTree, parts: Sequence[Part]) -> KinematicTree:
 
 
 def _is_screw(tree: KinematicTree, helper: str) -> bool:
-    """Whether a helper has a prismatic joint and carries one part on a continuous joint."""
+    """True if a helper has a prismatic joint and carries one part on a continuous joint."""
     first, below = tree.joint_of.get(helper), tree.children(helper)
     return (
         first is not None

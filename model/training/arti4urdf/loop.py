@@ -40,7 +40,7 @@ class Schedule(Protocol):
 
     @property
     def steps(self) -> int:
-        """Of the whole run."""
+        """Number of steps of the whole run."""
         ...
 
     @property
@@ -67,7 +67,7 @@ class Trainer(Protocol):
         ...
 
     def any_process(self, flag: bool) -> bool:
-        """Whether ``flag`` is true in any process of the run."""
+        """True if ``flag`` is true in any process of the run."""
         ...
 
 

@@ -91,7 +91,7 @@ def parts_of(data: DatasetOptions | None, seed: int, task: tuple[str, bool, int]
 
     Args:
         data: the folder; None for procedural objects.
-        seed: of the procedural objects.
+        seed: random seed of the procedural objects.
         task: id, whether names are given, seed of the surface samples. A procedural object's id is
             its index, and it decides on its names itself.
     """

@@ -1,4 +1,4 @@
-"""Whether the network reads what it is given: what it loses when its input is shuffled."""
+"""Probes of the network's use of its input: the loss in quality when that is shuffled."""
 
 from __future__ import annotations
 

@@ -136,7 +136,7 @@ def _optimise(
 
 @dataclass(frozen=True)
 class Boosting:
-    """How to grow trees that rank the proposals of a click (LambdaMART: Burges, *From RankNet to
+    """Settings of trees that rank the proposals of a click (LambdaMART: Burges, *From RankNet to
     LambdaRank to LambdaMART*, 2010).
 
     Attributes:

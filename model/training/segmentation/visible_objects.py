@@ -39,7 +39,7 @@ _NEAR_MIDDLE = 0.35
 """Share of the greatest depth of a visible part above which clicks land."""
 _SIDES = 8
 _NOISE = (0.0003, 0.001, 0.002)
-"""Of points, in diagonals."""
+"""Noise of points, in diagonals."""
 
 
 @dataclass(frozen=True)
