@@ -75,11 +75,8 @@ class AssetStorage:
         return written
 
     def settle(self, name: str, accepted: str) -> None:
-        """Let the asset that was accepted then stand, and set any other of the object aside.
-
-        Args:
-            name: of the asset's folder.
-            accepted: ISO 8601; "" where the object isn't accepted.
+        """Let the asset ``name`` that was accepted then (ISO 8601) stand and set others aside; ""
+        sets all aside.
 
         Raises:
             StoreError: where the storage fails, or a folder can't be moved.

@@ -25,9 +25,7 @@ Subscriber = Callable[[SessionState, Command], None]
 
 MAX_ATTEMPTS = 40
 MAX_WAIT = 0.2  # seconds
-_BESIDE = (
-    cmd.RecordSegmentation, cmd.Saved, cmd.Placed, cmd.AddComment, cmd.ResolveComment,
-)  # fmt: skip
+_BESIDE = cmd.RecordSegmentation, cmd.Saved, cmd.Placed, cmd.AddComment, cmd.ResolveComment
 """Commands that decide and edit nothing, but for the labels."""
 
 

@@ -55,6 +55,7 @@ SLOW = (
     "tests/app/test_ending.py",
     "tests/app/test_evaluate_command.py",
     "tests/app/test_full_workspace.py",
+    "tests/app/test_interleaved_decisions.py",
     "tests/app/test_interrupt.py",
     "tests/app/test_jobs.py",
     "tests/app/test_lanes.py",
