@@ -160,7 +160,7 @@ def print_prepared(report: dict[str, Any], out: Path) -> None:
     console().print(f"{x:.3g} × {y:.3g} × {z:.3g} m, {report['elements']['kept']:,} elements kept")
     if report["removed"]:
         taken = ", ".join(f"{n:,} of {kind}" for kind, n in report["removed"].items())
-        console().print(f"taken away: {taken}")
+        console().print(f"taken away: {taken} (--keep-support keeps all but outliers)")
     print_notes(report["problems"])
     console().print(f"written to {out}")
 
