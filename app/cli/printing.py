@@ -102,7 +102,7 @@ def table_of(
 
 
 def print_records(title: str, rows: list[dict[str, Any]]) -> None:
-    """Print a table of rows that have the same keys."""
+    """Print a table of rows that have the same keys; rows may end early."""
     columns = list(rows[0]) if rows else []
     cells = [["–" if v is None else str(v) for v in row.values()] for row in rows]
     console().print(table_of(title, columns, cells, columns))
