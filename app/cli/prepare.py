@@ -67,7 +67,7 @@ def prepare_files(
         "elements": {"of": asset.element_kind, "kept": len(found.kept)},
         "removed": found.removed,
         "source": {"file": scan.name, "sha256": asset.source.sha256 if asset.source else None},
-        "problems": list(asset.warnings),
+        "problems": list(found.asset.warnings),
     }
     write_json(out / "prepare.json", report)
     progress(1.0, "prepared")

@@ -103,7 +103,7 @@ def table_of(
 
 
 def print_records(title: str, rows: list[dict[str, Any]]) -> None:
-    """Print a table of rows that have the same keys."""
+    """Print a table of rows that have the same keys; rows may end early."""
     columns = list(rows[0]) if rows else []
     cells = [["–" if v is None else str(v) for v in row.values()] for row in rows]
     console().print(table_of(title, columns, cells, columns))
@@ -161,7 +161,7 @@ def print_prepared(report: dict[str, Any], out: Path) -> None:
     console().print(f"{x:.3g} × {y:.3g} × {z:.3g} m, {report['elements']['kept']:,} elements kept")
     if report["removed"]:
         taken = ", ".join(f"{n:,} of {kind}" for kind, n in report["removed"].items())
-        console().print(f"taken away: {taken}")
+        console().print(f"taken away: {taken} (--keep-support keeps all but outliers)")
     print_notes(report["problems"])
     console().print(f"written to {out}")
 

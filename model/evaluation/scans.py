@@ -3,7 +3,8 @@
 Ground-truth objects are scanned as phones do (:mod:`model.data.simulated.reconstruction`), in three
 ways: *cleaned by the truth* (upright, in metres, the object alone), *upright* (in metres, on its
 table), and *any* (any rotation and scale; the height is given, as a person types it). Each is
-prepared, clicked as seen (three rounds), cut, and predicted with names.
+prepared, clicked as seen (three rounds), cut, and predicted with names. *Clean* scans have points
+on the surfaces alone and should keep them all; they are prepared only.
 """
 
 from __future__ import annotations
@@ -39,18 +40,24 @@ from model.geometry.cleaning import OBJECT
 from model.geometry.crop import crop
 from model.geometry.parts import split
 from model.geometry.prepare import PrepareSettings, moved, prepare
+from model.geometry.sampling import sample_surface
+from model.io.urdf.meshes import merged
 from model.prediction.registry import DEFAULT, load_predictor
 from model.segmentation.prompts import BASE
 from model.segmentation.registry import load_segmenter
 
-Frame = Literal["cleaned by the truth", "upright", "any"]
+Frame = Literal["cleaned by the truth", "upright", "any", "clean, even", "clean, uneven"]
 Half = Literal["choose", "table", "all"]
-FRAMES: tuple[Frame, ...] = ("cleaned by the truth", "upright", "any")
+CLEAN: dict[Frame, float] = {"clean, even": 1.0, "clean, uneven": 0.1}
+"""Density of what faces away from one side, in that of what faces it."""
+FRAMES: tuple[Frame, ...] = ("cleaned by the truth", "upright", "any", *CLEAN)
 
 AXIS, LINE = 0.15, 0.06
 """Radians between the axes, and diagonals from the true axis line, up to which a joint is right."""
 LEVEL = np.radians(2)
 """Radians up to which up counts as found."""
+CLEAN_POINTS, KEPT = 20_000, 0.995
+"""Points of a clean scan, and the share of them from which it counts as kept."""
 
 Array = npt.NDArray[np.float64]
 
@@ -87,6 +94,7 @@ class ScanScore:
     Attributes:
         id, frame: of the object, and how it was delivered.
         up_error: radians; 0 where up was given.
+        kept: share of the object's points that preparing keeps.
         iou: after each round, of the moving parts that are seen.
         clicks, drops: how many, and how many of them lowered the mean IoU by more than
             :data:`~model.evaluation.segmentation.visible_clicks.DROP`.
@@ -99,6 +107,7 @@ class ScanScore:
     id: str
     frame: Frame
     up_error: float = 0.0
+    kept: float = 0.0
     iou: tuple[float, ...] = ()
     clicks: int = 0
     drops: int = 0
@@ -150,10 +159,24 @@ def score_object(config: ScansConfig, name: str) -> list[ScanScore]:
     out: list[ScanScore] = []
     for frame in config.frames:
         try:
+            if frame in CLEAN:
+                out.append(_clean(config, name, frame, truth))
+                continue
             out.append(_scored(config, name, frame, truth, scan, front))
         except ArtiworldError as error:
             out.append(ScanScore(name, frame, problem=f"{type(error).__name__}: {error}"))
     return out
+
+
+def _clean(config: ScansConfig, name: str, frame: Frame, truth: ArticulatedObject) -> ScanScore:
+    rng = np.random.default_rng([config.seed, *name.encode()])
+    meshes = [p.mesh for p in truth.parts if p.mesh is not None and p.mesh.face_areas.sum() > 0]
+    cloud, _ = sample_surface(merged(meshes), 5 * CLEAN_POINTS, rng)
+    side = rng.normal(size=3)
+    weight = np.clip(np.asarray(cloud.normals) @ side / np.linalg.norm(side), CLEAN[frame], 1.0)
+    chosen = rng.choice(len(cloud), CLEAN_POINTS, replace=False, p=weight / weight.sum())
+    found = prepare(Asset("clean", cloud=cloud.take(np.sort(chosen))))
+    return ScanScore(name, frame, found.levelling.tilt, len(found.kept) / CLEAN_POINTS)
 
 
 def _scored(
@@ -175,6 +198,7 @@ def _scored(
 
     asset, object_from_truth, kept, up_error = _delivered(frame, truth, scan)
     lap()
+    of_object = float((scan.kind[kept] == OBJECT).sum() / max((scan.kind == OBJECT).sum(), 1))
     part_of = part_numbers(truth)
     index = scan.part[kept]
     labels = np.where(index < 0, -1, part_of[np.maximum(index, 0)]).astype(np.int16)
@@ -185,7 +209,7 @@ def _scored(
     rounds = visible_rounds(session, picture, labels, 3)
     lap()
     if not rounds.iou:
-        return ScanScore(name, frame, up_error, problem="no moving part is seen")
+        return ScanScore(name, frame, up_error, of_object, problem="no moving part is seen")
     names = {int(part_of[k]): p.name for k, p in enumerate(truth.parts) if p.name}
     parts = split(asset, rounds.labels, names)
     guess = load_predictor(config.predictor).predict(
@@ -195,8 +219,8 @@ def _scored(
     seen = [p for p in rounds.parts if p != BASE]
     right, joints, extra = joints_right(truth, part_of, seen, guess.tree, object_from_truth)
     return ScanScore(
-        name, frame, up_error, rounds.iou, rounds.clicks, rounds.drops, joints, right, extra,
-        tuple(round(s, 3) for s in seconds),
+        name, frame, up_error, of_object, rounds.iou, rounds.clicks, rounds.drops, joints, right,
+        extra, tuple(round(s, 3) for s in seconds),
     )  # fmt: skip
 
 
@@ -290,6 +314,11 @@ def table(scores: Sequence[ScanScore]) -> Iterator[dict[str, float | str]]:
         clicked = [s for s in rows if s.iou]
         row: dict[str, float | str] = {"frame": frame, "objects": len(rows)}
         row["up within 2°"] = float(np.mean([s.up_error <= LEVEL for s in rows]))
+        row["kept"] = float(np.mean([s.kept for s in rows]))
+        row[f"kept {KEPT:.1%}"] = float(np.mean([s.kept >= KEPT for s in rows]))
+        if frame in CLEAN:
+            yield row
+            continue
         for k in range(3):
             row[f"IoU@{k + 1}"] = float(np.mean([s.iou[k] for s in clicked] or [0.0]))
         row["drops"] = sum(s.drops for s in rows) / max(sum(s.clicks for s in rows), 1)

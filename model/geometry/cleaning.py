@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import label
-from scipy.spatial import ConvexHull, QhullError
+from scipy.spatial import ConvexHull, KDTree, QhullError
 
 Points = npt.NDArray[np.floating]
 Index = npt.NDArray[np.int64]
@@ -20,9 +20,11 @@ OBJECT, SUPPORT, CLUTTER, OUTLIER = range(4)
 """Kinds of points: the object, what it stands on, other things, and points on no surface."""
 KIND_NAMES = ("object", "support", "clutter", "outlier")
 
-CELLS, POINTS_A_CELL = 160, 3
-"""Most cells along the scan's longest side, and points for each of the cells of one side: thinner
-scans get larger cells, so that their surfaces hang together."""
+CELLS = 160
+"""Most cells along the scan's longest side."""
+_NEIGHBOR, _SPARSE = 6, 90
+"""Cells are as large as the distance to the n-th neighbour at this percentile: three points share a
+cell of an even surface, and where it is sampled a tenth as densely, its cells still touch."""
 _OUTLIER_SHARE = 0.002
 """A connected piece with fewer points than this share of the scan is no surface."""
 _MOST = 1_000_000
@@ -87,7 +89,7 @@ def _classified(points: Points, support: float | None) -> Kinds:
     kinds[above & small[piece]] = OUTLIER
     large = np.flatnonzero(~small)
     large = large[large > 0]
-    if len(large) < 2:
+    if len(large) < 2 or support is None:  # without a table nothing tells neighbours from parts
         return kinds
     kinds[np.isin(piece, large)] = CLUTTER
     kinds[np.isin(piece, _belonging(points, piece, count, large))] = OBJECT
@@ -117,13 +119,28 @@ def _grid(points: Points) -> _Grid:
     """Cells over all but the outermost points, which fall into the border's cells."""
     sample = points[:: max(len(points) // 100_000, 1)]
     low, high = np.percentile(sample, [0.1, 99.9], axis=0).astype(np.float64)
-    cells = np.clip(np.sqrt(len(points) / POINTS_A_CELL), 16, CELLS)
-    size = max(float((high - low).max() / cells), 1e-12)
+    longest = max(float((high - low).max()), 1e-12)
+    size = min(max(longest / CELLS, connecting_distance(points)), longest / 16)
     shape = tuple(int(n) + 3 for n in np.ceil((high - low) / size))
     at = np.floor((points - low) / size).astype(np.int64) + 1
     at = np.clip(at, 0, np.array(shape) - 1)
     cell = (at[:, 0] * shape[1] + at[:, 1]) * shape[2] + at[:, 2]
     return _Grid(cell, (shape[0], shape[1], shape[2]), size, low)
+
+
+def connecting_distance(points: Points) -> float:
+    """Distance over which (N, 3) points of a surface hang together, even where it is sampled
+    sparsely; repeated points and a few outliers don't count. 0 for a few points.
+    """
+    some = points[:: max(len(points) // _MOST, 1)].astype(np.float64)
+    width = float(np.ptp(np.percentile(some, [1, 99], axis=0), axis=0).max())
+    key = np.floor((some - some.min(0)) / max(width * 1e-4, 1e-12)).astype(np.int64)
+    some = some[np.unique(key @ [1, 1 << 20, 1 << 40], return_index=True)[1]]
+    if len(some) <= _NEIGHBOR:
+        return 0.0
+    chosen = some[:: max(len(some) // 5000, 1)]
+    distance, _ = KDTree(some, balanced_tree=False).query(chosen, k=_NEIGHBOR + 1)
+    return float(np.percentile(distance[:, -1], _SPARSE))
 
 
 def _thickness(height: Points, support: float, cell: float) -> float:

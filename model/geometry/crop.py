@@ -10,6 +10,8 @@ from scipy.spatial import KDTree
 
 from model.core.asset import Asset
 from model.core.errors import GeometryError
+from model.geometry.cleaning import connecting_distance
+from model.geometry.outliers import sparse_surface
 
 Bool = npt.NDArray[np.bool_]
 
@@ -29,16 +31,20 @@ _BEYOND = 0.04
 
 def outliers(asset: Asset, neighbors: int = 12, deviations: float = 4.0) -> Bool:
     """(E,) elements whose mean distance to their ``neighbors`` is more than ``deviations`` robust
-    standard deviations above the median.
+    standard deviations above the median, unless they are on a sparsely sampled surface.
     """
     centers = asset.element_centers
+    out = np.zeros(len(centers), bool)
     if len(centers) <= neighbors:
-        return np.zeros(len(centers), bool)
-    distance, _ = KDTree(centers).query(centers, k=neighbors + 1, workers=2)
+        return out
+    tree = KDTree(centers)
+    distance, _ = tree.query(centers, k=neighbors + 1, workers=2)
     mean = distance[:, 1:].mean(1)
     middle = float(np.median(mean))
     spread = 1.4826 * float(np.median(np.abs(mean - middle))) + 0.1 * middle
-    return mean > middle + deviations * spread
+    at = np.flatnonzero(mean > middle + deviations * spread)
+    out[at] = ~sparse_surface(centers, tree, at)
+    return out
 
 
 def largest_component(points: npt.NDArray[np.floating], gap: float = GAP) -> Bool:
@@ -48,10 +54,11 @@ def largest_component(points: npt.NDArray[np.floating], gap: float = GAP) -> Boo
 
     Args:
         points: (N, 3) metres.
-        gap: metres between points that still connect.
+        gap: metres between points that still connect; sparse scans are connected over more.
     """
     if len(points) < 2:
         return np.ones(len(points), bool)
+    gap = max(gap, 2 * connecting_distance(points))
     voxels = np.floor((points - points.min(0)) / (gap / 3)).astype(np.int64)
     _, of = np.unique(voxels, axis=0, return_inverse=True)
     of = of.ravel()

@@ -38,7 +38,7 @@ def outlier_points(points: Points, tree: KDTree) -> npt.NDArray[np.int64]:
     at = np.flatnonzero(apart > _FAR * typical)
     if not typical or not 0 < len(at) <= _MOST * len(points):
         return none
-    return at[_isolated(points[at], _LINK * typical) & ~_sparse_surface(points, tree, at)]
+    return at[_isolated(points[at], _LINK * typical) & ~sparse_surface(points, tree, at)]
 
 
 class OutlierTest:
@@ -58,7 +58,7 @@ class OutlierTest:
         at = np.array([index])
         if _apart(self._tree, self._points[at])[0] <= self._far:
             return False
-        return not _sparse_surface(self._points, self._tree, at)[0]
+        return not sparse_surface(self._points, self._tree, at)[0]
 
 
 def _apart(tree: KDTree, points: Points, workers: int = 1) -> npt.NDArray[np.float64]:
@@ -75,7 +75,7 @@ def _isolated(points: Points, reach: float) -> Bool:
     return np.bincount(group)[group] <= _GROUP
 
 
-def _sparse_surface(points: Points, tree: KDTree, at: Index) -> Bool:
+def sparse_surface(points: Points, tree: KDTree, at: Index) -> Bool:
     """(K,) whether points ``at`` (K,) have equally sparse neighbours on a plane."""
     distance, near = tree.query(points[at], k=min(_AROUND + 1, len(points)))
     near = np.asarray(near)  # includes the point itself

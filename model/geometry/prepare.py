@@ -19,7 +19,7 @@ from model.core.joint import Joint
 from model.core.progress import Progress, no_progress, scaled_progress
 from model.core.rotations import affine, uniform_scale
 from model.core.tree import KinematicTree
-from model.geometry.cleaning import KIND_NAMES, OBJECT, Kinds, classify
+from model.geometry.cleaning import KIND_NAMES, OBJECT, OUTLIER, Kinds, classify
 from model.geometry.crop import crop
 from model.geometry.levelling import (
     LYING_DECLARED,
@@ -39,6 +39,8 @@ _SAMPLES = 200_000
 """Points of a mesh's surface that are looked at."""
 _MOST = 1_000_000
 """Points of a scan that its bounds are measured on, against the time."""
+_MOST_OUTLIERS = 0.03
+"""Share of the scan up to which outliers go without a person who sees them."""
 
 
 @dataclass(frozen=True)
@@ -187,9 +189,12 @@ def prepare(
     """
     settings = settings or PrepareSettings()
     found = propose(asset, settings, scaled_progress(progress, 0.1, 0.8))
-    keep = found.kinds == OBJECT
-    if settings.keep_support:
-        keep = found.kinds < len(KIND_NAMES) - 1
+    outlier = found.kinds == OUTLIER
+    keep = ~outlier if settings.keep_support else found.kinds == OBJECT
+    if outlier.mean() > _MOST_OUTLIERS:
+        keep |= outlier
+        note = f"kept {outlier.sum():,} outliers, too many to remove unseen: use the step Prepare"
+        asset = replace(asset, warnings=(*asset.warnings, note))
     if not keep.any():
         raise GeometryError(f"{asset.name}: nothing of the object is left; keep the support")
     progress(0.8, "moving")

@@ -11,13 +11,15 @@ from scipy.spatial.transform import Rotation
 
 from model.core.asset import Asset
 from model.core.errors import ConfigurationError
+from model.core.point_cloud import PointCloud
 from model.data.simulated.reconstruction import (
     Reconstruction,
     ReconstructionSettings,
     reconstruct_scan,
 )
 from model.geometry.cleaning import OBJECT, OUTLIER, SUPPORT, classify
-from model.geometry.levelling import find_up
+from model.geometry.crop import largest_component, outliers
+from model.geometry.levelling import find_up, sampled
 from model.geometry.prepare import PrepareSettings, prepare
 from tests.model.demos import demo_object
 
@@ -93,6 +95,79 @@ def test_any_points_are_classified(count: int, seed: int, scale: float) -> None:
     assert (kinds[~np.isfinite(points).all(1)] == OUTLIER).all()
     if np.isfinite(points).all(1).sum() > 3:
         assert np.isfinite(find_up(points).up).all()
+
+
+def _scanned(boxes: list[tuple], count: int, least: float, seed: int = 0) -> np.ndarray:
+    """(count, 3) points on boxes of (size, middle), at ``least`` of the density on one side."""
+    rng = np.random.default_rng(seed)
+    shapes = [trimesh.creation.box(size).apply_translation(at) for size, at in boxes]
+    mesh = trimesh.util.concatenate(shapes)
+    points, face = trimesh.sample.sample_surface(mesh, 12 * count, seed=seed)
+    weight = np.clip(mesh.face_normals[face] @ [0.5, -0.7, 0.5], least, 1.0)
+    return points[rng.choice(len(points), count, replace=False, p=weight / weight.sum())]
+
+
+_SIDES = [((0.02, 0.4, 1), (-0.49, 0, 0.5)), ((0.02, 0.4, 1), (0.49, 0, 0.5))]
+_BACK = [((1, 0.02, 1), (0, 0.19, 0.5))]
+_SHELF = [*_SIDES, *_BACK, *(((1, 0.4, 0.02), (0, 0, z)) for z in np.linspace(0.01, 0.99, 8))]
+_CABINET = [*_SIDES, *_BACK, *(((1, 0.4, 0.02), (0, 0, z)) for z in (0.01, 0.99))]
+_CUBE = [((1, 1, 1), (0, 0, 0.5))]
+_LAMP = [((0.4, 0.4, 0.015), (0, 0, 0.0075)), ((0.04, 0.04, 0.5), (0, 0, 0.26))]
+_PAIR = [((0.3, 0.3, 0.6), (x, 0, 0.3)) for x in (-0.3, 0.3)]
+
+
+@pytest.mark.parametrize("least", [1.0, 0.1])
+@pytest.mark.parametrize(
+    ("boxes", "count"),
+    [(_SHELF, 100_000), (_SHELF, 20_000), (_CABINET, 30_000), (_CUBE, 20_000), (_LAMP, 20_000),
+     (_PAIR, 20_000)],
+    ids=["shelf", "sparse shelf", "cabinet", "cube", "plate that is no table", "two pieces"],
+)  # fmt: skip
+def test_clean_scans_are_kept(boxes: list[tuple], count: int, least: float) -> None:
+    points = _scanned(boxes, count, least)
+    cloud = PointCloud(np.repeat(points, 2, axis=0).astype(np.float32))  # of two merged files
+    found = prepare(Asset("scan", cloud=cloud), PrepareSettings(up=(0, 0, 1)))
+    assert len(found.kept) > 0.995 * len(cloud)
+    assert found.asset.warnings == ()
+
+
+def test_an_open_shelf_stays_upright() -> None:
+    assert find_up(_scanned(_SHELF, 20_000, 1.0)).up == (0, 0, 1)
+
+
+def test_repeated_points_do_not_hide_the_others() -> None:
+    points = _scanned(_CABINET, 20_000, 1.0)
+    cloud = np.concatenate([points, np.repeat(points[:1], 5_000, axis=0)])
+    assert len(sampled(cloud, None)[0]) > 0.5 * len(sampled(points, None)[0])
+
+
+def test_many_outliers_are_left_to_a_person() -> None:
+    rng = np.random.default_rng(0)
+    points = _scanned(_CUBE, 20_000, 1.0)
+    for count, stay in ((200, False), (1500, True)):
+        air = rng.uniform(-3, 3, (count, 3))
+        air = air[(np.abs(air - [0, 0, 0.5]) > 0.8).any(1)]
+        cloud = PointCloud(np.concatenate([points, air]).astype(np.float32))
+        found = prepare(Asset("scan", cloud=cloud), PrepareSettings(up=(0, 0, 1)))
+        kept = (found.kept >= len(points)).mean() * len(found.kept) / len(air)
+        assert (kept > 0.9) if stay else (kept < 0.1)
+        assert any("outliers" in w for w in found.asset.warnings) == stay
+
+
+@pytest.mark.parametrize("least", [1.0, 0.1])
+def test_a_sparse_side_is_no_outlier_in_a_room(least: float) -> None:
+    points = _scanned(_CABINET, 20_000, least)
+    air = np.random.default_rng(0).uniform(-1.5, 1.5, (100, 3)) + [0, 0, 3]
+    asset = Asset("scan", cloud=PointCloud(np.concatenate([points, air]).astype(np.float32)))
+    found = outliers(asset)
+    assert found[: len(points)].mean() < 0.005 and found[len(points) :].mean() > 0.95
+
+
+def test_a_sparse_scan_is_one_piece() -> None:
+    points = 4 * _scanned(_CUBE, 5000, 0.1)
+    far = points[:500] * 0.2 + [9, 0, 0]
+    found = largest_component(np.concatenate([points, far]))
+    assert found[:5000].mean() > 0.995 and not found[5000:].any()
 
 
 def test_what_lies_on_a_table_is_told_apart_from_it() -> None:
