@@ -1,7 +1,7 @@
 """The names of the public API and where each is."""
 
-from .core.affordance import Affordance
 from .core.articulated_object import (
+    Affordance,
     ArticulatedObject,
     Part,
     Prediction,
@@ -9,15 +9,14 @@ from .core.articulated_object import (
 )
 from .core.asset import Asset
 from .core.errors import ArtiworldError
+from .core.geometry import Mesh, PointCloud
 from .core.joint import Joint
-from .core.mesh import Mesh
-from .core.point_cloud import PointCloud
 from .core.progress import no_progress
 from .core.tree import KinematicTree
 from .data.protocol import GroundTruth
 from .data.registry import DatasetOptions, open_dataset
-from .geometry.parts import split
 from .geometry.prepare import Prepared, PrepareSettings, prepare
+from .geometry.splitting import split
 from .io.assets.asset_folder import write_asset
 from .io.assets.reader import load_object
 from .io.export.registry import export, exporter_names, load_exporter

@@ -7,22 +7,83 @@ count until somebody is invited to claim them.
 
 from __future__ import annotations
 
+import hashlib
+import secrets
+import threading
 import unicodedata
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, Literal
 
+from argon2 import PasswordHasher
+from argon2.exceptions import InvalidHashError, VerificationError
 from sqlalchemy import Connection, Row, delete, exc, insert, select, update
 
 from model.core.errors import ConfigurationError, StoreError
-from sessions.account_tables import accounts, invitations, tokens, web_sessions
-from sessions.audit import record
+from sessions.account_tables import accounts, invitations, record, tokens, web_sessions
+from sessions.checks import clean_text
 from sessions.commands import NAME_LIMIT
-from sessions.database import Database
-from sessions.passwords import check_password, hash_password, is_password
-from sessions.records import now
+from sessions.database import Database, now
 from sessions.review import ROLES, Role
-from sessions.secrets import digest, new_secret
-from sessions.text import clean_text
+
+
+def new_secret(prefix: str = "") -> str:
+    """Return a secret of 256 random bits."""
+    return prefix + secrets.token_urlsafe(32)
+
+
+def digest(secret: str) -> str:
+    """Return what is stored of a secret; SHA-256 suffices, as nobody can guess 256 bits."""
+    return hashlib.sha256(secret.encode("utf-8", "replace")).hexdigest()
+
+
+MIN_LENGTH = 10
+"""Characters; the least that NIST SP 800-63B allows is 8."""
+MAX_LENGTH = 1000
+"""Characters, so that nobody has the server hash megabytes."""
+
+hasher = PasswordHasher()
+"""argon2id with the library's parameters: the second ones of RFC 9106, 64 MiB."""
+_slots = threading.BoundedSemaphore(2)
+"""Hashes at a time: each takes 64 MiB, and visitors decide how many are asked for."""
+
+
+def check_password(password: str, name: str) -> None:
+    """Refuse a password that is too short, too long, or the name.
+
+    Raises:
+        ConfigurationError: with what would be right.
+    """
+    if not MIN_LENGTH <= len(password) <= MAX_LENGTH:
+        raise ConfigurationError(
+            f"the password has {len(password)} characters; give {MIN_LENGTH} to {MAX_LENGTH}"
+        )
+    if name.casefold() in password.casefold() and len(password) < len(name) + MIN_LENGTH:
+        raise ConfigurationError("the password is little more than the name; choose another")
+
+
+def hash_password(password: str) -> str:
+    """Return the argon2id hash with its parameters."""
+    with _slots:
+        return hasher.hash(password)
+
+
+def is_password(stored: str | None, password: str) -> bool:
+    """True if ``password`` belongs to the stored hash; None takes the same work and is False."""
+    with _slots:
+        dummy = dummy_hash()  # here, so that the first question of either kind makes it
+        try:
+            right = hasher.verify(stored or dummy, password[:MAX_LENGTH])
+        except (VerificationError, InvalidHashError):
+            return False
+    return right and stored is not None and len(password) <= MAX_LENGTH
+
+
+@cache
+def dummy_hash() -> str:
+    """A hash of nothing anybody knows, for accounts that have no password."""
+    return hasher.hash(secrets.token_bytes(32))
+
 
 Status = Literal["unclaimed", "invited", "active", "disabled"]
 INVITATION_SECONDS = 7 * 86400.0

@@ -26,11 +26,11 @@ from sessions.checks import (
     check_ref,
     check_unit_scale,
     clean_name,
+    clean_text,
     put_field,
 )
 from sessions.review import REJECT_REASONS, RejectReason
 from sessions.scene_commands import DecideObjects, PickOut, SetArticulable
-from sessions.text import clean_text
 from sessions.tool_commands import ApplyTool, CropOut, CutFaces, LeaveOut, ObjectFrame, Placed
 
 COMMENT_LIMIT = 2000

@@ -57,13 +57,7 @@ from sessions.document import (
 from sessions.review import Action, Role, transition
 from sessions.scene_commands import DecideObjects, PickOut, SetArticulable
 from sessions.tool_commands import ApplyTool, CropOut, CutFaces, LeaveOut, Placed
-from sessions.tree_edits import (
-    holds_part,
-    replace_joint,
-    with_chain_of,
-    with_fixed,
-    without_link,
-)
+from sessions.tree_edits import holds_part, replace_joint, with_chain_of, with_fixed, without_link
 
 
 @dataclass(frozen=True)

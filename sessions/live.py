@@ -69,7 +69,7 @@ class LiveSession:
         Args:
             role: at most this role is used, as of a token; None: that of the account ``who``.
             since: the state that the decision was made for; None: any.
-            at: when it was made, as of :func:`~sessions.records.now`; "" is now.
+            at: when it was made, as of :func:`~sessions.database.now`; "" is now.
 
         The command is applied as read back from its written form, so a replay can't differ. Where
         another process was first, the command is applied after its commands.

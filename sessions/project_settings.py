@@ -1,4 +1,4 @@
-"""Project settings for all who work on it: instructions, labels, checks, export."""
+"""Settings of a manager for all who work on a project: instructions, labels, checks, export."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import json
 import threading
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any, Final, Literal, get_args
 
 from sqlalchemy import Column, Integer, String, Table, Text, delete, insert, select
 
@@ -14,15 +14,15 @@ from model.core import codec
 from model.core.errors import CommandError, ConfigurationError
 from model.io.export.registry import exporter_names
 from model.validation.report import Kind
-from sessions.account_tables import accounts
+from sessions.account_tables import accounts, record
 from sessions.accounts import COMMAND_LINE, in_use
-from sessions.audit import record
-from sessions.checks import NAME_LIMIT, put_field
-from sessions.database import Database, metadata
-from sessions.records import now
-from sessions.releases.forms import Form
+from sessions.checks import NAME_LIMIT, clean_text, put_field
+from sessions.database import Database, metadata, now
 from sessions.review import NotPermittedError
-from sessions.text import clean_text
+
+Form = Literal["folder", "webdataset", "huggingface"]
+FORMS: Final[tuple[str, ...]] = get_args(Form)
+
 
 INSTRUCTIONS_LIMIT = 20_000
 """Characters: ten pages, which a browser gets with each change."""

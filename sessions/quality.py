@@ -1,4 +1,5 @@
-"""Second annotations of objects, unmarked in the queue, and a reviewer's daily sample.
+"""Second annotations of objects, unmarked in the queue, their agreement with the first ones, and a
+reviewer's daily sample.
 
 An object is annotated a second time as a second object of the workspace: a link to the same file,
 where uploads lie, with the name that the next object of its series would have. It shares neither
@@ -16,18 +17,24 @@ import hashlib
 import json
 import os
 import re
-from collections.abc import Collection, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterable, Sequence
+from dataclasses import asdict, dataclass
+from datetime import date
 from pathlib import Path
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
+import numpy as np
+import numpy.typing as npt
 from sqlalchemy import insert, select
 
-from model.core.errors import StoreError
+from model.core.errors import ArtiworldError, StoreError
 from model.core.files import free_name, written_to
+from model.core.progress import Progress, no_progress
+from model.evaluation.agreement import Agreement, agreement, mean_figures
+from model.io.assets.reader import load_object, read_provenance
 from model.io.model_files import MODEL_SUFFIXES
-from sessions.database import Database, meta
-from sessions.records import ObjectRecord
+from sessions.database import Database, ObjectRecord, meta
+from sessions.releases import saved_folder
 from sessions.statistics import Act, day_of
 from sessions.store import Store
 
@@ -179,3 +186,117 @@ def _queued(workspace: Path, path: Path) -> bool:
     """True if a file exists and isn't the working file of a scene."""
     inside = path.parts[len(workspace.parts) :] if path.is_relative_to(workspace) else (UPLOADS,)
     return inside[0] in (UPLOADS, "crops") and path.exists()
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two annotations of one object.
+
+    Attributes:
+        object, second: ids of the two objects. name, category: of the first.
+        kind: honeypot where the first is the ground truth.
+        first_by, second_by: who annotated them.
+        day: of the second one's acceptance, ISO 8601, UTC.
+        agreement: of the two, None where they can't be compared.
+        problem: why not, "" where they could.
+    """
+
+    object: int
+    second: int
+    name: str
+    category: str
+    kind: Kind
+    first_by: str
+    second_by: str
+    day: str
+    agreement: Agreement | None = None
+    problem: str = ""
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values."""
+        return asdict(self)
+
+
+def pairs_of(
+    store: Store, seconds: Sequence[Second], progress: Progress = no_progress
+) -> tuple[list[Pair], list[Second]]:
+    """Compare those whose two objects are accepted, largest disagreement first; and the rest."""
+    records = {r.id: r for r in store.objects()}
+    pairs: list[Pair] = []
+    waiting: list[Second] = []
+    for k, second in enumerate(seconds):
+        one, other = records.get(second.of), records.get(second.object)
+        if one is None or other is None:
+            continue
+        progress(k / len(seconds), one.name)
+        if not one.state == other.state == "accepted":
+            waiting.append(second)
+            continue
+        first, again = (store.load(r.id).present for r in (one, other))
+        found: Agreement | None = None
+        problem = ""
+        try:
+            folders = [saved_folder(store, r.id) for r in (one, other)]
+            if folders[0] is None or folders[1] is None:
+                raise ArtiworldError("one of them has no asset")
+            found = compared(folders[0], folders[1])
+        except ArtiworldError as error:
+            problem = str(error)
+        pairs.append(Pair(
+            one.id, other.id, one.name, one.category or "none", second.kind,
+            first.annotator or first.review.by, again.annotator or again.review.by,
+            again.review.at[:10], found, problem,
+        ))  # fmt: skip
+    return sorted(pairs, key=lambda p: (-_size(p), p.object)), waiting
+
+
+def _size(pair: Pair) -> float:
+    return 2.0 if pair.agreement is None else pair.agreement.disagreement
+
+
+def compared(one: Path, other: Path) -> Agreement:
+    """Compare two saved assets of one source; levelled and sized differently, too.
+
+    Raises:
+        InputFileError: where one can't be read.
+    """
+    frames = [_frame(folder) for folder in (one, other)]
+    return agreement(load_object(one), load_object(other), frames[0] @ np.linalg.inv(frames[1]))
+
+
+def _frame(folder: Path) -> npt.NDArray[np.float64]:
+    """(4, 4) from the source file's numbers to the asset."""
+    return np.array(read_provenance(folder).get("object_from_source") or np.eye(4))
+
+
+def summaries(pairs: Iterable[Pair]) -> dict[str, dict[str, dict[str, Any]]]:
+    """Means over all, by person (of second annotations) and category, and of these by week.
+
+    A honeypot says how right a person is, a double annotation only how alike two people are; the
+    figures by person hold both.
+    """
+    compared = [p for p in pairs if p.agreement is not None]
+    return {
+        "all": {"all": _means(compared)},
+        "person": _grouped(compared, lambda p: p.second_by),
+        "category": _grouped(compared, lambda p: p.category),
+        "person and week": _grouped(compared, lambda p: f"{p.second_by} {week_of(p.day)}"),
+        "category and week": _grouped(compared, lambda p: f"{p.category} {week_of(p.day)}"),
+    }
+
+
+def _grouped(pairs: list[Pair], key: Callable[[Pair], str]) -> dict[str, dict[str, Any]]:
+    names = sorted({key(p) for p in pairs})
+    return {name: _means([p for p in pairs if key(p) == name]) for name in names}
+
+
+def _means(pairs: Sequence[Pair]) -> dict[str, Any]:
+    return mean_figures([p.agreement for p in pairs if p.agreement is not None])
+
+
+def week_of(day: str) -> str:
+    """ISO week of a day, such as ``2026-W10``; "" where the day is unknown."""
+    if not day:
+        return ""
+    year, week, _ = date.fromisoformat(day).isocalendar()
+    return f"{year}-W{week:02}"

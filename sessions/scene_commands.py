@@ -11,9 +11,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 from model.core.errors import CommandError
-from sessions.checks import NAME_LIMIT, PATH_LIMIT, check_count, check_pose, put_field
+from sessions.checks import NAME_LIMIT, PATH_LIMIT, check_count, check_pose, clean_text, put_field
 from sessions.review import REJECT_REASONS, RejectReason
-from sessions.text import clean_text
 
 ID_LIMIT = 1000
 MOST_OBJECTS = 100_000

@@ -20,17 +20,26 @@ from sqlalchemy import Connection, Row, delete, exc, insert, select, update
 
 from model.core import codec
 from model.core.errors import CommandError, StoreError
-from sessions.arrays import ArrayFiles
-from sessions.asset_storage import STORAGE_VARIABLE, AssetStorage
+from sessions.checks import clean_text
 from sessions.commands import NAME_LIMIT, Command, from_json, kind_of, to_json
-from sessions.database import Database, commands, meta, objects, snapshots, sqlite_file
+from sessions.database import (
+    Database,
+    Entry,
+    ObjectRecord,
+    PendingAcceptance,
+    commands,
+    meta,
+    now,
+    objects,
+    snapshots,
+    sqlite_file,
+)
 from sessions.people import People
 from sessions.project_settings import Project
-from sessions.records import Entry, ObjectRecord, PendingAcceptance, now
 from sessions.review import Role
 from sessions.serialise import VERSION, state_from_json, state_to_json
 from sessions.state import Context, SessionState, apply, replay
-from sessions.text import clean_text
+from sessions.storage import STORAGE_VARIABLE, ArrayFiles, AssetStorage
 
 __all__ = [
     "ConflictError",
@@ -66,7 +75,7 @@ class Store:
         database_url: any SQLAlchemy URL; None is SQLite at ``workspace/artiworld.db``.
         busy_timeout: seconds to wait for another process that is writing.
         storage: address of the storage of assets and releases; None is that of the environment
-            variable :data:`~sessions.asset_storage.STORAGE_VARIABLE`, else the workspace.
+            variable :data:`~sessions.storage.STORAGE_VARIABLE`, else the workspace.
 
     Attributes:
         assets: accepted assets and releases.

@@ -9,7 +9,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from model.core.errors import CommandError
-from model.core.rotations import affine, quaternion_wxyz, uniform_scale
+from model.core.geometry import affine, quaternion_wxyz, uniform_scale
 from model.geometry.splitting import Plane
 from model.segmentation.prompts import BASE
 from sessions.checks import (
@@ -21,9 +21,9 @@ from sessions.checks import (
     check_ref,
     check_unit_scale,
     clean_name,
+    clean_text,
     put_field,
 )
-from sessions.text import clean_text
 
 
 @dataclass(frozen=True)

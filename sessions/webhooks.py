@@ -13,12 +13,9 @@ from typing import Any
 from sqlalchemy import Connection, delete, func, insert, select, update
 
 from model.core.errors import ConfigurationError
-from sessions.account_tables import accounts, deliveries, webhooks
-from sessions.accounts import Account
-from sessions.audit import record
-from sessions.database import Database, objects
-from sessions.records import now
-from sessions.secrets import new_secret
+from sessions.account_tables import accounts, deliveries, record, webhooks
+from sessions.accounts import Account, new_secret
+from sessions.database import Database, now, objects
 
 EVENT_OF: Mapping[str, str] = {
     "record_prediction": "object.predicted",

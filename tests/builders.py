@@ -16,9 +16,8 @@ import trimesh
 
 from model.core.articulated_object import ArticulatedObject, Part
 from model.core.asset import Asset
+from model.core.geometry import Mesh, PointCloud
 from model.core.joint import Joint
-from model.core.mesh import Mesh
-from model.core.point_cloud import PointCloud
 from model.core.tree import KinematicTree
 from model.data.simulated.primitives import block
 

@@ -10,10 +10,10 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from model.core.asset import Asset
-from model.core.point_cloud import PointCloud
-from model.core.resources import static_assets
+from model.core.files import static_assets
+from model.core.geometry import PointCloud
 from model.io.open_asset import open_asset
-from model.io.write.meshes import write_cloud
+from model.io.write import write_cloud
 
 
 def raw_scan(

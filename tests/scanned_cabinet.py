@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from model.core.articulated_object import ArticulatedObject, Part
+from model.core.geometry import PointCloud
 from model.core.joint import Joint
-from model.core.point_cloud import PointCloud
 from model.core.tree import KinematicTree
 
 WIDTH, DEPTH, HEIGHT, SPLIT = 0.6, 0.5, 0.8, 0.3

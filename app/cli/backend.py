@@ -11,7 +11,7 @@ from app.server.jobs import WorkerProcess
 from app.server.login import Login
 from app.server.network import check_address, is_loopback, url
 from model.core.errors import ConfigurationError
-from model.core.installing import install_command
+from model.core.packages import install_command
 from model.prediction.registry import check_predictor
 from model.prediction.remote import TOKEN_VARIABLE, is_backend
 

@@ -15,17 +15,16 @@ from app.cli.commands import CheckCommand
 from app.cli.export import named_formats
 from app.cli.physics_settings import physics_settings, shape_store
 from app.cli.predict import predicted_confidence
-from model.core.articulated_object import ArticulatedObject
+from model.core.articulated_object import ArticulatedObject, inertial_problems
 from model.core.errors import ConfigurationError
-from model.core.inertial import inertial_problems
 from model.core.shapes import Primitive
 from model.io.assets.reader import load_object, reading_notes
 from model.io.export.registry import EXPORTERS
-from model.io.readback.compare import write_and_read
+from model.io.readback import write_and_read
 from model.physics.collision.measure import free_volume, overlaps_of
 from model.physics.simulation_values import Physics, PhysicsSettings, physics_of, whose_shapes
 from model.validation.engines import ENGINES, MUJOCO, require_engines
-from model.validation.low_confidence import with_low_confidence
+from model.validation.examine import with_low_confidence
 from model.validation.runner import validate
 
 MOST_WARNINGS = 3

@@ -30,17 +30,12 @@ from app.cli.options import (
     seed_option,
     segmenter_option,
 )
-from app.cli.research_commands import (
-    BenchCommand,
-    EvaluateCommand,
-    GenerateCommand,
-    TrainCommand,
-)
+from app.cli.research_commands import BenchCommand, EvaluateCommand, GenerateCommand, TrainCommand
 from app.cli.team_commands import ProjectCommand, ReleaseCommand, RepeatCommand, StatsCommand
 from app.cli.user_commands import AuditCommand, UserCommand
 from app.server.config import TOKEN_VARIABLE
 from app.server.ending import EndSignals
-from model.core.registry import at_place
+from model.core.packages import at_place
 from model.prediction import DEFAULT as DEFAULT_PREDICTOR
 from model.prediction.remote import TOKEN_VARIABLE as BACKEND_TOKEN_VARIABLE
 

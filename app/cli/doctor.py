@@ -19,10 +19,10 @@ from sqlalchemy.engine import make_url
 
 from app.server.network import check_address
 from model.core.errors import ArtiworldError
-from model.core.installing import install_command
+from model.core.files import static_assets
 from model.core.memory import machine_memory
-from model.core.resources import static_assets
-from model.io.find_assets import find_assets
+from model.core.packages import install_command
+from model.io.model_files import find_assets
 from model.prediction.registry import load_predictor, predictor_names
 from model.scenes.registry import load_reader, reader_names
 from model.segmentation.registry import load_segmenter, segmenter_names

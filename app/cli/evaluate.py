@@ -28,7 +28,7 @@ from model.evaluation.report import Report, read_report
 from model.evaluation.run import TRUTH, EvaluationConfig, chosen_ids, require_predictor
 from model.evaluation.run import evaluate as evaluate_method
 from model.evaluation.table import print_comparison, print_reports, print_table
-from model.io.part_folder import safe_link
+from model.io.model_files import safe_link
 from model.prediction.registry import DEFAULT
 from model.segmentation.registry import load_segmenter
 from model.validation.engines import MUJOCO, require_engines

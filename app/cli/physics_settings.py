@@ -11,7 +11,7 @@ from model.core.errors import ConfigurationError
 from model.core.joint import JointDynamics
 from model.physics.collision.build import CollisionSettings, Method
 from model.physics.collision.store import default_store
-from model.physics.materials import read_materials
+from model.physics.inertia import read_materials
 from model.physics.simulation_values import SLIDING, TURNING, PhysicsSettings
 
 

@@ -14,10 +14,10 @@ from app.cli.output import check_output, other_files_error
 from model.core.articulated_object import ArticulatedObject, Prediction, SegmentedObject, remarks_of
 from model.core.asset import Asset, UpAxis
 from model.core.files import write_json
-from model.core.installing import installed_versions
+from model.core.geometry import PointCloud
 from model.core.joint import Joint
-from model.core.part_names import category_remark
-from model.core.point_cloud import PointCloud
+from model.core.names import category_remark
+from model.core.packages import installed_versions
 from model.core.progress import Progress, no_progress, scaled_progress
 from model.core.tree import KinematicTree
 from model.geometry import completion

@@ -12,13 +12,12 @@ import numpy.typing as npt
 from app.cli.output import check_output
 from model.core.asset import Source
 from model.core.files import write_json
+from model.core.geometry import affine
 from model.core.progress import Progress, no_progress, scaled_progress
-from model.core.rotations import affine
 from model.geometry.prepare import Prepared, PrepareSettings, Vector, prepare
 from model.io.geometry_files import default_up_axis, turned_up
 from model.io.open_asset import open_asset
-from model.io.write.glb import mesh_to_glb
-from model.io.write.meshes import write_cloud
+from model.io.write import mesh_to_glb, write_cloud
 
 FORMAT = 1
 """Version of ``prepare.json``."""

@@ -12,13 +12,10 @@ from app.server.leftovers import WorkspaceLease
 from model.core.errors import ConfigurationError
 from model.io.assets.reader import read_provenance
 from model.io.export.simready import remembered
-from sessions.agreements import pairs_of, summaries
 from sessions.command_log import check_workspace, open_database
-from sessions.quality import seconds_in
-from sessions.releases.comparing import changes
-from sessions.releases.contents import AcceptedAsset, Release, accepted_assets, check_name
-from sessions.releases.reading import import_release, read_release
-from sessions.releases.writing import next_version, write_release
+from sessions.quality import pairs_of, seconds_in, summaries
+from sessions.release_files import import_release, next_version, read_release, write_release
+from sessions.releases import AcceptedAsset, Release, accepted_assets, changes, check_name
 from sessions.store import Store
 
 

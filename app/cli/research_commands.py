@@ -12,7 +12,7 @@ from typing import Literal
 
 from app.cli.command import Command, argument, flag, group, option, repeated, required
 from app.cli.options import ENGINE_HELP, count, json_flag, positive_count, seed_option
-from model.core.registry import at_place
+from model.core.packages import at_place
 from model.prediction import DEFAULT as DEFAULT_PREDICTOR
 
 

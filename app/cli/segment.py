@@ -19,13 +19,13 @@ from model.core.asset import Asset, UpAxis
 from model.core.errors import ArtiworldError, ConfigurationError
 from model.core.files import write_json, written_to
 from model.core.progress import Progress, no_progress, scaled_progress
-from model.geometry.parts import split
 from model.geometry.prepare import tilt_remark
+from model.geometry.splitting import split
 from model.geometry.units import UNITS, odd_size
 from model.io.geometry_files import declares_up
 from model.io.masks import read_masks, with_masks
 from model.io.open_asset import open_asset
-from model.io.write.meshes import write_cloud, write_mesh
+from model.io.write import write_cloud, write_mesh
 from model.segmentation.prompts import PartSegmentation, Prompts, Region
 from model.segmentation.registry import load_segmenter
 

@@ -16,10 +16,9 @@ from app.server.login import Login, new_token
 from app.server.network import check_address, free_port, is_loopback
 from app.server.oidc import SECRET_VARIABLE, OidcSettings
 from model.core.errors import ConfigurationError, InputFileError
-from model.io.find_assets import find_assets
 from model.io.geometry_files import STAGES, SUFFIXES
 from model.io.masks import read_masks
-from model.io.model_files import articulated_stage, is_model
+from model.io.model_files import articulated_stage, find_assets, is_model
 from model.prediction.registry import check_predictor
 from model.prediction.remote import is_backend
 from model.scenes.finder_options import FinderOptions

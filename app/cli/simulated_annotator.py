@@ -22,14 +22,14 @@ from app.cli.joint_corrections import WHO, JointCorrector
 from model.core.articulated_object import ArticulatedObject, Part, Prediction, SegmentedObject
 from model.core.asset import Asset
 from model.core.errors import ConfigurationError
+from model.core.geometry import PointCloud
 from model.core.joint import Joint
-from model.core.point_cloud import PointCloud
 from model.core.tree import KinematicTree
 from model.data.registry import DatasetOptions, open_dataset
 from model.evaluation.joint_metrics import UsableLimits, score_object
 from model.evaluation.pool import time_limit
-from model.geometry.parts import split
 from model.geometry.sampling import sample_surface
+from model.geometry.splitting import split
 from model.prediction.registry import DEFAULT, load_predictor
 from model.segmentation.prompts import BASE, Click, Prompts
 from model.segmentation.registry import load_segmenter

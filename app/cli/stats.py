@@ -12,9 +12,8 @@ from app.cli.team_commands import RepeatCommand, StatsCommand
 from model.core.errors import ConfigurationError
 from model.core.files import written_to
 from model.evaluation.agreement import FIGURES
-from sessions.agreements import Pair, pairs_of, summaries
 from sessions.command_log import open_database, read_work
-from sessions.quality import Second, daily_sample, plant, seconds_in
+from sessions.quality import Pair, Second, daily_sample, pairs_of, plant, seconds_in, summaries
 from sessions.statistics import acts_of, csv_text, day_of, duration, grouped, rows_of
 from sessions.store import Store
 

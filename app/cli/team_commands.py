@@ -11,14 +11,8 @@ from pathlib import Path
 from typing import ClassVar, Literal
 
 from app.cli.command import Command, argument, flag, option, repeated, required
-from app.cli.options import (
-    count,
-    json_flag,
-    positive_count,
-    positive_number,
-    seed_option,
-)
-from model.core.registry import at_place
+from app.cli.options import count, json_flag, positive_count, positive_number, seed_option
+from model.core.packages import at_place
 
 
 def moment(text: str) -> float:

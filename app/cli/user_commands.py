@@ -8,7 +8,7 @@ from typing import ClassVar, Literal
 
 from app.cli.command import Command, argument, flag, option, repeated
 from app.cli.options import json_flag
-from model.core.registry import at_place
+from model.core.packages import at_place
 
 Role = Literal["annotator", "reviewer", "manager"]
 Scope = Literal["read", "annotate", "review", "manage"]

@@ -19,7 +19,7 @@ from model.core.asset import Source
 from model.core.errors import CommandError
 from model.validation.report import ValidationReport
 from sessions import commands as cmd
-from sessions.job_log import ACCEPT
+from sessions.command_log import ACCEPT
 from sessions.review import Role, transition
 from sessions.state import Context, SessionState, apply, review_problems
 from sessions.store import PendingAcceptance

@@ -19,7 +19,7 @@ from app.server.services import Services
 from model.core.errors import ArtiworldError, CommandError
 from model.core.progress import Cancelled
 from sessions import commands as cmd
-from sessions.job_log import BULK, TimedJob, record_job
+from sessions.command_log import BULK, TimedJob, record_job
 from sessions.state import SessionState
 
 log = logging.getLogger(__name__)

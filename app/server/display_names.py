@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from model.core.display_names import joint_display_name, link_display_name
+from model.core.names import joint_display_name, link_display_name
 from model.core.tree import KinematicTree, moving_chain
 from sessions.document import Document
 from sessions.tree_edits import holds_part

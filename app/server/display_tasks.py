@@ -16,16 +16,15 @@ from app.server.segmenting_tasks import source_regions
 from app.server.tasks import ReadOptions, arrays_of, asset_of, pixels_of, working_copy
 from model.core.articulated_object import Prediction
 from model.core.asset import Asset, ElementKind, UpAxis
-from model.core.point_cloud import PointCloud
+from model.core.geometry import PointCloud
 from model.core.progress import Progress, no_progress
 from model.geometry.display import display_asset, thin
-from model.geometry.upright_box import box_yaw
-from model.io.find_assets import model_of
+from model.geometry.levelling import box_yaw
 from model.io.masks import read_masks, with_masks
-from model.io.write.glb import face_order, mesh_to_glb
-from sessions.checks import NAME_LIMIT
+from model.io.model_files import model_of
+from model.io.write import face_order, mesh_to_glb
+from sessions.checks import NAME_LIMIT, clipped
 from sessions.provenance import MASKS
-from sessions.text import clipped
 
 HEAVY_ELEMENTS = 150_000
 """More than the browser shows; ray structures of worse ones take a second in one step."""

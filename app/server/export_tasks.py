@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from model.core.installing import install_command
+from model.core.packages import install_command
 from model.core.progress import Progress, no_progress, scaled_progress
 from model.geometry.completion import as_scanned, complete
 from model.io.assets.reader import PROVENANCE, load_object, reading_notes
@@ -21,7 +21,7 @@ from model.io.export.simready import (
     validator_installed,
 )
 from model.io.file_names import FileNames
-from model.io.readback.compare import read_back
+from model.io.readback import read_back
 from model.physics.simulation_values import PhysicsSettings, physics_of, whose_shapes
 
 

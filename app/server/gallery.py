@@ -14,7 +14,7 @@ from app.server.queue_names import queue_names
 from app.server.services import Services
 from app.server.tasks import ReadOptions, stamp_if_there
 from app.server.thumbnail_tasks import draw_thumbnail
-from sessions.records import ObjectRecord
+from sessions.database import ObjectRecord
 
 MOST_ROWS = 200
 """In one answer."""

@@ -38,7 +38,7 @@ from app.server.page import Page
 from app.server.shared_port import ApiConnections, SharedConnection
 from app.server.upload_guard import UploadGuard
 from model.core.errors import ConfigurationError, StoreError
-from model.core.installing import install_command
+from model.core.packages import install_command
 from sessions.credentials import Person
 
 VISER_VERSION = "1.1.1"

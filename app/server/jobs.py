@@ -23,7 +23,7 @@ from app.server.child_process import Child, death, error_of, finish
 from app.server.job import Job, JobFailed, OutOfTimeError, WorkerDied
 from app.server.worker import pack, receive, send, unpack
 from app.server.worker_template import WorkerTemplate
-from model.core.threads import own_threads
+from model.core.progress import own_threads
 
 T = TypeVar("T")
 

@@ -16,7 +16,7 @@ from model.core.errors import CommandError, ConfigurationError
 from model.core.progress import Progress, no_progress
 from sessions.command_log import open_database
 from sessions.quality import seconds_in
-from sessions.releases.contents import accepted_assets
+from sessions.releases import accepted_assets
 from sessions.store import Store
 
 

@@ -12,15 +12,10 @@ import numpy.typing as npt
 
 from app.server.tasks import asset_of
 from model.core.files import draft_of
-from model.core.mesh import Mesh
-from model.geometry.ambient_light import (
-    CreaseEdges,
-    crease_edges,
-    is_plain,
-    with_ambient_occlusion,
-)
+from model.core.geometry import Mesh
+from model.geometry.ambient_light import CreaseEdges, crease_edges, is_plain, with_ambient_occlusion
 from model.geometry.display import display_asset
-from model.io.write.glb import face_order, mesh_to_glb
+from model.io.write import face_order, mesh_to_glb
 
 _FILE = "light-1.npz"
 """In the folder of the asset's arrays; another number where the light is computed otherwise."""

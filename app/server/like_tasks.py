@@ -15,7 +15,7 @@ from app.server.tool_tasks import NEW_PART, RegionOffer
 from model.core.articulated_object import Part
 from model.core.errors import ArtiworldError
 from model.core.joint import Joint
-from model.core.lru_cache import LruCache
+from model.core.memory import LruCache
 from model.core.progress import Progress, no_progress
 from model.geometry.like_object import (
     Example,

@@ -19,8 +19,8 @@ from app.server.services import Services
 from app.server.tasks import ReadOptions
 from model.core.errors import CommandError
 from model.segmentation.prompts import BASE
+from sessions import command_log
 from sessions import commands as cmd
-from sessions import job_log
 from sessions.document import Document
 from sessions.live import LiveSession
 from sessions.state import SessionState
@@ -122,9 +122,9 @@ class ObjectContext(Observable):
 
     def record_job(self, kind: str, at: float, seconds: float) -> None:
         """Keep how long a job took that began at ``at`` (seconds since 1970), where it counts."""
-        if job_log.counts(kind, seconds):
-            job = job_log.TimedJob(self.record.id, kind, at, seconds)
-            job_log.record_job(self.services.workspace, job)
+        if command_log.counts(kind, seconds):
+            job = command_log.TimedJob(self.record.id, kind, at, seconds)
+            command_log.record_job(self.services.workspace, job)
 
     def start(self, kind: str, job: Job[Any], keep: Callable[[Any], None]) -> None:
         """Follow a job; ``keep`` gets its result. Failures are shown in all tabs."""

@@ -12,7 +12,7 @@ from app.server.observable import Listener
 from app.server.tasks import stamp_if_there
 from app.server.uploads import keep_upload
 from model.core.errors import CommandError
-from model.io.find_assets import asset_name, find_assets, refusal
+from model.io.model_files import asset_name, find_assets, refusal
 from sessions.store import ObjectRecord, Store
 
 

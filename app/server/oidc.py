@@ -16,7 +16,7 @@ from urllib.parse import quote_plus, urlsplit
 
 from app.server.network import is_loopback
 from model.core.errors import ConfigurationError
-from model.core.installing import install_command
+from model.core.packages import install_command
 from sessions.accounts import Account
 from sessions.people import People
 from sessions.review import ROLES, Role

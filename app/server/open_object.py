@@ -32,11 +32,11 @@ from model.core.errors import ArtiworldError, CommandError
 from model.prediction.registry import DEFAULT as DEFAULT_PREDICTOR
 from model.prediction.remote.http_predictor import BackendError
 from sessions import commands as cmd
+from sessions.people import Presence
 from sessions.review import transition
 from sessions.state import SessionState
 from sessions.statistics import SOURCE
 from sessions.store import ObjectRecord, PendingAcceptance
-from sessions.work import Presence
 
 INTERRUPTED = "Its server ended, or another one still works on it. Press Y to accept it"
 

@@ -15,16 +15,21 @@ import numpy as np
 
 from app.server.like_tasks import CarriedJoints, carried_joints
 from app.server.tasks import arrays_of, asset_of
-from model.core.articulated_object import ArticulatedObject, Part, Prediction, SegmentedObject
+from model.core.articulated_object import (
+    ArticulatedObject,
+    Inertial,
+    Part,
+    Prediction,
+    SegmentedObject,
+)
 from model.core.errors import ConfigurationError, KinematicsError
-from model.core.inertial import Inertial
 from model.core.joint import Joint
-from model.core.lru_cache import LruCache
+from model.core.memory import LruCache
 from model.core.progress import Progress, no_progress
 from model.core.shapes import Shape
 from model.core.tree import KinematicTree
 from model.geometry.completion import complete, completed_arrays, completed_with
-from model.geometry.parts import split
+from model.geometry.splitting import split
 from model.physics.collision.build import prepare_bodies as prepare
 from model.physics.collision.store import fingerprint, load_arrays, save_arrays
 from model.prediction.registry import load_predictor

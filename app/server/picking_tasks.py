@@ -10,10 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from app.server.tasks import arrays_of, asset_of
-from model.core.lru_cache import LruCache
+from model.core.memory import LruCache
 from model.geometry.crop import largest_component
-from model.geometry.picking import Picker
-from model.geometry.strokes import Stroke
+from model.geometry.picking import Picker, Stroke
 
 
 @dataclass(frozen=True)

@@ -12,16 +12,15 @@ import numpy.typing as npt
 from app.server.room_tasks import Removal, removal
 from app.server.tasks import ReadOptions, arrays_of, asset_of, working_copy
 from model.core.asset import Asset
-from model.core.lru_cache import LruCache
+from model.core.memory import LruCache
 from model.core.progress import Progress, no_progress, scaled_progress
 from model.geometry import prepare
 from model.geometry.cleaning import OBJECT, OUTLIER, SUPPORT, Kinds
 from model.geometry.crop import ROOM_METRES, crop, outliers
 from model.geometry.crop import floor_and_walls as room_surfaces
 from model.geometry.levelling import Levelling
-from model.geometry.picking import Camera, Picker
+from model.geometry.picking import Camera, Picker, Stroke
 from model.geometry.prepare import PrepareProposal, PrepareSettings
-from model.geometry.strokes import Stroke
 
 Array = npt.NDArray[np.float64]
 Vector = tuple[float, float, float]

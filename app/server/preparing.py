@@ -17,8 +17,7 @@ from app.server.room_tasks import Removal
 from model.core.errors import CommandError
 from model.geometry.cleaning import CLUTTER, OBJECT, OUTLIER, SUPPORT
 from model.geometry.levelling import SURE
-from model.geometry.picking import Camera
-from model.geometry.strokes import Stroke
+from model.geometry.picking import Camera, Stroke
 from model.io.geometry_files import declares_up
 from sessions import commands as cmd
 from sessions.tool_commands import SOURCE_FRAME, LeaveOut, ObjectFrame

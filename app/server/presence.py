@@ -8,7 +8,7 @@ from collections.abc import Hashable, Iterable
 
 from app.server.open_object import OpenObject
 from sessions.accounts import Account
-from sessions.work import HEARTBEAT_SECONDS, Work
+from sessions.people import HEARTBEAT_SECONDS, Work
 
 
 class PresenceBoard:

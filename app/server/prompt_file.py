@@ -26,8 +26,7 @@ import numpy as np
 from model.core.asset import Asset
 from model.core.errors import ArtiworldError, InputFileError
 from model.segmentation.prompts import MAX_PARTS, Click, Prompts, Region
-from sessions.checks import NAME_LIMIT
-from sessions.text import clean_text
+from sessions.checks import NAME_LIMIT, clean_text
 
 FORMAT = 1
 BESIDE = ".prompts.json"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Sequence
 
-from sessions.records import ObjectRecord
+from sessions.database import ObjectRecord
 
 
 def queue_names(records: Sequence[ObjectRecord]) -> dict[int, str]:

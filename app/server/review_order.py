@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 
+from sessions.database import ObjectRecord
 from sessions.document import Document
-from sessions.records import ObjectRecord
 
 UNKNOWN = 0.5
 """Confidence of a prediction without one."""

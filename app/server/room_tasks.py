@@ -16,7 +16,7 @@ from model.core.files import draft_of
 from model.core.progress import Progress, no_progress
 from model.geometry.crop import crop, outliers
 from model.geometry.crop import floor_and_walls as room_surfaces
-from model.io.write.meshes import write_cloud, write_mesh
+from model.io.write import write_cloud, write_mesh
 
 GRID = 128.0
 """Origins lie on multiples of 1/128 m: subtracting one from a float32 is almost exact."""

@@ -19,7 +19,7 @@ from model.core.files import draft_of, written_to
 from model.core.progress import Progress, no_progress, scaled_progress
 from model.core.tree import KinematicTree
 from model.io.assets.asset_folder import write_draft
-from model.io.assets.reload import reload_check
+from model.io.assets.reader import reload_check
 from model.physics.collision.store import fingerprint
 from model.physics.simulation_values import physics_of
 

@@ -24,8 +24,7 @@ from app.server.scene_state import SceneState
 from app.server.validating import problems_of, required_problem, unknown_names
 from app.server.validation_tasks import validate_joints
 from model.core.errors import CommandError
-from model.validation.low_confidence import with_low_confidence
-from model.validation.naming import with_unknown_names
+from model.validation.examine import with_low_confidence, with_unknown_names
 from model.validation.report import Severity, ValidationReport
 from sessions import commands as cmd
 from sessions.document import DecisionRecord, Document

@@ -20,9 +20,8 @@ from app.server.scene_shapes import Shape
 from app.server.scene_tasks import SceneItem
 from model.core.articulated_object import ArticulatedObject, Part
 from model.core.errors import ArtiworldError, InputFileError
+from model.core.geometry import Mesh, PointCloud
 from model.core.joint import Joint
-from model.core.mesh import Mesh
-from model.core.point_cloud import PointCloud
 from model.core.progress import Progress, no_progress
 from model.core.tree import KinematicTree
 from model.evaluation import render

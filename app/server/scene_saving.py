@@ -13,14 +13,9 @@ from app.server.scene_rows import Row, Work
 from app.server.scene_saving_tasks import Decided, MovingCopy, save_scene
 from app.server.scene_state import SceneState
 from app.server.scene_tasks import OpenedScene, SceneItem
-from model.core.display_names import link_display_name
 from model.core.errors import CommandError
-from model.scenes.jobs import (
-    ACCEPTED,
-    PREDICTED,
-    REJECTED,
-    TODO,
-)
+from model.core.names import link_display_name
+from model.scenes.jobs import ACCEPTED, PREDICTED, REJECTED, TODO
 from sessions import commands as cmd
 
 

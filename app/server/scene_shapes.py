@@ -17,9 +17,9 @@ from model.core.asset import Source
 from model.core.errors import ArtiworldError
 from model.core.files import draft_of
 from model.core.progress import Progress, no_progress
-from model.geometry.appearance import face_colors
 from model.geometry.display import decimate, spacing, thin
-from model.geometry.parts import split
+from model.geometry.sampling import face_colors
+from model.geometry.splitting import split
 from model.scenes.asset_parts import bounds_of, whole
 
 BATCH_SECONDS = 0.4

@@ -25,9 +25,9 @@ from model.core.errors import CommandError
 from model.core.files import draft_of
 from model.core.progress import Progress, no_progress, scaled_progress
 from model.geometry.crop import ROOM_METRES
-from model.geometry.parts import split
-from model.io.declared_physics_file import save_declared
-from model.io.write.meshes import write_cloud, write_mesh
+from model.geometry.splitting import split
+from model.io.urdf.model import save_declared
+from model.io.write import write_cloud, write_mesh
 from model.prediction.registry import load_predictor
 from model.scenes.asset_parts import (
     AssetParts,
@@ -49,8 +49,7 @@ from model.scenes.protocol import Decision
 from model.scenes.registry import read_scene
 from model.scenes.scene import SceneObject, SceneProblem
 from model.segmentation.prompts import BASE, Click
-from sessions.checks import NAME_LIMIT
-from sessions.text import clipped
+from sessions.checks import NAME_LIMIT, clipped
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from app.server.tasks import arrays_of, asset_of, pixels_of
 from model.core.asset import Asset
-from model.core.lru_cache import LruCache
+from model.core.memory import LruCache
 from model.core.progress import Progress, no_progress
 from model.segmentation.prompts import Click, Prompts, Region
 from model.segmentation.registry import load_segmenter

@@ -27,8 +27,8 @@ from app.server.network import url
 from app.server.oidc import OidcLogin
 from app.server.webhook_sender import WebhookSender
 from model.core.errors import InputFileError, StoreError
-from model.core.resources import static_assets
-from model.io.find_assets import find_assets, refusal
+from model.core.files import static_assets
+from model.io.model_files import find_assets, refusal
 from sessions.credentials import Person
 from sessions.store import Store
 

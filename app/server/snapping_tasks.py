@@ -14,8 +14,13 @@ from model.core.errors import CommandError
 from model.core.joint import Joint, JointType
 from model.core.tree import KinematicTree, moving_chain
 from model.geometry.sampling import sample_surface
-from model.kinematics.barrels import on_barrels
-from model.kinematics.snapping import axis_along_box, box_of, origin_on_box_edge, origin_on_contact
+from model.kinematics.snapping import (
+    axis_along_box,
+    box_of,
+    on_barrels,
+    origin_on_box_edge,
+    origin_on_contact,
+)
 from model.kinematics.sweep import free_range
 from model.prediction.geometric.type_change import change_joint_type
 

@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from model.core.asset import Asset, UpAxis
 from model.core.errors import ArtiworldError, CommandError
-from model.core.lru_cache import LruCache
+from model.core.memory import LruCache
 from model.core.progress import Progress, no_progress
 from model.geometry.crop import crop
 from model.geometry.prepare import moved
@@ -26,7 +26,7 @@ from model.geometry.splitting import split_faces
 from model.io.asset_cache import load_asset, save_asset
 from model.io.model_files import files_named_by, is_model
 from model.io.open_asset import open_asset
-from sessions.arrays import ArrayFiles
+from sessions.storage import ArrayFiles
 from sessions.tool_commands import SOURCE_FRAME, FaceCut, ObjectFrame
 
 Stamp = tuple[tuple[str, int, int], ...]

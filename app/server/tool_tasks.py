@@ -15,7 +15,7 @@ from app.server.segmenting_tasks import StoredRegion, prompts_of, session_of
 from app.server.tasks import arrays_of, asset_of
 from model.core.asset import Asset
 from model.core.errors import CommandError
-from model.core.lru_cache import LruCache
+from model.core.memory import LruCache
 from model.core.progress import Progress, no_progress
 from model.geometry.sampling import sample_surface
 from model.geometry.splitting import split_faces

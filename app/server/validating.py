@@ -13,8 +13,7 @@ from app.server.object_context import ObjectContext
 from app.server.validation_tasks import validate_joints
 from model.core.errors import CommandError
 from model.core.tree import KinematicTree
-from model.validation.low_confidence import with_low_confidence
-from model.validation.naming import with_unknown_names
+from model.validation.examine import with_low_confidence, with_unknown_names
 from model.validation.report import Fix, JointReport, Severity, ValidationReport
 from sessions.document import Document, link_problems
 from sessions.project_settings import ProjectSettings

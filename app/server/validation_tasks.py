@@ -10,10 +10,9 @@ from pathlib import Path
 
 from app.server.part_tasks import PartSource, articulated_object
 from model.core import codec
-from model.core.files import draft_of
-from model.core.installing import installed_versions
+from model.core.files import draft_of, static_assets
+from model.core.packages import installed_versions
 from model.core.progress import Progress, no_progress, scaled_progress
-from model.core.resources import static_assets
 from model.core.tree import KinematicTree
 from model.physics.collision.store import fingerprint
 from model.validation.report import ValidationReport

@@ -22,8 +22,7 @@ from typing import Any
 
 from app.server.ending import ignore_end_signals
 from model.core.errors import ArtiworldError
-from model.core.progress import Cancelled
-from model.core.threads import die_with_parent
+from model.core.progress import Cancelled, die_with_parent
 
 PROGRESS_PERIOD = 0.03
 """Least seconds between two progress messages."""

@@ -23,7 +23,7 @@ from typing import Protocol
 
 from app.server import worker
 from app.server.ending import ignore_end_signals, signals_blocked
-from model.core.threads import die_with_parent, with_threads
+from model.core.progress import die_with_parent, with_threads
 
 MODULES = (
     "app.server.display_tasks",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from app.server.jobs import WorkerProcess
 from app.server.lanes import READING, Lanes, in_background
 from app.server.worker_template import WorkerTemplate
-from model.core.threads import own_threads
+from model.core.progress import own_threads
 
 READ_SECONDS = 600.0
 """Longest reading of a file; scans of 50 million points take one minute."""

@@ -15,7 +15,7 @@ from app.viewer.words.queue import ALL_ACCEPTED, EMPTY
 from app.viewer.words.review import about
 from model.core.errors import ArtiworldError
 from sessions import commands as cmd
-from sessions.records import ObjectRecord
+from sessions.database import ObjectRecord
 
 log = logging.getLogger(__name__)
 _STORED = "artiworld"

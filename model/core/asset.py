@@ -10,10 +10,9 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from model.core.articulated_object import Inertial
 from model.core.errors import GeometryError
-from model.core.inertial import Inertial
-from model.core.mesh import Mesh
-from model.core.point_cloud import PointCloud
+from model.core.geometry import Mesh, PointCloud
 from model.core.shapes import Shape
 from model.core.tree import KinematicTree
 

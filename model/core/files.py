@@ -1,4 +1,4 @@
-"""Files and folders that are written completely or not at all, their names, the user's errors."""
+"""Files that are written completely or not at all, and those that ship with ArtiWorld."""
 
 from __future__ import annotations
 
@@ -14,6 +14,12 @@ from pathlib import Path
 from typing import Any
 
 from model.core.errors import InputFileError
+
+
+def static_assets() -> Path:
+    """The folder ``static_assets`` beside the packages."""
+    return Path(__file__).resolve().parents[2] / "static_assets"
+
 
 OLD = ".old"
 """Ends the name of a folder while another takes its place: ``.NAME.0123abcd.old``."""

@@ -1,10 +1,21 @@
-"""Memory of the machine, and a limit for a process that reads untrusted files."""
+"""Memory: how much there is, a limit for a process, and a least-recently-used cache.
+
+The limit is for processes that handle what strangers made. The cache is limited in entries and in
+weight.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import os
 import resource
+from collections import OrderedDict
+from collections.abc import Callable
 from pathlib import Path
+from typing import Generic, TypeVar
+
+import numpy as np
+import numpy.typing as npt
 
 _CGROUP = Path("/sys/fs/cgroup/memory.max")
 LEAST = 2 << 30
@@ -33,3 +44,74 @@ def limit_process(most: int) -> None:
     if hard != resource.RLIM_INFINITY:
         most = min(most, hard)
     resource.setrlimit(resource.RLIMIT_DATA, (most, hard))
+
+
+K = TypeVar("K")
+V = TypeVar("V")
+
+
+def array_digest(*arrays: npt.NDArray) -> bytes:
+    """Hash the content, types and shapes of arrays."""
+    digest = hashlib.blake2b(digest_size=16)
+    for array in arrays:
+        digest.update(f"{array.dtype}{array.shape}".encode())
+        digest.update(np.ascontiguousarray(array).data)
+    return digest.digest()
+
+
+class LruCache(Generic[K, V]):
+    """Values of an expensive function, for one process.
+
+    Unlike ``cachetools.LRUCache`` it limits both number and weight, makes room before a heavy value
+    is computed, and keeps the last value even if that alone is too heavy.
+
+    Args:
+        size: largest number of values.
+        weight: largest weight of all values together, in any unit.
+    """
+
+    def __init__(self, size: int, weight: float = float("inf")) -> None:
+        self._size, self._most = size, weight
+        self._values: OrderedDict[K, tuple[V, float]] = OrderedDict()
+        self._total = 0.0
+
+    def get(
+        self,
+        key: K,
+        make: Callable[[], V],
+        weight: float = 0.0,
+        weigh: Callable[[V], float] | None = None,
+    ) -> V:
+        """Return the value of ``key``; make it if needed, after making room for its ``weight``.
+
+        Args:
+            weigh: weight of the value, where only the value tells it.
+        """
+        found = self._values.get(key)
+        if found is not None:
+            self._values.move_to_end(key)
+            return found[0]
+        self._make_room(weight)
+        value = make()
+        weight = weight if weigh is None else weigh(value)
+        self._drop(key)  # another job may have made it meanwhile
+        self._make_room(weight)
+        self._values[key] = value, weight
+        self._total += weight
+        return value
+
+    def clear(self) -> None:
+        """Drop all values."""
+        self._values.clear()
+        self._total = 0.0
+
+    def _make_room(self, weight: float) -> None:
+        while self._values and (
+            len(self._values) >= self._size or weight + self._total > self._most
+        ):
+            self._drop(next(iter(self._values)))
+
+    def _drop(self, key: K) -> None:
+        found = self._values.pop(key, None)
+        if found is not None:
+            self._total -= found[1]

@@ -1,9 +1,19 @@
-"""Progress of long work, its cancellation, and steps that may fail without ending it."""
+"""Long work: its progress and cancellation, and the processes that compute it.
+
+Steps may fail without ending the work. Processes have their numeric threads, and end with their
+parent.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import ctypes
 import logging
-from collections.abc import Callable
+import os
+import signal
+import sys
+from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Protocol, TypeVar
 
 T = TypeVar("T")
@@ -49,3 +59,41 @@ def attempt(remarks: list[str], name: str, step: Callable[[], T], default: T) ->
         log.exception("an optional step failed: %s", name)
         remarks.append(f"{name} failed ({type(error).__name__}: {error}): left out")
         return default
+
+
+NAMES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
+"""Variables that numpy's and torch's libraries read."""
+
+BY_DEFAULT = "ARTIWORLD_THREADS_BY_DEFAULT"
+"""Holds those of :data:`NAMES` that :func:`with_threads` set and not the person."""
+
+
+def own_threads() -> int:
+    """Numeric threads of a worker process: one processor is left to the server."""
+    return max(1, (os.cpu_count() or 2) - 1)
+
+
+def with_threads(environment: Mapping[str, str], threads: int) -> dict[str, str]:
+    """The environment of a child process with so many threads; what is set in it stays."""
+    ours = [name for name in NAMES if name not in environment]
+    return {**{name: str(threads) for name in ours}, BY_DEFAULT: ",".join(ours), **environment}
+
+
+def chosen_by_person(environment: Mapping[str, str]) -> bool:
+    """True if the user set the number of torch's threads."""
+    ours = environment.get(BY_DEFAULT, "").split(",")
+    return any(n in environment and n not in ours for n in ("OMP_NUM_THREADS", "MKL_NUM_THREADS"))
+
+
+_PR_SET_PDEATHSIG = 1
+
+
+def die_with_parent(parent: int) -> None:
+    """Have Linux kill this process with its parent; elsewhere the closed pipe ends it."""
+    if sys.platform.startswith("linux"):
+        ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+        # Out of memory, the kernel should kill the worker rather than the server.
+        with contextlib.suppress(OSError):
+            Path("/proc/self/oom_score_adj").write_text("500")
+    if os.getppid() != parent:
+        os._exit(0)

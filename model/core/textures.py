@@ -1,4 +1,9 @@
-"""Texture images: opened within bounds, written back with the bytes that they came from."""
+"""Texture images, the other maps of a surface, and sRGB.
+
+Textures are opened within bounds and written back with the bytes that they came from. Maps besides
+the colour are normals, emission and occlusion. sRGB is what files and screens have, linear light
+what glTF counts in (IEC 61966-2-1).
+"""
 
 from __future__ import annotations
 
@@ -6,9 +11,37 @@ import io
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
+import numpy as np
+import numpy.typing as npt
 from PIL import Image
+
+Array = npt.NDArray[Any]
+
+
+def to_srgb(linear: Array) -> npt.NDArray[np.uint8]:
+    """Linear RGB(A), floats in 0..1 or whole numbers, as (N, 4) uint8 sRGB; alpha stays linear."""
+    v = linear.astype(np.float64)
+    if linear.dtype.kind in "iu":
+        v = v / np.iinfo(linear.dtype).max
+    v = np.clip(np.nan_to_num(v), 0.0, 1.0)
+    rgb = from_linear(v[:, :3])
+    alpha = v[:, 3:] if v.shape[1] == 4 else np.ones((len(v), 1))
+    return np.rint(255 * np.column_stack([rgb, alpha])).astype(np.uint8)
+
+
+def from_linear(light: Array) -> npt.NDArray[np.float64]:
+    """Linear light, 0 or more, as sRGB; values above 1 are brighter than white."""
+    return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
+
+
+def to_linear(srgb: Array) -> npt.NDArray[np.float64]:
+    """sRGB, 0 or more, as linear light; 1 stays 1."""
+    return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+
 
 MAX_PIXELS = 16384 * 16384
 """Most pixels of one image."""
@@ -143,3 +176,74 @@ def encode(image: Image.Image) -> tuple[bytes, str]:
     out = (buffer.getvalue(), ".png")
     setattr(image, _ATTRIBUTE, out)
     return out
+
+
+@dataclass(frozen=True)
+class ImageFile:
+    """An image as the file that it is in, as nobody here looks at its pixels; equal files are one.
+
+    Attributes:
+        data: a whole PNG or JPEG file.
+        suffix: ``.png`` or ``.jpg``.
+    """
+
+    data: bytes = field(repr=False)
+    suffix: str
+
+
+@dataclass(frozen=True)
+class SurfaceMaps:
+    """Maps of a material, which lie on a surface as its colour texture does; as in glTF.
+
+    Attributes:
+        normal: directions in tangent space, +y up, or None.
+        normal_scale: times the x and y of ``normal``.
+        emission: RGB of linear light, 0 or more; above 1 it is brighter than white.
+        emissive: times ``emission``, sRGB, or None.
+        occlusion: how much light from around gets there, in its red channel, or None.
+        occlusion_strength: 0 (none of ``occlusion``) to 1.
+    """
+
+    normal: ImageFile | None = None
+    normal_scale: float = 1.0
+    emission: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    emissive: ImageFile | None = None
+    occlusion: ImageFile | None = None
+    occlusion_strength: float = 1.0
+
+    @property
+    def images(self) -> tuple[ImageFile, ...]:
+        """The images that there are."""
+        return tuple(i for i in (self.normal, self.emissive, self.occlusion) if i is not None)
+
+
+def image_file(data: bytes, what: str) -> ImageFile:
+    """The image in ``data``, as it is where it is PNG or JPEG, else as PNG.
+
+    Raises:
+        TextureError: where it is no image, truncated, or too large.
+    """
+    return ImageFile(*checked(data, what))
+
+
+def open_image_file(path: Path) -> ImageFile:
+    """The image in the file ``path``; see :func:`image_file`.
+
+    Raises:
+        TextureError: where it is missing or not an image.
+    """
+    return image_file(texture_bytes(path), f"texture {path.name}")
+
+
+def holds_normals(image: ImageFile) -> bool:
+    """True if it is a normal map: directions away from the surface, not heights in grey."""
+    import numpy as np
+    from PIL import Image
+
+    small = decode(image.data, "map").convert("RGB")
+    small.thumbnail((64, 64), Image.Resampling.NEAREST)  # a mean of directions would be shorter
+    pixels = np.asarray(small).reshape(-1, 3).astype(np.float64)
+    grey = np.ptp(pixels, axis=1).max() <= 8
+    vectors = pixels / 127.5 - 1.0
+    length = float(np.median(np.linalg.norm(vectors, axis=1)))
+    return not grey and abs(length - 1.0) < 0.2 and float(np.median(vectors[:, 2])) > 0.3

@@ -9,12 +9,11 @@ import numpy as np
 
 from model.core.articulated_object import ArticulatedObject
 from model.core.errors import InputFileError
-from model.core.files import read_json
+from model.core.files import read_json, static_assets
 from model.core.joint import Joint
-from model.core.resources import static_assets
 from model.core.tree import KinematicTree
 from model.data.protocol import GroundTruth
-from model.geometry.parts import split
+from model.geometry.splitting import split
 from model.io.open_asset import open_asset
 
 

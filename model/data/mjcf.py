@@ -8,7 +8,7 @@ from pathlib import Path
 from model.core.errors import InputFileError
 from model.data.protocol import GroundTruth
 from model.io.merging import merge_rigid
-from model.io.mjcf.reader import need_mujoco, read_mjcf_model
+from model.io.mjcf_reader import need_mujoco, read_mjcf_model
 from model.io.urdf.meshes import load_part
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from model.data.protocol import GroundTruth
-from model.io.write.meshes import write_cloud, write_mesh
+from model.io.write import write_cloud, write_mesh
 
 
 def export_parts(

@@ -19,11 +19,10 @@ from model.core.tree import KinematicTree
 from model.data.protocol import GroundTruth
 from model.io.formats.mtl import MaterialFiles
 from model.io.merging import merge_rigid
-from model.io.urdf.files import MOBILITY
+from model.io.urdf.files import MOBILITY, partnet_category, read_json_beside, semantic_names
 from model.io.urdf.meshes import load_part
 from model.io.urdf.model import UrdfModel
 from model.io.urdf.reader import read_urdf_model
-from model.io.urdf.sidecar import partnet_category, read_json_beside, semantic_names
 
 _TURNS = frozenset(kind for kind, row in JOINT_KINDS.items() if row.rotates)
 _SLIDES = frozenset(kind for kind, row in JOINT_KINDS.items() if row.slides)

@@ -30,8 +30,8 @@ import numpy as np
 from model.core.articulated_object import Part
 from model.core.errors import InputFileError, KinematicsError
 from model.core.files import read_json
+from model.core.geometry import Mesh
 from model.core.joint import Joint
-from model.core.mesh import Mesh
 from model.core.tree import KinematicTree
 from model.data.protocol import GroundTruth
 from model.io.geometry_files import turned_up

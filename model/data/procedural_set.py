@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from model.core.errors import ConfigurationError, InputFileError
-from model.core.rotations import affine, rotation_from_rpy
+from model.core.geometry import affine, rotation_from_rpy
 from model.data.procedural.corruption import FAULTS, corrupted
 from model.data.procedural.generate import OBJ_FROM_OBJECT, family_names, make
 from model.data.procedural.grammar import transformed

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from model.core.errors import ConfigurationError, InputFileError
-from model.core.registry import Registry
+from model.core.packages import Registry
 from model.data.protocol import Dataset
 
 

@@ -9,10 +9,9 @@ from model.core.errors import InputFileError
 from model.data.protocol import GroundTruth
 from model.io.formats.mtl import MaterialFiles
 from model.io.merging import merge_rigid
-from model.io.urdf.anymesh import ANYMESH, is_anymesh
+from model.io.urdf.files import ANYMESH, description_beside, is_anymesh
 from model.io.urdf.meshes import load_part
 from model.io.urdf.reader import read_urdf_model
-from model.io.urdf.sidecar import description_beside
 
 PREFERRED = ("object.urdf", "mobility.urdf")
 """Preferred files of a folder with several URDFs, after the one with the folder's own name."""

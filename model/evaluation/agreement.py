@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from model.core.articulated_object import ArticulatedObject
-from model.core.rotations import uniform_scale
+from model.core.geometry import uniform_scale
 from model.evaluation.alignment import Similarity, renamed
 from model.evaluation.joint_metrics import WORST_ANGLE, ObjectScore, UsableLimits, score_object
 from model.evaluation.part_matching import match_parts, sampled_parts

@@ -20,9 +20,8 @@ import numpy.typing as npt
 from scipy.spatial import KDTree
 
 from model.core.articulated_object import ArticulatedObject, Part
+from model.core.geometry import PointCloud, affine
 from model.core.joint import Joint
-from model.core.point_cloud import PointCloud
-from model.core.rotations import affine
 from model.core.tree import KinematicTree
 from model.evaluation.part_matching import sampled_parts
 from model.io.urdf.meshes import moved_mesh

@@ -25,7 +25,7 @@ from model.evaluation.report import finite
 from model.evaluation.scans import Half, half_of
 from model.io.export.registry import EXPORTERS
 from model.io.export.simready import VALIDATOR
-from model.io.readback.compare import write_and_read
+from model.io.readback import write_and_read
 from model.physics.simulation_values import physics_of
 from model.prediction.registry import DEFAULT, load_predictor
 from model.validation.engines import ENGINES

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from model.core.articulated_object import ArticulatedObject, Part
-from model.core.point_cloud import PointCloud
+from model.core.geometry import PointCloud
 from model.core.tree import KinematicTree
 from model.data.protocol import GroundTruth
 from model.geometry.sampling import sample_surface

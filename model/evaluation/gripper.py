@@ -16,13 +16,12 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from model.core.affordance import Affordance
+from model.core.articulated_object import Affordance
 from model.core.errors import InputFileError
-from model.core.mesh import Mesh
-from model.core.rotations import quaternion_wxyz
+from model.core.geometry import Mesh, quaternion_wxyz
 from model.core.shapes import Primitive
-from model.io.mjcf.affordance_sites import sites_of
-from model.io.mjcf.reader import need_mujoco
+from model.io.mjcf_reader import need_mujoco
+from model.io.mjcf_source import sites_of
 from model.physics.affordances import FREE_TURN, REACHED
 from model.physics.hand import FINGER, OFF, OPENING, PALM, SPARE, tool_pose
 

@@ -7,14 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from model.core.files import written_to
-from model.evaluation.report import (
-    COLUMNS,
-    Report,
-    faults,
-    figure_row,
-    paper_rows,
-    summary_cells,
-)
+from model.evaluation.report import COLUMNS, Report, faults, figure_row, paper_rows, summary_cells
 from model.evaluation.summary import METRICS
 
 MOST_FAULTS = 6

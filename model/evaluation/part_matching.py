@@ -21,7 +21,7 @@ import numpy.typing as npt
 from scipy.optimize import linear_sum_assignment
 
 from model.core.articulated_object import Part
-from model.core.mesh import Mesh
+from model.core.geometry import Mesh
 from model.geometry.sampling import sample_surface
 from model.kinematics.surface import Surface, surface_of
 

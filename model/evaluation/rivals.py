@@ -40,7 +40,7 @@ from model.evaluation.run import (
 )
 from model.evaluation.summary import METRICS
 from model.geometry.sampling import sample_surface
-from model.io.part_folder import safe_link
+from model.io.model_files import safe_link
 from model.io.urdf.meshes import merged, merged_clouds
 from model.prediction.registry import DEFAULT
 

@@ -10,8 +10,8 @@ import numpy.typing as npt
 from PIL import Image
 
 from model.core.articulated_object import ArticulatedObject, Part
+from model.core.geometry import Mesh
 from model.core.joint import Joint
-from model.core.mesh import Mesh
 from model.core.tree import KinematicTree
 from model.evaluation.gripper import GripperBench
 from model.evaluation.render import View, draw, part_colors

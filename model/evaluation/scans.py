@@ -22,9 +22,9 @@ import numpy.typing as npt
 from model.core.articulated_object import ArticulatedObject, SegmentedObject
 from model.core.asset import Asset
 from model.core.errors import ArtiworldError
+from model.core.geometry import uniform_scale
 from model.core.joint import Joint, same_motion
 from model.core.progress import Progress, no_progress
-from model.core.rotations import uniform_scale
 from model.core.tree import KinematicTree
 from model.data.registry import DatasetOptions, open_dataset
 from model.data.simulated.reconstruction import (
@@ -38,9 +38,9 @@ from model.evaluation.segmentation.visible_clicks import picture_of, visible_rou
 from model.evaluation.tree_metrics import chain
 from model.geometry.cleaning import OBJECT
 from model.geometry.crop import crop
-from model.geometry.parts import split
 from model.geometry.prepare import PrepareSettings, moved, prepare
 from model.geometry.sampling import sample_surface
+from model.geometry.splitting import split
 from model.io.urdf.meshes import merged
 from model.prediction.registry import DEFAULT, load_predictor
 from model.segmentation.prompts import BASE

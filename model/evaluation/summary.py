@@ -14,12 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from model.core.joint import JOINT_KINDS
-from model.evaluation.joint_metrics import (
-    WORST_ANGLE,
-    WORST_DISTANCE,
-    JointScore,
-    ObjectScore,
-)
+from model.evaluation.joint_metrics import WORST_ANGLE, WORST_DISTANCE, JointScore, ObjectScore
 
 S2O_AXIS = math.radians(5.0)
 """Largest axis error of a hit (rad), as S2O's code has it."""

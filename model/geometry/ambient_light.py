@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from model.core.mesh import Material, Mesh
-from model.geometry.shading import corner_normals
+from model.core.geometry import Material, Mesh
+from model.geometry.normals import corner_normals
 from model.geometry.topology import weld
 
 Array = npt.NDArray[np.float64]

@@ -10,8 +10,8 @@ import numpy.typing as npt
 from PIL import Image
 
 from model.core.articulated_object import ArticulatedObject, SegmentedObject
-from model.core.mesh import Mesh
-from model.geometry.appearance import colors_at
+from model.core.geometry import Mesh
+from model.geometry.sampling import colors_at
 
 Array = npt.NDArray[np.float64]
 

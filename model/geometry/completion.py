@@ -15,15 +15,20 @@ import numpy as np
 import numpy.typing as npt
 
 from model.core.articulated_object import ArticulatedObject, Part
+from model.core.geometry import Mesh, PointCloud
 from model.core.joint import Joint, canonical_axis_sign, motion
-from model.core.mesh import Mesh
-from model.core.point_cloud import PointCloud
 from model.core.progress import Progress, attempt, no_progress
-from model.geometry.closing import box, closed_solid, largest
-from model.geometry.denoise import denoised, noise_level
+from model.geometry.cleaning import denoised, noise_level
 from model.geometry.display import thin
 from model.geometry.normals import estimate_normals
-from model.geometry.reconstruct import colored_by, mesh_of_scan, spacing_of
+from model.geometry.reconstruct import (
+    box,
+    closed_solid,
+    colored_by,
+    largest,
+    mesh_of_scan,
+    spacing_of,
+)
 
 if TYPE_CHECKING:
     from manifold3d import CrossSection, Manifold
@@ -35,7 +40,7 @@ MAX_POINTS = 40_000
 FEW = 300
 """Points below which a part keeps its reconstructed surface."""
 NOISE = 0.15
-"""Noise level of a cloud, see :func:`~model.geometry.denoise.noise_level`, that is taken off."""
+"""Noise level of a cloud, see :func:`~model.geometry.cleaning.noise_level`, that is taken off."""
 LONE, PLANAR = 0.3, 0.03
 """Share of the usual number of neighbours below which a point is in the air, unless so small a
 share of its neighbours' variance is off their plane."""

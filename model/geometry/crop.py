@@ -10,8 +10,7 @@ from scipy.spatial import KDTree
 
 from model.core.asset import Asset
 from model.core.errors import GeometryError
-from model.geometry.cleaning import connecting_distance
-from model.geometry.outliers import sparse_surface
+from model.geometry.cleaning import connecting_distance, sparse_surface
 
 Bool = npt.NDArray[np.bool_]
 

@@ -9,9 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from model.core.asset import Asset
-from model.core.mesh import Material, Mesh
-from model.core.point_cloud import PointCloud
-from model.geometry.appearance import vertex_colors
+from model.core.geometry import Material, Mesh, PointCloud
+from model.geometry.sampling import vertex_colors
 
 Array = npt.NDArray[Any]
 WHITE = (255, 255, 255, 255)

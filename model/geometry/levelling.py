@@ -1,4 +1,4 @@
-"""Find the up direction of a scan of any rotation and scale.
+"""Find the up direction of a scan of any rotation and scale, and the tightest upright box.
 
 Candidates are the directions in which the surface faces most, and those square to two of them. Each
 is described by what speaks for it: a surface that the object stands on and that reaches beyond it,
@@ -15,6 +15,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -22,8 +23,26 @@ from scipy.spatial import ConvexHull, KDTree, QhullError
 from scipy.special import softmax
 
 from model.core.errors import GeometryError
+from model.core.files import static_assets
 from model.core.progress import Progress, no_progress
-from model.core.resources import static_assets
+
+
+def box_yaw(flat: npt.NDArray[np.floating[Any]], gain: float = 0.8) -> float:
+    """Return the yaw in (-π/4, π/4] of the smallest upright box around points.
+
+    Args:
+        flat: (N, 2) x and y, metres.
+        gain: another angle than the best so far must bring the area below this share of it.
+    """
+    best, least = 0.0, np.inf
+    for yaw in np.radians([0, *range(-44, 46, 2)]):
+        turned = flat @ np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
+        low, high = np.percentile(turned, (1, 99), axis=0)
+        area = float(np.prod(high - low + 1e-9))
+        if area < least * gain:
+            best, least = float(yaw), area
+    return best
+
 
 Array = npt.NDArray[np.float64]
 

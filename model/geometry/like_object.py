@@ -19,8 +19,8 @@ from scipy.spatial import KDTree
 from model.core.articulated_object import ArticulatedObject, Part
 from model.core.errors import GeometryError
 from model.core.joint import Joint
+from model.geometry.levelling import box_yaw
 from model.geometry.sampling import sample_surface
-from model.geometry.upright_box import box_yaw
 
 Points = npt.NDArray[np.float64]
 

@@ -15,9 +15,9 @@ from scipy.spatial.transform import Rotation
 
 from model.core.asset import Asset
 from model.core.errors import ConfigurationError, GeometryError
+from model.core.geometry import affine, uniform_scale
 from model.core.joint import Joint
 from model.core.progress import Progress, no_progress, scaled_progress
-from model.core.rotations import affine, uniform_scale
 from model.core.tree import KinematicTree
 from model.geometry.cleaning import KIND_NAMES, OBJECT, OUTLIER, Kinds, classify
 from model.geometry.crop import crop

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from model.core.mesh import Mesh
+from model.core.geometry import Mesh
 
 Array = npt.NDArray[Any]
 

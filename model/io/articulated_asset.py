@@ -14,15 +14,12 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from model.core.articulated_object import ArticulatedObject, Part, remarks_of
+from model.core.articulated_object import ArticulatedObject, Inertial, Part, remarks_of
 from model.core.asset import MAX_PARTS
 from model.core.errors import InputFileError
-from model.core.inertial import Inertial
+from model.core.geometry import Mesh, PointCloud, uniform_scale
 from model.core.joint import Joint
-from model.core.mesh import Mesh
-from model.core.point_cloud import PointCloud
 from model.core.progress import Progress, no_progress
-from model.core.rotations import uniform_scale
 from model.core.shapes import Shape, moved_shape
 from model.core.tree import KinematicTree
 from model.io.assets.reader import PROVENANCE, URDF, declared_links, load_object, reading_notes
@@ -31,11 +28,22 @@ from model.io.file_names import part_name_in, part_of_file_name
 from model.io.formats.mtl import MaterialFiles
 from model.io.merging import group_inertial, rigid_groups
 from model.io.model_files import read_model
-from model.io.urdf.collision import DeclaredCollision, declared_shapes
-from model.io.urdf.files import MOBILITY, package_root
-from model.io.urdf.meshes import load_part, merged, merged_clouds, moved_mesh
+from model.io.urdf.files import (
+    MOBILITY,
+    description_beside,
+    package_root,
+    partnet_category,
+    semantic_names,
+)
+from model.io.urdf.meshes import (
+    DeclaredCollision,
+    declared_shapes,
+    load_part,
+    merged,
+    merged_clouds,
+    moved_mesh,
+)
 from model.io.urdf.model import UrdfModel
-from model.io.urdf.sidecar import description_beside, partnet_category, semantic_names
 
 _NOTES_SHOWN = 6
 

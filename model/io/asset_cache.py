@@ -20,15 +20,13 @@ import numpy.typing as npt
 from PIL import Image
 
 from model.core import codec
+from model.core.articulated_object import Inertial
 from model.core.asset import Asset, Source
 from model.core.errors import GeometryError, InputFileError, KinematicsError
 from model.core.files import draft_of, written_to
-from model.core.inertial import Inertial
-from model.core.mesh import Material, Mesh
-from model.core.point_cloud import PointCloud
+from model.core.geometry import Material, Mesh, PointCloud
 from model.core.shapes import Shape
-from model.core.surface_maps import ImageFile, SurfaceMaps
-from model.core.textures import TextureError, encode, open_texture
+from model.core.textures import ImageFile, SurfaceMaps, TextureError, encode, open_texture
 from model.core.tree import KinematicTree
 from model.physics.collision.store import packed, unpacked
 

@@ -25,11 +25,10 @@ from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 from model.core.articulated_object import ArticulatedObject
-from model.core.display_names import BASE
 from model.core.files import free_name
 from model.core.joint import JOINT_KINDS, Joint
 from model.core.motion_lexicon import MECHANISM_TABLE
-from model.core.part_names import mechanism_of
+from model.core.names import BASE, mechanism_of
 from model.core.tree import KinematicTree, moving_chain
 from model.physics.simulation_values import Physics
 

@@ -24,15 +24,14 @@ from scipy.spatial import KDTree
 
 from model.core.asset import MAX_PARTS, Asset, UpAxis
 from model.core.errors import InputFileError
-from model.core.part_names import base_score
-from model.core.rotations import affine
+from model.core.geometry import affine
+from model.core.names import base_score
 from model.geometry.sampling import sample_surface
 from model.io.formats.loaded import DEFAULT_MAX_BYTES, Loaded, join, read_bytes
-from model.io.formats.npz import read_npz
 from model.io.formats.ply import read_ply_columns
-from model.io.geometry_files import FOLDER_SUFFIXES, file_digest, load_geometry, turned_up
-from model.io.part_folder import find_manifest
-from model.io.source_checks import to_mesh
+from model.io.formats.points import read_npz
+from model.io.geometry_files import FOLDER_SUFFIXES, file_digest, load_geometry, to_mesh, turned_up
+from model.io.model_files import find_manifest
 
 INSTANCE = (
     "instance", "instances", "instance_label", "instance_labels", "instance_seg", "instance_id",

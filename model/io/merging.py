@@ -10,14 +10,12 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
-from model.core.articulated_object import ArticulatedObject, Part, remarks_of
+from model.core.articulated_object import ArticulatedObject, Inertial, Part, remarks_of, together
 from model.core.errors import KinematicsError
-from model.core.inertial import Inertial, together
 from model.core.joint import Joint
 from model.core.shapes import Shape
 from model.core.tree import KinematicTree
-from model.io.urdf.collision import DeclaredCollision, declared_shapes
-from model.io.urdf.meshes import merged, merged_clouds
+from model.io.urdf.meshes import DeclaredCollision, declared_shapes, merged, merged_clouds
 
 
 def merge_rigid(

@@ -17,24 +17,33 @@ from model.core.asset import Asset, Source, UpAxis
 from model.core.errors import ConfigurationError, GeometryError, InputFileError, KinematicsError
 from model.core.progress import Progress, no_progress
 from model.core.textures import one_reading
-from model.geometry.parts import split
+from model.geometry.splitting import split
 from model.io.articulated_asset import open_model
-from model.io.declared_physics_file import load_declared
-from model.io.find_assets import asset_name, model_of
 from model.io.formats.loaded import DEFAULT_MAX_BYTES, Loaded, join
 from model.io.formats.mtl import MaterialFiles
 from model.io.geometry_files import (
     FOLDER_SUFFIXES,
+    cleaned,
     default_up_axis,
+    far_shift,
     file_digest,
+    is_solid,
     load_geometry,
     read_geometry_file,
+    shifted,
+    to_cloud,
+    to_mesh,
     turned_up,
 )
-from model.io.model_files import MODEL_SUFFIXES, articulated_stage
-from model.io.part_folder import Manifest, find_manifest
-from model.io.source_checks import cleaned, far_shift, is_solid, shifted, to_cloud, to_mesh
-from model.io.urdf.model import UrdfModel
+from model.io.model_files import (
+    MODEL_SUFFIXES,
+    Manifest,
+    articulated_stage,
+    asset_name,
+    find_manifest,
+    model_of,
+)
+from model.io.urdf.model import UrdfModel, load_declared
 
 MOST_REMARKS = 50
 """A person reads no more, and a browser shows each."""

@@ -3,7 +3,7 @@
 ``{"part": "base", "children": [{"part": "link_0", "joint_type": "revolute",
 "joint_name": "hinge", "children": []}]}``. The root has no joint, hence no ``joint_type``;
 ``"fixed"``, ``"root"`` and null are read there too. Saved assets have ``affordances`` beside a
-joint, the only numbers; see :mod:`model.core.affordance`.
+joint, the only numbers; see :mod:`model.core.articulated_object`.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from model.core.affordance import Affordance
+from model.core.articulated_object import Affordance
 from model.core.errors import GeometryError, KinematicsError
 from model.core.joint import JOINT_TYPES
 from model.core.tree import KinematicTree

@@ -18,24 +18,21 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from model.core.affordance import Affordance
+from model.core.articulated_object import Affordance, Inertial, inertial_problems
 from model.core.composite_joints import Composite, composite_joints, free_helpers
 from model.core.errors import GeometryError, InputFileError, KinematicsError
 from model.core.files import free_name
-from model.core.inertial import Inertial, inertial_problems
-from model.core.installing import require
+from model.core.geometry import uniform_scale
 from model.core.joint import JOINT_KINDS, JOINT_TYPES, DeclaredDynamics, Joint, JointType, Mimic
-from model.core.rotations import uniform_scale
+from model.core.packages import require
 from model.core.tree import KinematicTree
 from model.io.export.usd import AFFORDANCE, FRICTION, NAME_KEY
 from model.io.formats.loaded import DEFAULT_MAX_BYTES, size_of
 from model.io.formats.usd import SHAPES, UsdStage, sound_stage
-from model.io.source_checks import cleaned, to_mesh
-from model.io.urdf.collision import DeclaredCollision
-from model.io.urdf.declared_physics import DeclaredPhysics
-from model.io.urdf.model import UrdfModel, renamed_helpers
+from model.io.geometry_files import cleaned, to_mesh
+from model.io.urdf.meshes import DeclaredCollision, UrdfVisual
+from model.io.urdf.model import DeclaredPhysics, UrdfModel, renamed_helpers
 from model.io.urdf.sdf import UNLIMITED
-from model.io.urdf.visual import UrdfVisual
 
 WORLD = "world"
 MOST_BODIES = 5000

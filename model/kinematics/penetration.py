@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from model.core.lru_cache import array_digest
+from model.core.memory import array_digest
 from model.kinematics.surface import Surface
 
 GRAZING = 0.34

@@ -15,9 +15,8 @@ import numpy.typing as npt
 from scipy.spatial import KDTree
 
 from model.core.articulated_object import Part
-from model.core.lru_cache import LruCache
-from model.core.mesh import Mesh
-from model.core.point_cloud import PointCloud
+from model.core.geometry import Mesh, PointCloud
+from model.core.memory import LruCache
 
 POINTS = 4096
 """Samples of a part."""

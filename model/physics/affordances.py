@@ -17,10 +17,15 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import KDTree
 
-from model.core.affordance import Affordance, AffordanceKind, belongs
-from model.core.articulated_object import ArticulatedObject, Part
+from model.core.articulated_object import (
+    Affordance,
+    AffordanceKind,
+    ArticulatedObject,
+    Part,
+    belongs,
+)
+from model.core.geometry import Mesh
 from model.core.joint import Joint, motion
-from model.core.mesh import Mesh
 from model.core.progress import attempt
 from model.core.shapes import Hull, Shape, hull_of_shape
 from model.core.tree import KinematicTree

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from model.core.affordance import Affordance, AffordanceKind
+from model.core.articulated_object import Affordance, AffordanceKind
 
 OPENING = 0.085
 """Metres between the pads at most, as of common two-finger grippers."""

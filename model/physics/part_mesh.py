@@ -17,8 +17,7 @@ import numpy.typing as npt
 
 from model.core.articulated_object import Part
 from model.core.errors import GeometryError
-from model.core.mesh import Mesh
-from model.core.point_cloud import PointCloud
+from model.core.geometry import Mesh, PointCloud
 from model.geometry.reconstruct import mesh_from_cloud, mesh_of_scan
 from model.physics.collision.store import fingerprint, load_arrays, save_arrays
 

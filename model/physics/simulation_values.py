@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from model.core.articulated_object import ArticulatedObject
-from model.core.inertial import Inertial
+from model.core.articulated_object import ArticulatedObject, Inertial
 from model.core.joint import Joint, JointDynamics
 from model.core.progress import Progress, no_progress
 from model.core.shapes import hull_of_shape
@@ -18,8 +17,7 @@ from model.core.tree import KinematicTree
 from model.physics.collision.build import Collision, CollisionSettings, collision_of
 from model.physics.collision.narrow_phase import overlaps
 from model.physics.collision.overlap_resolution import moving_pairs
-from model.physics.inertia import inertials_of
-from model.physics.materials import MaterialTable, read_materials
+from model.physics.inertia import MaterialTable, inertials_of, read_materials
 from model.physics.part_mesh import part_mesh
 
 TURNING = JointDynamics(damping=0.05, friction=0.02)

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from model.core.errors import InputFileError
-from model.core.resources import static_assets
+from model.core.files import static_assets
 
 Array = npt.NDArray[np.float64]
 Evidence = Mapping[str, float]

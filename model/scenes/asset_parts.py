@@ -9,25 +9,23 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import KDTree
 
-from model.core.articulated_object import Part, SegmentedObject, remarks_of
+from model.core.articulated_object import Inertial, Part, SegmentedObject, remarks_of
 from model.core.asset import Asset
 from model.core.errors import ArtiworldError
-from model.core.inertial import Inertial
-from model.core.part_names import MOST_NAMED
-from model.core.point_cloud import PointCloud
-from model.core.rotations import affine
+from model.core.geometry import PointCloud, affine
+from model.core.names import MOST_NAMED
 from model.core.shapes import Shape, moved_shape
 from model.core.tree import KinematicTree
 from model.data.partnet_mobility import read_partnet_mobility
 from model.data.protocol import GroundTruth
 from model.data.urdf_folders import UrdfFolders
-from model.geometry.outliers import outlier_points
-from model.geometry.parts import split
+from model.geometry.cleaning import outlier_points
+from model.geometry.splitting import split
 from model.geometry.topology import connected_shells
 from model.io.assets.reader import declared_links
 from model.io.geometry_files import FOLDER_SUFFIXES
+from model.io.model_files import is_part_folder
 from model.io.open_asset import open_asset, read_part_files
-from model.io.part_folder import is_part_folder
 from model.io.urdf.files import MOBILITY
 from model.io.urdf.meshes import merged, merged_clouds, moved_mesh
 from model.io.urdf.reader import read_urdf_model

@@ -11,7 +11,7 @@ from pathlib import Path
 from model.core.errors import InputFileError
 from model.core.files import file_sha256
 from model.io.geometry_files import FOLDER_SUFFIXES
-from model.io.part_folder import is_part_folder
+from model.io.model_files import is_part_folder
 from model.io.urdf.files import MOBILITY, URDF_SUFFIX
 
 _URDF_NAMES = (MOBILITY, "object.urdf")

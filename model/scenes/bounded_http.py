@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from typing import Any
 
-from model.core.installing import require
+from model.core.packages import require
 
 MOST_BYTES = 16 << 20
 """Largest answer; a model's longest takes less than one."""

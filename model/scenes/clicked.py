@@ -11,7 +11,7 @@ from scipy.spatial import KDTree
 
 from model.core.articulated_object import Part
 from model.core.errors import PromptError
-from model.geometry.parts import split
+from model.geometry.splitting import split
 from model.scenes.asset_parts import AssetParts, bounds_of, read_unshifted
 from model.scenes.scene import Anchor, FloatArray, SceneObject
 from model.segmentation.prompts import Click, Prompts, Region

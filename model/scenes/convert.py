@@ -40,16 +40,7 @@ from model.scenes import jobs as job_module
 from model.scenes.assets import AssetIndex, asset_digest
 from model.scenes.clicked import ClickedObject, ObjectClicks
 from model.scenes.embedded import unpack
-from model.scenes.jobs import (
-    ASSETS,
-    DONE,
-    FAILED,
-    MOVING,
-    PLAIN,
-    AssetJob,
-    ConvertAsset,
-    read_done,
-)
+from model.scenes.jobs import ASSETS, DONE, FAILED, MOVING, PLAIN, AssetJob, ConvertAsset, read_done
 from model.scenes.language_finder import LanguageFinder
 from model.scenes.neighbours import Standing, shortened
 from model.scenes.outcome import Outcome

@@ -5,8 +5,8 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from model.core.packages import Registry
 from model.core.progress import Progress, no_progress
-from model.core.registry import Registry
 from model.scenes.finder_options import FinderOptions
 from model.scenes.protocol import ArticulableFinder
 

@@ -8,7 +8,7 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from model.core.inertial import Inertial
+from model.core.articulated_object import Inertial
 from model.core.joint import JOINT_KINDS, JOINT_TYPES, Joint, JointType, Mimic
 from model.core.tree import KinematicTree
 from model.physics.simulation_values import resisting

@@ -18,7 +18,7 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
-from model.core.rotations import quaternion_wxyz
+from model.core.geometry import quaternion_wxyz
 from model.io.urdf.writer import rounded
 from model.scenes.readers.own import FORMAT, MARK
 from model.scenes.scene import Scene, SceneObject

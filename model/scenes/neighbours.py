@@ -12,14 +12,13 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from model.core.articulated_object import ArticulatedObject, Part
+from model.core.geometry import Mesh
 from model.core.joint import Joint
-from model.core.mesh import Mesh
 from model.io.assets.reader import load_object
 from model.io.urdf.meshes import merged, moved_mesh
-from model.kinematics.joint_path import joint_poses
 from model.kinematics.penetration import inverse
 from model.kinematics.surface import surface_of
-from model.kinematics.sweep import free_until, surfaces_of, sweep_tolerance
+from model.kinematics.sweep import free_until, joint_poses, surfaces_of, sweep_tolerance
 from model.scenes.scene import FloatArray
 
 SAMPLES = 13

@@ -10,7 +10,7 @@ from threading import Thread
 from typing import Any, TypeVar
 
 from model.core.errors import ConfigurationError
-from model.core.installing import require
+from model.core.packages import require
 from model.core.progress import Progress
 from model.scenes.bounded_http import bounded_client
 from model.scenes.finder_options import FinderOptions

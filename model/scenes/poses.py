@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from model.core.rotations import about, affine, rotation_from_rpy
+from model.core.geometry import about, affine, rotation_from_rpy
 from model.scenes.scene import FloatArray, SceneObjectError
 
 _SWAP = np.array([[1.0, 0, 0], [0, 0, 1.0], [0, 1.0, 0]])

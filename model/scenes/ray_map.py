@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, TypeVar
 
 from model.core.errors import ConfigurationError
-from model.core.installing import require
+from model.core.packages import require
 
 T = TypeVar("T")
 

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from model.core.errors import InputFileError
-from model.core.registry import Registry
+from model.core.packages import Registry
 from model.io.formats.loaded import size_of
 from model.scenes.protocol import SceneReader
 from model.scenes.scene import Scene, SceneProblem
@@ -46,7 +46,7 @@ def reader_names() -> tuple[str, ...]:
 
 
 def load_reader(name: str) -> SceneReader:
-    """The reader of a scene format; see :meth:`~model.core.registry.Registry.load`."""
+    """The reader of a scene format; see :meth:`~model.core.packages.Registry.load`."""
     return SCENE_READERS.load(name)
 
 

@@ -15,7 +15,7 @@ from xml.etree import ElementTree as ET  # writes; reading is defusedxml's
 import numpy as np
 
 from model.core.files import draft_of, write_json
-from model.core.rotations import quaternion_wxyz
+from model.core.geometry import quaternion_wxyz
 from model.io.assets.reader import URDF
 from model.io.export.manifest import ABOUT, write_scene_about
 from model.io.export.mjcf import FILE

@@ -15,7 +15,7 @@ from xml.etree import ElementTree as ET  # writes; reading is defusedxml's
 import numpy as np
 
 from model.core.files import draft_of
-from model.core.rotations import quaternion_wxyz
+from model.core.geometry import quaternion_wxyz
 from model.io.urdf.writer import number, vector, xml_name
 from model.scenes.jobs import ASSETS, MJCF
 from model.scenes.readers.lisdf import parse_xml

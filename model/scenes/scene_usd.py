@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from model.core.rotations import quaternion_wxyz
+from model.core.geometry import quaternion_wxyz
 from model.io.export.usd import FILE, FRICTION, NAME_KEY, identifier
 from model.io.urdf.writer import rounded, xml_name
 from model.scenes.jobs import ASSETS

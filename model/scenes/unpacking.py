@@ -10,12 +10,11 @@ from pathlib import Path
 import numpy as np
 
 from model.core.errors import ArtiworldError
-from model.core.rotations import affine, axis_scales
+from model.core.geometry import affine, axis_scales
 from model.io.formats.loaded import Loaded, join
-from model.io.part_folder import OBJECT_JSON
-from model.io.source_checks import cleaned, is_solid, to_cloud, to_mesh
-from model.io.write.glb import mesh_to_glb
-from model.io.write.meshes import write_cloud
+from model.io.geometry_files import cleaned, is_solid, to_cloud, to_mesh
+from model.io.model_files import OBJECT_JSON
+from model.io.write import mesh_to_glb, write_cloud
 from model.scenes.asset_parts import MOST_PIECES
 from model.scenes.scene import FloatArray, SceneObjectError
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from model.core.registry import Registry
+from model.core.packages import Registry
 from model.segmentation.protocol import Segmenter
 
 DEFAULT = "default"

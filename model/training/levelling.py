@@ -22,19 +22,13 @@ from scipy.special import softmax
 
 from model.core.articulated_object import ArticulatedObject
 from model.core.errors import ArtiworldError
-from model.core.resources import static_assets
-from model.core.rotations import uniform_scale
+from model.core.files import static_assets
+from model.core.geometry import uniform_scale
 from model.data.registry import DatasetOptions, open_dataset
 from model.data.simulated.reconstruction import ReconstructionSettings, reconstruct_scan
 from model.evaluation.pool import robust_map
 from model.geometry.cleaning import SUPPORT
-from model.geometry.levelling import (
-    BARE_FEATURES,
-    FEATURES,
-    bare_features,
-    candidates_of,
-    sampled,
-)
+from model.geometry.levelling import BARE_FEATURES, FEATURES, bare_features, candidates_of, sampled
 from model.geometry.sampling import sample_surface
 
 Array = npt.NDArray[np.float64]

@@ -12,9 +12,8 @@ import numpy.typing as npt
 
 from model.core.articulated_object import ArticulatedObject
 from model.core.errors import ConfigurationError
-from model.core.installing import install_command
 from model.core.joint import Joint
-from model.core.registry import at_place
+from model.core.packages import at_place, install_command
 from model.physics.simulation_values import Physics
 
 FloatArray = npt.NDArray[np.float64]

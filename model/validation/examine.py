@@ -1,4 +1,8 @@
-"""Checks of one joint on its own: limits, collisions, jamming, leaving its support."""
+"""Checks of one joint on its own: limits, collisions, jamming, leaving its support.
+
+Two more need no motion: warnings about joints in which the predictor has little confidence, and
+errors about names that a project doesn't have.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from model.core import display_names
+from model.core import names
 from model.core.articulated_object import ArticulatedObject
 from model.core.joint import Joint
 from model.core.tree import KinematicTree
@@ -16,7 +20,14 @@ from model.kinematics.surface import Surface
 from model.kinematics.sweep import Sweep, sweep_joint, sweep_path
 from model.validation import messages
 from model.validation.messages import interval, length, value
-from model.validation.report import Finding, Kind, Severity
+from model.validation.report import (
+    Finding,
+    JointReport,
+    Kind,
+    Severity,
+    ValidationReport,
+    worst_first,
+)
 from model.validation.support import support_gap
 
 SHALLOW = 0.03
@@ -66,7 +77,7 @@ class Scene:
 
     def display_name(self, link: str) -> str:
         """Display name of a link."""
-        return display_names.display_name(self.obj, link)
+        return names.display_name(self.obj, link)
 
     def with_joint(self, joint: Joint) -> Scene:
         """The scene with a joint replaced."""
@@ -306,3 +317,69 @@ def attached_range(scene: Scene, joint: Joint) -> tuple[float, float]:
     low = support.q[support.q > below].min(initial=0.0)
     high = support.q[support.q < above].max(initial=0.0)
     return float(max(lower, low)), float(min(upper, high))
+
+
+UNLIKELY = 0.5
+"""Confidence below which a joint is more likely wrong than right."""
+
+
+def with_low_confidence(
+    report: ValidationReport, tree: KinematicTree, confidence: Mapping[str, float]
+) -> ValidationReport:
+    """Add a warning to each joint that is likely wrong.
+
+    Args:
+        report: on the joints of ``tree``.
+        confidence: child link → 0..1, of the joints that are still as predicted.
+
+    Returns:
+        ``report`` itself where no joint is likely wrong.
+    """
+    unlikely = [j for j in tree.joints if confidence.get(j.child, 1.0) < UNLIKELY]
+    if not unlikely:
+        return report
+    joints = {j.joint: j for j in report.joints}
+    for joint in unlikely:
+        percent = f"{100 * confidence[joint.child]:.0f}"
+        message = messages.LOW_CONFIDENCE.format(percent=percent)
+        q = {joint.name: _far_end(joint)} if joint.moves else {}
+        before = joints.get(joint.name, JointReport(joint.name, joint.child))
+        finding = Finding("unsure", Severity.WARNING, message, q=q)
+        findings = worst_first((*before.findings, finding))
+        joints[joint.name] = replace(before, findings=findings)
+    return replace(report, joints=tuple(sorted(joints.values(), key=lambda j: j.sort_key)))
+
+
+def _far_end(joint: Joint) -> float:
+    """The joint value that shows the motion best."""
+    if joint.lower is None or joint.upper is None:
+        return math.pi / 2
+    return max(joint.lower, joint.upper, key=abs)
+
+
+def with_unknown_names(
+    report: ValidationReport, tree: KinematicTree, parts: Mapping[str, str], category: str | None
+) -> ValidationReport:
+    """Add an error for each name that isn't allowed.
+
+    Args:
+        report: on the joints of ``tree``.
+        parts: link → name, of the parts whose name isn't allowed.
+        category: of the object, where it isn't allowed, else None.
+
+    Returns:
+        ``report`` itself where all names are allowed. What is about the root, which has no joint,
+        has "" as joint.
+    """
+    found = [(link, messages.PART_NAME.format(name=name)) for link, name in parts.items()]
+    if category is not None:
+        found.append((tree.root, messages.CATEGORY_NAME.format(name=category)))
+    if not found:
+        return report
+    joints = {j.child: j for j in report.joints}
+    for link, message in found:
+        joint = tree.joint_of.get(link)
+        before = joints.get(link, JointReport("" if joint is None else joint.name, link))
+        finding = Finding("name", Severity.ERROR, message)
+        joints[link] = replace(before, findings=worst_first((*before.findings, finding)))
+    return replace(report, joints=tuple(sorted(joints.values(), key=lambda j: j.sort_key)))

@@ -19,12 +19,7 @@ from model.kinematics.contact import contact_between
 from model.kinematics.snapping import box_of
 from model.kinematics.sweep import sweep_joint
 from model.validation import messages
-from model.validation.examine import (
-    Scene,
-    attached_range,
-    collision_finding,
-    detached_finding,
-)
+from model.validation.examine import Scene, attached_range, collision_finding, detached_finding
 from model.validation.report import Finding, Fix, Severity
 
 FIXABLE = ("collision", "jammed", "detached", "limits")

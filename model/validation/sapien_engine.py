@@ -14,8 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from model.core.articulated_object import ArticulatedObject
-from model.core.inertial import Inertial
+from model.core.articulated_object import ArticulatedObject, Inertial
 from model.core.joint import Joint
 from model.core.shapes import hull_of_shape
 from model.io.urdf.writer import link_origins

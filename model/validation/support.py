@@ -10,9 +10,9 @@ import numpy.typing as npt
 
 from model.core.joint import Joint
 from model.core.tree import KinematicTree
-from model.kinematics.joint_path import joint_poses
 from model.kinematics.penetration import inverse, moved
 from model.kinematics.surface import Surface
+from model.kinematics.sweep import joint_poses
 
 FloatArray = npt.NDArray[np.float64]
 

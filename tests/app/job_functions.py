@@ -18,7 +18,7 @@ import numpy as np
 from app.server import scene_shapes, segmenting_tasks
 from app.server.jobs import WorkerProcess
 from model.core.errors import InputFileError, KinematicsError
-from model.core.point_cloud import PointCloud
+from model.core.geometry import PointCloud
 from model.core.progress import Progress
 
 _state: dict[str, int] = {}

@@ -12,7 +12,7 @@ from app.server import lanes, workers
 from app.server.job import Job
 from app.server.jobs import WorkerProcess
 from app.server.worker_template import WorkerTemplate
-from model.core.threads import own_threads
+from model.core.progress import own_threads
 
 
 class SharedWorker:

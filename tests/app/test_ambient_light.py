@@ -10,7 +10,7 @@ import trimesh
 
 from app.server.light_tasks import lit_mesh, lit_parts
 from app.server.tasks import ReadOptions, working_copy
-from model.core.mesh import Mesh
+from model.core.geometry import Mesh
 from model.geometry.ambient_light import crease_edges, is_plain, with_ambient_occlusion
 from model.geometry.display import display_asset
 

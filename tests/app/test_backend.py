@@ -30,7 +30,7 @@ from app.cli.serve import make_config
 from app.server.backend_server import Backend, BackendSettings
 from model.core.articulated_object import Part, SegmentedObject
 from model.core.errors import ArtiworldError, ConfigurationError
-from model.core.mesh import Mesh
+from model.core.geometry import Mesh
 from model.core.progress import Cancelled
 from model.prediction.geometric.predictor import GeometricPredictor
 from model.prediction.registry import load_predictor

@@ -10,7 +10,7 @@ import pytest
 from app.viewer.panels.category_guess import category_guesses, category_in
 from app.viewer.panels.quick_names import SHOWN, USUAL, names_for
 from app.viewer.picture.palette import CATEGORIES
-from sessions.records import ObjectRecord
+from sessions.database import ObjectRecord
 
 
 def record(number: int, path: str, category: str | None = None, at: str = "") -> ObjectRecord:

@@ -14,12 +14,11 @@ from app.server.export_tasks import ExportTask, export_one
 from app.server.part_tasks import PartSource, articulated_object
 from app.server.saving_tasks import prepare_asset
 from app.server.tasks import ReadOptions
-from model.core.lru_cache import LruCache
+from model.core.memory import LruCache
 from model.geometry.completion import OPENING, SURFACE, THICKNESS, TRAY
 from model.io.assets.asset_folder import publish, write_draft
-from model.io.assets.reader import load_object, read_provenance
-from model.io.assets.reload import reload_check
-from model.io.write.meshes import write_cloud
+from model.io.assets.reader import load_object, read_provenance, reload_check
+from model.io.write import write_cloud
 from model.physics.simulation_values import PhysicsSettings, physics_of
 from tests.scanned_cabinet import cabinet, joined
 

@@ -16,8 +16,8 @@ import pytest
 import model
 from app.cli.main import main
 from model.core.articulated_object import Part, SegmentedObject
+from model.core.geometry import PointCloud
 from model.core.joint import Joint
-from model.core.point_cloud import PointCloud
 from model.io.assets.reader import load_object
 from model.io.export.registry import exporter_names
 from model.io.geometry_files import SUFFIXES

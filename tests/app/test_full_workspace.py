@@ -23,7 +23,7 @@ from model.core.errors import InputFileError, StoreError
 from model.core.joint import Joint
 from model.core.tree import KinematicTree
 from model.io.assets.asset_folder import publish
-from model.io.assets.reload import reload_check
+from model.io.assets.reader import reload_check
 from model.segmentation.prompts import Click
 from sessions.commands import AddClick
 from sessions.store import Store

@@ -15,7 +15,7 @@ import pytest
 
 from model.core.articulated_object import Part, SegmentedObject
 from model.core.errors import ArtiworldError, ConfigurationError
-from model.core.mesh import Mesh
+from model.core.geometry import Mesh
 from model.prediction.remote import http_predictor
 from model.prediction.remote.http_predictor import BackendError, HttpPredictor
 from model.scenes import bounded_http

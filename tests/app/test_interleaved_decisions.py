@@ -19,12 +19,7 @@ from unittest import mock
 import pytest
 from hypothesis import HealthCheck, Phase, settings
 from hypothesis import strategies as st
-from hypothesis.stateful import (
-    RuleBasedStateMachine,
-    invariant,
-    rule,
-    run_state_machine_as_test,
-)
+from hypothesis.stateful import RuleBasedStateMachine, invariant, rule, run_state_machine_as_test
 
 from app.server import app_state as app_state_module
 from app.server import bulk, job, saving_tasks, scene_saving_tasks, validation_tasks
@@ -39,10 +34,10 @@ from app.server.scene_workspace import SceneWorkspace
 from model.core.errors import CommandError
 from model.validation.report import Finding, JointReport, Severity, ValidationReport
 from sessions import commands as cmd
-from sessions.asset_storage import AssetStorage
 from sessions.document import Document
 from sessions.review import TRANSITIONS
 from sessions.scene_commands import DecideObjects
+from sessions.storage import AssetStorage
 from sessions.store import Entry, Store
 from tests.builders import wait_until
 from tests.model.scenes.scenes_made import make_assets, own, write_scene

@@ -14,10 +14,10 @@ from app.viewer.panels.joint_rows import joint_lines, least_confident
 from app.viewer.panels.joint_text import joint_note, range_text
 from app.viewer.panels.joint_tree import tree_html
 from model.core.articulated_object import ArticulatedObject, Part, Prediction
-from model.core.display_names import display_name
 from model.core.errors import KinematicsError
+from model.core.geometry import PointCloud
 from model.core.joint import Joint, value_text
-from model.core.point_cloud import PointCloud
+from model.core.names import display_name
 from model.core.tree import KinematicTree
 from model.validation.messages import interval
 from sessions.document import Document, PartInfo

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from app.server.leftovers import LOCK, WorkspaceLease, remove_leftovers
-from sessions.arrays import ArrayFiles
+from sessions.storage import ArrayFiles
 
 LEFT = (
     "arrays/ab/.tmp1234.part", "drafts/.key.1234/object.urdf", "uploads/01/.a.obj.part",

@@ -15,8 +15,8 @@ from app.server.app_state import AppState
 from app.server.config import ServeConfig
 from app.server.open_object import OpenObject
 from model.core.errors import CommandError
-from model.core.point_cloud import PointCloud
-from model.io.write.meshes import write_cloud
+from model.core.geometry import PointCloud
+from model.io.write import write_cloud
 from model.segmentation.prompts import Click
 from sessions import commands as cmd
 from sessions.document import Document, RegionRef

@@ -16,7 +16,7 @@ from app.server.config import ServeConfig
 from app.server.open_object import OpenObject
 from model import open_asset, with_masks
 from model.core.errors import ConfigurationError, InputFileError
-from model.io.write.meshes import write_mesh
+from model.io.write import write_mesh
 from model.segmentation.prompts import Click
 from sessions import commands as cmd
 from sessions.provenance import provenance

@@ -28,11 +28,7 @@ from model.segmentation.prompts import Click
 from sessions import commands as cmd
 from sessions.live import LiveSession
 from sessions.store import Store
-from tests.app.job_functions import (
-    killed_while_opening,
-    reads_for_ever,
-    segment_and_die_of_two,
-)
+from tests.app.job_functions import killed_while_opening, reads_for_ever, segment_and_die_of_two
 from tests.builders import wait_until
 
 GOOD = trimesh.creation.box((1, 0.5, 0.7))

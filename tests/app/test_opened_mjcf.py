@@ -19,7 +19,7 @@ from app.server.tasks import ReadOptions, stamp
 from app.server.uploads import keep_upload
 from model.core.errors import InputFileError
 from model.io.assets.reader import load_object
-from model.io.find_assets import find_assets
+from model.io.model_files import find_assets
 from model.io.open_asset import open_asset
 
 MJCF = """<!-- a comment --><mujoco model="cupboard"><compiler angle="radian" meshdir="meshes"/>

@@ -3,13 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from app.viewer.picture.palette import (
-    BASE_COLOR,
-    DIRECTIONS,
-    PART_COLORS,
-    SELECTED,
-    part_color,
-)
+from app.viewer.picture.palette import BASE_COLOR, DIRECTIONS, PART_COLORS, SELECTED, part_color
 
 
 def test_many_parts_have_colours_that_can_be_told_apart():

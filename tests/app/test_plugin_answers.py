@@ -8,7 +8,7 @@ import pytest
 from app.server.part_tasks import checked
 from model.core.articulated_object import Part, Prediction, SegmentedObject
 from model.core.errors import ConfigurationError
-from model.core.point_cloud import PointCloud
+from model.core.geometry import PointCloud
 from model.core.tree import KinematicTree
 
 PARTS = SegmentedObject("box", (Part("link_0", cloud=PointCloud(np.zeros((1, 3), np.float32))),))

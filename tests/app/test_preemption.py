@@ -16,8 +16,8 @@ from app.server.config import ServeConfig
 from app.server.segmenting import Segmenting
 from app.server.tasks import arrays_of
 from app.server.tool_tasks import PROPOSE, ToolRequest
-from model.core.lru_cache import LruCache
-from model.core.resources import static_assets
+from model.core.files import static_assets
+from model.core.memory import LruCache
 from model.segmentation.prompts import Click
 from sessions import commands as cmd
 from sessions.store import Store

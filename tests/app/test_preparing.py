@@ -14,7 +14,7 @@ from app.server.config import ServeConfig
 from app.server.open_object import OpenObject
 from app.server.prepare_tasks import Marks
 from model.core.asset import Source
-from model.core.resources import static_assets
+from model.core.files import static_assets
 from model.geometry.cleaning import CLUTTER, OUTLIER, SUPPORT
 from model.geometry.units import unusual_height
 from model.io.open_asset import open_asset

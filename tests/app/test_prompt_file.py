@@ -11,9 +11,8 @@ import pytest
 from app.server.prompt_file import check_prompts, distance_to_surface, read_prompts
 from model.core.asset import Asset
 from model.core.errors import InputFileError
-from model.core.mesh import Mesh
-from model.core.point_cloud import PointCloud
-from model.core.resources import static_assets
+from model.core.files import static_assets
+from model.core.geometry import Mesh, PointCloud
 from model.segmentation.prompts import Region
 
 SQUARE = Mesh(

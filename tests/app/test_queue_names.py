@@ -3,7 +3,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from app.server.queue_names import clipped, queue_names
-from sessions.records import ObjectRecord
+from sessions.database import ObjectRecord
 
 
 def record(number: int, path: str) -> ObjectRecord:

@@ -9,8 +9,8 @@ from app.server.review_order import UNKNOWN, ReviewOrder, confidence
 from model.core.articulated_object import Prediction
 from model.core.joint import Joint
 from model.core.tree import KinematicTree
+from sessions.database import ObjectRecord
 from sessions.document import Document
-from sessions.records import ObjectRecord
 
 TREE = KinematicTree(
     ("link_0", "link_1", "link_2", "link_3"),

@@ -20,8 +20,7 @@ from app.server.tasks import ReadOptions
 from model.core.joint import Joint
 from model.core.tree import KinematicTree
 from model.io.assets.asset_folder import publish
-from model.io.assets.reader import load_object, read_provenance
-from model.io.assets.reload import reload_check
+from model.io.assets.reader import load_object, read_provenance, reload_check
 
 DOOR = Joint("door", "revolute", "link_0", "link_1", (0, 0, 1), (0, 0, 0), lower=0, upper=1.5)
 TREE = KinematicTree(("link_0", "link_1"), (DOOR,))

@@ -16,11 +16,11 @@ import pytest
 from scipy.spatial import KDTree
 
 from app.cli.main import main
-from model.core.point_cloud import PointCloud
+from model.core.geometry import PointCloud
 from model.io.assets.asset_folder import load_object
 from model.io.open_asset import open_asset, read_part_files
 from model.io.urdf.writer import read_urdf
-from model.io.write.meshes import write_cloud, write_mesh
+from model.io.write import write_cloud, write_mesh
 from model.scenes.assets import asset_digest
 from model.scenes.registry import read_scene
 from tests.builders import wait_until

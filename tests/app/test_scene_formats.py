@@ -16,7 +16,7 @@ from model.core.articulated_object import ArticulatedObject
 from model.io.formats.gltf import open_gltf
 from model.io.open_asset import open_asset
 from model.io.urdf.writer import read_urdf
-from model.io.write.meshes import write_cloud
+from model.io.write import write_cloud
 from model.scenes.registry import read_scene
 from tests.app.test_scene_command import convert, objects_of, world_of
 from tests.model.scenes import scenes_made as made

@@ -37,9 +37,9 @@ from model.io.open_asset import open_asset
 from model.scenes.assets import asset_digest
 from model.validation.report import Finding, JointReport, Severity, ValidationReport
 from sessions import commands as cmd
-from sessions.asset_storage import AssetStorage
 from sessions.document import Document, PartInfo
 from sessions.scene_commands import DecideObjects
+from sessions.storage import AssetStorage
 from sessions.store import Store
 from tests.builders import wait_until
 from tests.model.scenes.chat_server import chat_server

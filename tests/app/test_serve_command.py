@@ -23,7 +23,7 @@ from app.server.config import ServeConfig
 from app.server.network import url
 from app.server.server import paths_to_open
 from model.core.errors import ArtiworldError
-from model.core.resources import static_assets
+from model.core.files import static_assets
 from model.scenes.assets import index_assets
 from model.scenes.convert import descriptions
 from model.scenes.finders import LexiconFinder

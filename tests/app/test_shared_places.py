@@ -29,7 +29,7 @@ from model.core.errors import ArtiworldError
 from model.core.joint import Joint
 from model.core.tree import KinematicTree
 from model.io.assets.asset_folder import write_asset
-from model.io.assets.reload import reload_check
+from model.io.assets.reader import reload_check
 from model.physics.collision.store import load_arrays, save_arrays
 from model.prediction.experience import Experience, in_use, record_of
 from model.scenes.convert import alone
@@ -38,12 +38,10 @@ from model.scenes.protocol import Decision
 from model.scenes.registry import read_scene
 from model.scenes.scene import SceneObject
 from model.training import experience
-from sessions.arrays import ArrayFiles
-from sessions.asset_storage import AssetStorage
 from sessions.document import SavedRecord
-from sessions.releases.contents import Release, accepted_assets
-from sessions.releases.reading import import_release
-from sessions.releases.writing import write_release
+from sessions.release_files import import_release, write_release
+from sessions.releases import Release, accepted_assets
+from sessions.storage import ArrayFiles, AssetStorage
 from sessions.store import Store
 from tests.accepted import accept, cupboard
 from tests.builders import write_cupboard, zip_of_objects

@@ -15,8 +15,8 @@ from typing import Any
 import pytest
 
 from model.core.errors import ArtiworldError, ConfigurationError, StoreError
-from sessions.asset_storage import STORAGE_VARIABLE, AssetStorage
 from sessions.document import SavedRecord
+from sessions.storage import STORAGE_VARIABLE, AssetStorage
 from tests.app.api_server import team_server, token_client
 from tests.app.run_cli import artiworld, assert_users_mistake
 from tests.builders import wait_until, write_cupboard

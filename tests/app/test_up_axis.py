@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from model.core.asset import Asset
-from model.core.resources import static_assets
+from model.core.files import static_assets
 from model.io.open_asset import open_asset
 from tests.app.run_cli import artiworld, write_prompts
 from tests.raw_scans import saved_along_another_axis

@@ -14,7 +14,7 @@ from PIL import Image
 
 from app.server.uploads import keep_upload
 from model.core.errors import InputFileError
-from model.io.find_assets import find_assets
+from model.io.model_files import find_assets
 from model.io.open_asset import open_asset
 from tests.app.api_server import team_server, token_client, upload_at_once
 

@@ -23,7 +23,7 @@ from app.server.part_tasks import parts_of
 from app.server.validating import UnseenWarningsError
 from model.core.articulated_object import Prediction
 from model.core.errors import CommandError
-from model.core.resources import static_assets
+from model.core.files import static_assets
 from model.core.tree import KinematicTree
 from model.physics.collision import build
 from model.validation.report import Severity

@@ -23,7 +23,7 @@ from playwright.sync_api import sync_playwright
 from app.cli.serve import start_server
 from app.server.config import ServeConfig
 from app.server.prompt_file import read_prompts
-from model.core.resources import static_assets
+from model.core.files import static_assets
 from sessions import commands as cmd
 from sessions.store import Store
 from tests.accepted import BEGIN, accept, cupboard

@@ -78,7 +78,7 @@ def test_one_key_levels_and_cleans_a_raw_scan(start: Any, open_tab: Any, tmp_pat
 
 
 def test_an_upright_clean_object_is_not_asked_about(start: Any, open_tab: Any) -> None:
-    from model.core.resources import static_assets
+    from model.core.files import static_assets
 
     tab = open_tab(start(static_assets() / "examples" / "oven_scan.ply"))
     proposed(tab)

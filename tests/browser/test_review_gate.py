@@ -17,7 +17,7 @@ from app.viewer.input import decision_guard
 from app.viewer.words.common import TOO_FAST
 from app.viewer.words.review import FIXES
 from model.core.articulated_object import Prediction
-from model.core.resources import static_assets
+from model.core.files import static_assets
 from model.core.tree import KinematicTree
 from model.validation.report import Severity
 from sessions import commands as cmd

@@ -29,9 +29,8 @@ from app.viewer.words.annotate import PART_NAME
 from app.viewer.words.common import OTHER
 from model.core.articulated_object import ArticulatedObject
 from model.core.asset import Asset
-from model.core.mesh import Material, Mesh
-from model.core.point_cloud import PointCloud
-from model.core.resources import static_assets
+from model.core.files import static_assets
+from model.core.geometry import Material, Mesh, PointCloud
 from model.data.bundled import Bundled
 from model.data.partnet_mobility import PartNetMobility
 from model.data.protocol import Dataset
@@ -46,7 +45,7 @@ from model.evaluation.segmentation.visible_clicks import (
     picture_from,
 )
 from model.geometry.sampling import sample_surface
-from model.io.write.meshes import write_cloud, write_mesh
+from model.io.write import write_cloud, write_mesh
 from tests.browser.browsing import (
     CHROMIUM_FLAGS,
     COARSE,

@@ -39,11 +39,10 @@ from app.server.job import Job
 from app.server.prompt_file import PromptFile, read_prompts
 from model.core import codec
 from model.core.articulated_object import ArticulatedObject, Part
-from model.io.assets.reader import load_object, read_provenance
-from model.io.assets.reload import reload_check
-from model.io.declared_physics_file import load_declared
+from model.io.assets.reader import load_object, read_provenance, reload_check
 from model.io.export.manifest import declared_category
 from model.io.open_asset import open_asset, read_part_files
+from model.io.urdf.model import load_declared
 from model.scenes.registry import read_scene
 from model.scenes.scene import Scene
 from model.segmentation.prompts import Click

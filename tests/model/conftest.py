@@ -7,10 +7,8 @@ import pytest
 import trimesh
 from PIL import Image
 
-from model.core.mesh import Material, Mesh
-from model.core.point_cloud import PointCloud
-from model.core.surface_maps import ImageFile, SurfaceMaps
-from model.core.textures import encode
+from model.core.geometry import Material, Mesh, PointCloud
+from model.core.textures import ImageFile, SurfaceMaps, encode
 from model.segmentation.default import DefaultSegmenter, DefaultSession
 from tests.builders import Labelled, cabinet_cloud, cabinet_mesh
 

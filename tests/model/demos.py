@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from model.core.articulated_object import ArticulatedObject
-from model.core.resources import static_assets
+from model.core.files import static_assets
 from model.data.bundled import Bundled
 from model.io.open_asset import open_asset
 from model.segmentation.default import DefaultSegmenter, DefaultSession

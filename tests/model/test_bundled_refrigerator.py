@@ -8,8 +8,8 @@ from functools import cache
 import pytest
 
 from model.core.articulated_object import Part, SegmentedObject
-from model.core.resources import static_assets
-from model.geometry.parts import split
+from model.core.files import static_assets
+from model.geometry.splitting import split
 from model.io.open_asset import open_asset
 from model.prediction.registry import load_predictor
 from model.segmentation.prompts import Click, Prompts

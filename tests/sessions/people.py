@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from argon2 import PasswordHasher
 
-from sessions import passwords
+from sessions import accounts
 from sessions.store import Store
 
 PASSWORD = "correct horse battery"
@@ -12,7 +12,7 @@ PASSWORD = "correct horse battery"
 
 def add_people(store: Store) -> None:
     """Add ann (annotator), bob (annotator), rob (reviewer) and mia (manager)."""
-    passwords.hasher = PasswordHasher(time_cost=1, memory_cost=64, parallelism=1)
+    accounts.hasher = PasswordHasher(time_cost=1, memory_cost=64, parallelism=1)
     for name, role in (
         ("mia", "manager"), ("ann", "annotator"), ("bob", "annotator"), ("rob", "reviewer"),
     ):  # fmt: skip

@@ -10,9 +10,9 @@ from argon2 import PasswordHasher
 
 from model.core.errors import CommandError, ConfigurationError
 from model.segmentation.prompts import Click
+from sessions import accounts
 from sessions import accounts as accounts_module
 from sessions import credentials as credentials_module
-from sessions import passwords
 from sessions.commands import AddClick, Reject, Reopen
 from sessions.live import LiveSession
 from sessions.store import Store
@@ -64,7 +64,7 @@ def test_passwords_are_stored_as_argon2_hashes_only(people, store):
     (stored,) = database.execute("SELECT password FROM accounts WHERE name='ann'").fetchone()
     database.close()
     assert stored.startswith("$argon2id$")
-    assert passwords.hasher.time_cost < PasswordHasher().time_cost, "tests hash cheaply"
+    assert accounts.hasher.time_cost < PasswordHasher().time_cost, "tests hash cheaply"
 
 
 @pytest.mark.parametrize("name", ["ann", "nobody at all", "gone", "invited"])
@@ -79,11 +79,11 @@ def test_a_wrong_login_does_the_same_work_for_every_name(people, monkeypatch, na
             done.append(hash.split("$")[1:4])
             return super().verify(hash, password)
 
-    monkeypatch.setattr(passwords, "hasher", Counting(1, 64, 1))
-    passwords.dummy_hash.cache_clear()
+    monkeypatch.setattr(accounts, "hasher", Counting(1, 64, 1))
+    accounts.dummy_hash.cache_clear()
     assert people.accounts.check(name, "a wrong password") is None
     assert done == [["argon2id", "v=19", "m=64,t=1,p=1"]]
-    passwords.dummy_hash.cache_clear()
+    accounts.dummy_hash.cache_clear()
 
 
 def test_a_disabled_account_has_no_way_in(people):

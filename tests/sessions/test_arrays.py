@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from model.core.errors import StoreError
-from sessions.arrays import MAGIC, ArrayFiles
+from sessions.storage import MAGIC, ArrayFiles
 
 dtypes = st.sampled_from(
     [np.int8, np.int16, np.int32, np.int64, np.uint8, np.uint64, np.float32, np.float64, np.bool_]

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from sessions import commands as cmd
 from sessions.command_log import read_work
-from sessions.project import DAYS, overview
+from sessions.statistics import DAYS, overview
 from sessions.store import Store
 from tests.accepted import BEGIN, accept, cupboard
 

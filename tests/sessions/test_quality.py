@@ -17,13 +17,21 @@ from app.server.server import queue_routes
 from model.core.errors import StoreError
 from model.io.assets.asset_folder import write_asset
 from model.io.assets.reader import load_object
-from model.io.find_assets import asset_name
+from model.io.model_files import asset_name
 from model.io.open_asset import open_asset
-from sessions.agreements import pairs_of, summaries, week_of
 from sessions.command_log import open_database, read_work
 from sessions.database import Database
-from sessions.quality import choose, daily_sample, next_name, plant, seconds_in
-from sessions.releases.contents import accepted_assets
+from sessions.quality import (
+    choose,
+    daily_sample,
+    next_name,
+    pairs_of,
+    plant,
+    seconds_in,
+    summaries,
+    week_of,
+)
+from sessions.releases import accepted_assets
 from sessions.statistics import acts_of
 from sessions.store import Store
 from tests.accepted import accept, cupboard

@@ -17,10 +17,15 @@ import yaml
 
 from model.core.errors import ConfigurationError, InputFileError
 from model.io.assets.reader import load_object
-from sessions.releases.contents import Release, accepted_assets
-from sessions.releases.forms import FORMS
-from sessions.releases.reading import check_release, import_release, is_inside, read_release
-from sessions.releases.writing import write_release
+from sessions.project_settings import FORMS
+from sessions.release_files import (
+    check_release,
+    import_release,
+    is_inside,
+    read_release,
+    write_release,
+)
+from sessions.releases import Release, accepted_assets
 from sessions.store import Store
 from tests.accepted import accept, cupboard
 

@@ -14,8 +14,7 @@ from model.core.articulated_object import Prediction
 from model.core.tree import KinematicTree
 from model.segmentation.prompts import Click
 from sessions import commands as cmd
-from sessions.command_log import WorkLog, read_work
-from sessions.job_log import BULK, FILE, TimedJob, counts, record_job
+from sessions.command_log import BULK, FILE, TimedJob, WorkLog, counts, read_work, record_job
 from sessions.statistics import PAUSE, STEPS, acts_of, csv_text, figures_of, grouped, rows_of
 from sessions.store import Store
 

@@ -9,7 +9,7 @@ import pytest
 
 from model.core.errors import CommandError, ConfigurationError
 from model.segmentation.prompts import Click
-from sessions import work as work_module
+from sessions import people as work_module
 from sessions.commands import AddClick, RecordPrediction, RecordSegmentation, Reject, Submit, Undo
 from sessions.live import LiveSession
 from sessions.review import NotPermittedError

@@ -26,7 +26,7 @@ from app.cli.benchmarks.ui import SimulatedBrowser, cabinet_cloud, drawer_ray, w
 from app.cli.serve import start_server
 from app.server.config import ServeConfig
 from model.core.progress import Progress
-from model.io.write.meshes import write_cloud
+from model.io.write import write_cloud
 
 PEOPLE, POINTS = 6, 50_000
 """Six scans of so many points stay encoded together."""

@@ -19,9 +19,8 @@ import numpy as np
 from PIL import Image
 
 from app.cli.benchmarks.shapes import grid_box
-from model.core.mesh import Material, Mesh
-from model.core.point_cloud import PointCloud
-from model.io.write.meshes import write_cloud, write_mesh
+from model.core.geometry import Material, Mesh, PointCloud
+from model.io.write import write_cloud, write_mesh
 
 URDF = """<robot name="r"><material name="red"><color rgba="1 0 0 1"/></material>
 <link name="body"><inertial><origin xyz="0 0 0.1" rpy="0 0 0"/><mass value="2"/><inertia ixx="1"

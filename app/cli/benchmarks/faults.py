@@ -24,7 +24,7 @@ from app.server.uploads import keep_upload
 from model.core.errors import ArtiworldError
 from model.core.memory import limit_process
 from model.core.progress import Progress
-from model.io.find_assets import find_assets
+from model.io.model_files import find_assets
 from model.io.open_asset import open_asset
 from model.scenes.embedded import unpack
 from model.scenes.registry import read_scene

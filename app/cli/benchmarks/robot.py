@@ -10,7 +10,7 @@ from app.cli.output import check_output
 from app.cli.printing import Result, print_records
 from app.cli.research_commands import BenchCommand
 from model.core.errors import ConfigurationError
-from model.core.installing import require
+from model.core.packages import require
 from model.core.progress import Progress, scaled_progress
 from model.evaluation.robot import folder_runs, open_scene, run, to_json
 

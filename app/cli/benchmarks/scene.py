@@ -23,9 +23,9 @@ from app.cli.printing import Result, console, table_of
 from app.cli.research_commands import BenchCommand
 from app.cli.serve import start_server
 from app.server.config import ServeConfig
-from model.core.mesh import Mesh
+from model.core.geometry import Mesh
 from model.core.progress import Progress
-from model.io.write.meshes import write_mesh
+from model.io.write import write_mesh
 
 FACES = 2000
 """Triangles of each block, and of each cabinet."""

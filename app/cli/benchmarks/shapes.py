@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from model.core.articulated_object import Part, SegmentedObject
-from model.core.mesh import Mesh
+from model.core.geometry import Mesh
 
 Array = npt.NDArray[np.float64]
 

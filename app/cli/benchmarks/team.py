@@ -27,7 +27,7 @@ from app.cli.research_commands import BenchCommand
 from app.client import ApiError, Client
 from app.server.network import free_port
 from model.core.progress import Progress
-from model.io.write.meshes import write_cloud
+from model.io.write import write_cloud
 from sessions.store import Store
 
 POINTS = 20_000

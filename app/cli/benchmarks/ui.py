@@ -27,12 +27,11 @@ from app.cli.printing import Result, console, table_of
 from app.cli.research_commands import BenchCommand
 from app.cli.serve import start_server
 from app.server.config import ServeConfig
+from model.core.geometry import Mesh, PointCloud
 from model.core.joint import Joint
-from model.core.mesh import Mesh
-from model.core.point_cloud import PointCloud
 from model.core.progress import Progress
 from model.core.tree import KinematicTree
-from model.io.write.meshes import write_cloud, write_mesh
+from model.io.write import write_cloud, write_mesh
 
 WAIT_SECONDS = 300.0
 HEARTBEAT = 0.002

@@ -16,8 +16,8 @@ from app.server.open_object import OpenObject
 from model.core import codec
 from sessions.commands import Command
 from sessions.credentials import Person
+from sessions.database import ObjectRecord
 from sessions.document import Document
-from sessions.records import ObjectRecord
 from sessions.state import SessionState, needed_jobs
 
 router = APIRouter(tags=["objects"])

@@ -13,7 +13,7 @@ from app.server.network import url
 from app.server.oidc import OidcLogin
 from app.server.shared_port import API
 from model.core.errors import ConfigurationError
-from sessions.identities import LOGIN_SECONDS
+from sessions.credentials import LOGIN_SECONDS
 
 router = APIRouter(tags=["login"])
 _CALLBACK = f"{API}/oidc/callback"

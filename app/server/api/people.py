@@ -9,7 +9,7 @@ from fastapi import APIRouter, HTTPException, Query, Request
 from pydantic import BaseModel, Field
 
 from app.server.api.guard import Manager, State, Visitor
-from sessions.audit import MOST_EVENTS
+from sessions.account_tables import MOST_EVENTS
 from sessions.credentials import TOKEN_DAYS
 from sessions.review import Role
 

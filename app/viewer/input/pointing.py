@@ -31,8 +31,7 @@ from app.viewer.words import joints as joint_words
 from app.viewer.words import prepare as prepare_words
 from app.viewer.words.common import NO_JOINTS
 from app.viewer.words.review import HINT_PIN
-from model.geometry.picking import Camera
-from model.geometry.strokes import Stroke
+from model.geometry.picking import Camera, Stroke
 from model.segmentation.prompts import Click
 from sessions import commands as cmd
 

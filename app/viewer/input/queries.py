@@ -16,11 +16,10 @@ from app.server.lanes import Lane
 from app.server.segmenting import stored_prompts
 from app.viewer.tab import Tab
 from app.viewer.words import annotate as words
-from model.geometry.picking import Camera
-from model.geometry.strokes import Stroke
+from model.geometry.picking import Camera, Stroke
 from model.segmentation.prompts import Click
+from sessions.command_log import PICK
 from sessions.document import Document
-from sessions.job_log import PICK
 
 Point = tuple[float, float, float]
 Selected = Callable[[str, int], None]

@@ -13,8 +13,8 @@ from app.viewer.tab import Tab
 from app.viewer.words import annotate as words
 from model.core.motion_lexicon import CATEGORY_ALIASES
 from model.scenes.finders import read_lexicon
+from sessions.database import ObjectRecord
 from sessions.project_settings import Project
-from sessions.records import ObjectRecord
 
 _LISTED: Final = {c.lower(): c for c in CATEGORIES}
 _KINDS: Final = {

@@ -22,9 +22,8 @@ from app.viewer.words import common
 from app.viewer.words import project as words
 from app.viewer.words.queue import STATE_ORDER
 from model.prediction.experience import in_use, record_of
-from sessions.project import Overview, read_overview
 from sessions.review import ROLES, NotPermittedError
-from sessions.statistics import csv_text, duration
+from sessions.statistics import Overview, csv_text, duration, read_overview
 
 _SECONDS = 60.0
 """Longest reading of the log."""

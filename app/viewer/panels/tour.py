@@ -10,7 +10,7 @@ from app.viewer.panels.markup import Place, Presses, button
 from app.viewer.picture.motion import Motion
 from app.viewer.tab import Tab
 from app.viewer.words import tour as words
-from model.core.resources import static_assets
+from model.core.files import static_assets
 
 _LAST = len(words.STEPS) - 1
 

@@ -19,9 +19,9 @@ from app.server.scene_rows import Work
 from app.server.scene_shapes import Shape
 from app.viewer.picture import palette
 from app.viewer.picture.scene_rays import hit_distance, meets_boxes, nearly_hit, within_tolerance
-from model.core.mesh import Material, Mesh
+from model.core.geometry import Material, Mesh
 from model.geometry.picking import TOLERANCE
-from model.io.write.glb import mesh_to_glb
+from model.io.write import mesh_to_glb
 
 GHOST_OPACITY = 0.14
 TINT = 0.6

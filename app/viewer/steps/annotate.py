@@ -27,9 +27,9 @@ from app.viewer.words import annotate as words
 from app.viewer.words.prepare import PREPARE
 from model.segmentation.prompts import BASE, Click
 from sessions import commands as cmd
+from sessions.database import ObjectRecord
 from sessions.document import Document
 from sessions.project_settings import Project
-from sessions.records import ObjectRecord
 
 
 class AnnotateStep:

@@ -28,9 +28,9 @@ from app.viewer.words.common import NONE, PLAY_ONE
 from model.core.joint import Joint
 from model.core.tree import KinematicTree
 from sessions import commands as cmd
+from sessions.database import ObjectRecord
 from sessions.document import Document, PartInfo
 from sessions.project_settings import Project
-from sessions.records import ObjectRecord
 
 
 class JointsStep:

@@ -13,8 +13,8 @@ import numpy.typing as npt
 
 from model.core.articulated_object import ArticulatedObject, Part
 from model.core.errors import ConfigurationError
+from model.core.geometry import PointCloud
 from model.core.joint import Joint
-from model.core.point_cloud import PointCloud
 from model.core.tree import KinematicTree
 from model.data.procedural.grammar import ProceduralObject, transformed
 from model.data.procedural.shapes import rotation

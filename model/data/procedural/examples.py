@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from model.core.articulated_object import ArticulatedObject
-from model.core.mesh import Mesh
+from model.core.geometry import Mesh
 from model.data.procedural.families import (
     cooling,
     decor,
@@ -36,8 +36,7 @@ from model.data.procedural.modules import Opening
 from model.data.simulated.depth_camera import ScanSettings, View, simulate_scan, visible_elements
 from model.geometry.sampling import sample_surface
 from model.io.open_asset import open_asset
-from model.io.write.glb import mesh_to_glb
-from model.io.write.meshes import write_cloud
+from model.io.write import mesh_to_glb, write_cloud
 from model.segmentation.prompts import Click, Prompts
 from model.segmentation.registry import load_segmenter
 from model.segmentation.simulated_clicks import next_part_click

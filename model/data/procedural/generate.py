@@ -19,14 +19,14 @@ import numpy as np
 import numpy.typing as npt
 
 from model.core.errors import ConfigurationError
+from model.core.geometry import Mesh
 from model.core.joint import Joint
-from model.core.mesh import Mesh
 from model.core.progress import Progress, no_progress
 from model.core.tree import KinematicTree
 from model.data.procedural.composite import random_composite
 from model.data.procedural.families import FAMILIES, Family
 from model.data.procedural.grammar import ProceduralObject
-from model.io.write.meshes import write_mesh
+from model.io.write import write_mesh
 
 OBJ_FROM_OBJECT = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 """From our frame (+z up, front -y) to the OBJ files' (+y up, front +z)."""

@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from model.core.articulated_object import ArticulatedObject, Part
+from model.core.geometry import Material, Mesh
 from model.core.joint import Joint, JointType, canonical_axis_sign
-from model.core.mesh import Material, Mesh
 from model.core.tree import KinematicTree
 from model.data.procedural.materials import Surface
 from model.data.procedural.shapes import Solid, Vector

@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from model.core.mesh import Material
+from model.core.geometry import Material
 from model.data.procedural import textures
 
 RGB = tuple[int, int, int]

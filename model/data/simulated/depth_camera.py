@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from model.core.articulated_object import ArticulatedObject, SegmentedObject
 from model.core.errors import ConfigurationError
-from model.core.point_cloud import PointCloud
+from model.core.geometry import PointCloud
 from model.geometry.casting import Caster, Hits, camera_rays, daylight
 
 Array = npt.NDArray[np.float64]

@@ -13,11 +13,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from model.core.mesh import Material, Mesh
+from model.core.geometry import Material, Mesh
 from model.data.simulated.primitives import Triangles, block, lathe
 from model.data.simulated.scans import Shape
-from model.geometry.appearance import colors_at
 from model.geometry.casting import Caster
+from model.geometry.sampling import colors_at
 
 Float = npt.NDArray[np.float64]
 

@@ -18,8 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from model.core.articulated_object import ArticulatedObject, SegmentedObject
 from model.core.errors import ConfigurationError
-from model.core.mesh import Material, Mesh
-from model.core.point_cloud import PointCloud
+from model.core.geometry import Material, Mesh, PointCloud
 from model.data.simulated.depth_camera import View, flying_pixels, look_from
 from model.geometry.casting import Caster, daylight
 from model.geometry.cleaning import CLUTTER, OBJECT, OUTLIER, SUPPORT

@@ -12,8 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from model.core.asset import Asset
-from model.core.mesh import Material, Mesh
-from model.core.point_cloud import PointCloud
+from model.core.geometry import Material, Mesh, PointCloud
 from model.data.simulated.primitives import AXES, block, turned
 from model.data.simulated.scans import HELD_OUT, LabelledCloud, family_shape
 from model.geometry.casting import Caster

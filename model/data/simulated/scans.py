@@ -13,8 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from model.core.articulated_object import ArticulatedObject
-from model.core.mesh import Material, Mesh
-from model.core.point_cloud import PointCloud
+from model.core.geometry import Material, Mesh, PointCloud
 from model.data.procedural.examples import joined
 from model.data.procedural.families import HELD_OUT
 from model.data.procedural.generate import family_names, make

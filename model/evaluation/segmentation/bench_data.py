@@ -12,8 +12,7 @@ import numpy as np
 from model.core.articulated_object import ArticulatedObject
 from model.core.asset import Asset
 from model.core.errors import ArtiworldError, InputFileError
-from model.core.mesh import Mesh
-from model.core.point_cloud import PointCloud
+from model.core.geometry import Mesh, PointCloud
 from model.data.partnet_mobility import PartNetMobility
 from model.data.protocol import Dataset
 from model.data.simulated.depth_camera import ScanSettings, simulate_scan

@@ -15,7 +15,7 @@ from scipy.ndimage import distance_transform_edt, label
 from scipy.spatial import KDTree
 
 from model.core.asset import Asset
-from model.core.mesh import Mesh
+from model.core.geometry import Mesh
 from model.geometry.casting import Caster, camera_rays, look_at
 from model.segmentation.arrays import Bool, Float, Float64, Int64, Labels
 from model.segmentation.prompts import BASE, Click, Prompts

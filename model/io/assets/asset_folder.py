@@ -44,9 +44,10 @@ from model.core.articulated_object import ArticulatedObject, remarks_of
 from model.core.asset import Asset
 from model.core.errors import GeometryError, InputFileError
 from model.core.files import draft_of, file_sha256, written_to
-from model.core.installing import installed_versions
+from model.core.packages import installed_versions
 from model.core.progress import Progress, no_progress
 from model.io.assets.reader import (
+    AREA_TOLERANCE,
     COMPLETED,
     DECLARED,
     FORMAT,
@@ -57,8 +58,8 @@ from model.io.assets.reader import (
     load_object,
     read_provenance,
     recover,
+    reload_check,
 )
-from model.io.assets.reload import AREA_TOLERANCE, reload_check
 from model.io.export.part_files import PartFile, write_parts
 from model.io.export.urdf import write_urdf_of
 from model.io.file_names import FileNames

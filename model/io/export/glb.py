@@ -18,8 +18,7 @@ from model.core.articulated_object import ArticulatedObject
 from model.core.joint import Joint
 from model.core.progress import Progress, no_progress
 from model.io.urdf.writer import link_origins
-from model.io.write.glb import GlbTree
-from model.io.write.meshes import mesh_to_glb
+from model.io.write import GlbTree, mesh_to_glb
 from model.physics.part_mesh import part_mesh
 from model.physics.simulation_values import Physics
 
@@ -47,7 +46,7 @@ class GlbExporter:
         physics: Physics | None = None,
         progress: Progress = no_progress,
     ) -> tuple[Path, ...]:
-        """See :class:`~model.io.export.protocol.Exporter`; glTF has no place for ``physics``."""
+        """See :class:`~model.io.export.registry.Exporter`; glTF has no place for ``physics``."""
         scene = _Scene(obj)
         for i, part in enumerate(obj.parts):
             progress(i / len(obj.parts), f"writing {part.link}")

@@ -9,7 +9,7 @@ from pathlib import Path, PurePath
 from typing import Any
 
 from model.core.files import file_sha256, write_json
-from model.core.installing import installed_versions
+from model.core.packages import installed_versions
 from model.io.assets.reader import PROVENANCE, read_provenance
 
 ABOUT = "artiworld.json"

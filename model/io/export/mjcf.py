@@ -16,24 +16,18 @@ from xml.etree import ElementTree as ET  # only writes; reading is defusedxml's
 import numpy as np
 import numpy.typing as npt
 
-from model.core.articulated_object import ArticulatedObject
-from model.core.inertial import Inertial
+from model.core.articulated_object import ArticulatedObject, Inertial
+from model.core.geometry import Material, Mesh, quaternion_wxyz
 from model.core.joint import JOINT_KINDS, Joint
-from model.core.mesh import Material, Mesh
 from model.core.progress import Progress, no_progress
-from model.core.rotations import quaternion_wxyz
 from model.core.shapes import Primitive
-from model.core.surface_maps import ImageFile, SurfaceMaps
-from model.core.textures import decode, encode
+from model.core.textures import ImageFile, SurfaceMaps, decode, encode, to_linear
 from model.core.tree import KinematicTree
 from model.io.assets.reader import MESHES
-from model.io.export.collision_files import write_collision
-from model.io.export.part_files import file_stems
-from model.io.formats.srgb import to_linear
-from model.io.mjcf.affordance_sites import write_sites
-from model.io.mjcf.source import PART_NAME
+from model.io.export.part_files import file_stems, write_collision
+from model.io.mjcf_source import PART_NAME, write_sites
 from model.io.urdf.writer import link_origins, number, vector, xml_name
-from model.io.write.meshes import write_mesh
+from model.io.write import write_mesh
 from model.physics.affordances import find_affordances
 from model.physics.part_mesh import part_mesh
 from model.physics.simulation_values import Physics, plain_physics
@@ -63,7 +57,7 @@ class MjcfExporter:
         physics: Physics | None = None,
         progress: Progress = no_progress,
     ) -> tuple[Path, ...]:
-        """See :class:`~model.io.export.protocol.Exporter`."""
+        """See :class:`~model.io.export.registry.Exporter`."""
         return _Writer(obj, folder, physics or plain_physics(obj)).write(progress)
 
 

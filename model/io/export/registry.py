@@ -1,18 +1,60 @@
-"""All export formats in one table: built-ins and plug-ins load the same way."""
+"""All export formats in one table, and the protocol that each fits.
+
+Built-ins and plug-ins load the same way.
+"""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Protocol, runtime_checkable
 
 from model.core.articulated_object import ArticulatedObject
 from model.core.files import written_to
+from model.core.packages import Registry
 from model.core.progress import Progress, no_progress
-from model.core.registry import Registry
 from model.io.assets.reader import load_object
 from model.io.export import mjcf, part_files, urdf
-from model.io.export.protocol import Exporter
 from model.physics.affordances import find_affordances
 from model.physics.simulation_values import Physics
+
+
+@runtime_checkable
+class Exporter(Protocol):
+    """An articulated object in, files in one folder out.
+
+    Attributes:
+        name: what ``--format`` takes.
+        description: one human-readable line.
+    """
+
+    name: str
+    description: str
+
+    def export(
+        self,
+        obj: ArticulatedObject,
+        folder: Path,
+        *,
+        physics: Physics | None = None,
+        progress: Progress = no_progress,
+    ) -> tuple[Path, ...]:
+        """Write ``obj`` into ``folder``, which exists.
+
+        Files of the same names are replaced. References between the files are relative.
+
+        Args:
+            physics: mass, collision shapes and joint dynamics; None leaves shapes and dynamics
+                out and takes plain masses.
+            progress: reports each part.
+
+        Returns:
+            The files, the one to open first.
+
+        Raises:
+            ArtiworldError: where the object can't be written in this format.
+        """
+        ...
+
 
 EXPORTERS = Registry[Exporter](
     "export format",
@@ -22,7 +64,7 @@ EXPORTERS = Registry[Exporter](
         "urdf": "model.io.export.urdf:UrdfExporter",
         "mjcf": "model.io.export.mjcf:MjcfExporter",
         "glb": "model.io.export.glb:GlbExporter",
-        "ros": "model.io.export.ros:RosExporter",
+        "ros": "model.io.export.urdf:RosExporter",
         "usd": "model.io.export.usd:UsdExporter",
         "sdf": "model.io.export.sdf:SdfExporter",
     },
@@ -55,7 +97,7 @@ def exporter_names() -> tuple[str, ...]:
 
 
 def load_exporter(name: str) -> Exporter:
-    """The exporter of a format; see :meth:`~model.core.registry.Registry.load`."""
+    """The exporter of a format; see :meth:`~model.core.packages.Registry.load`."""
     return EXPORTERS.load(name)
 
 

@@ -16,15 +16,13 @@ from xml.etree import ElementTree as ET  # only writes; reading is defusedxml's
 import numpy as np
 import numpy.typing as npt
 
-from model.core.articulated_object import ArticulatedObject
+from model.core.articulated_object import ArticulatedObject, Inertial
 from model.core.composite_joints import composite_of
-from model.core.inertial import Inertial
 from model.core.joint import Joint, Mimic
 from model.core.progress import Progress, no_progress
 from model.core.shapes import Primitive, Solid
 from model.core.tree import KinematicTree
-from model.io.export.collision_files import write_collision
-from model.io.export.part_files import write_parts
+from model.io.export.part_files import write_collision, write_parts
 from model.io.urdf.writer import (
     direct_mimics,
     link_origins,
@@ -83,7 +81,7 @@ class SdfExporter:
         physics: Physics | None = None,
         progress: Progress = no_progress,
     ) -> tuple[Path, ...]:
-        """See :class:`~model.io.export.protocol.Exporter`."""
+        """See :class:`~model.io.export.registry.Exporter`."""
         physics = physics or plain_physics(obj)
         parts = write_parts(obj, folder, clouds=False, progress=progress)
         shapes = write_collision(physics.collision, obj.parts, folder, capsules=True)

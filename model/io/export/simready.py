@@ -23,10 +23,9 @@ import numpy as np
 
 from model.core.articulated_object import ArticulatedObject
 from model.core.errors import ConfigurationError
-from model.core.files import read_json, write_json
-from model.core.installing import require
+from model.core.files import read_json, static_assets, write_json
+from model.core.packages import require
 from model.core.progress import Progress, no_progress
-from model.core.resources import static_assets
 from model.geometry.casting import render
 from model.io.export.usd import UsdExporter
 from model.physics.part_mesh import part_mesh
@@ -102,7 +101,7 @@ class SimReadyExporter:
         physics: Physics | None = None,
         progress: Progress = no_progress,
     ) -> tuple[Path, ...]:
-        """See :class:`~model.io.export.protocol.Exporter`."""
+        """See :class:`~model.io.export.registry.Exporter`."""
         physics = physics or plain_physics(obj)
         name = re.sub(r"\W+", "_", obj.name, flags=re.ASCII).strip("_").lower() or "object"
         inside = folder / name / "usd"

@@ -18,22 +18,18 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from model.core.affordance import Affordance
-from model.core.articulated_object import ArticulatedObject
+from model.core.articulated_object import Affordance, ArticulatedObject, Inertial
 from model.core.files import free_name
-from model.core.inertial import Inertial
-from model.core.installing import require
+from model.core.geometry import Material, Mesh, quaternion_wxyz
 from model.core.joint import JOINT_KINDS, Joint, Mimic
-from model.core.mesh import Material, Mesh
+from model.core.packages import require
 from model.core.progress import Progress, no_progress
-from model.core.rotations import quaternion_wxyz
 from model.core.shapes import Primitive, Shape
-from model.core.surface_maps import ImageFile, SurfaceMaps
-from model.core.textures import encode
-from model.geometry.shading import corner_normals
+from model.core.textures import ImageFile, SurfaceMaps, encode
+from model.geometry.normals import corner_normals
 from model.io.urdf.writer import direct_mimics, link_origins, rounded
 from model.physics.affordances import find_affordances
-from model.physics.materials import read_materials
+from model.physics.inertia import read_materials
 from model.physics.part_mesh import part_mesh
 from model.physics.simulation_values import Physics, plain_physics
 
@@ -80,7 +76,7 @@ class UsdExporter:
         physics: Physics | None = None,
         progress: Progress = no_progress,
     ) -> tuple[Path, ...]:
-        """See :class:`~model.io.export.protocol.Exporter`."""
+        """See :class:`~model.io.export.registry.Exporter`."""
         return _Writer(obj, folder / self.file, physics or plain_physics(obj)).write(progress)
 
 

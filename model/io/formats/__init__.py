@@ -1,1 +1,1 @@
-"""One module a file format: bytes in, :class:`~model.io.formats.loaded.Loaded` out."""
+"""Readers of file formats: bytes in, :class:`~model.io.formats.loaded.Loaded` out."""

@@ -11,9 +11,8 @@ from typing import Any
 import numpy as np
 
 from model.core.errors import InputFileError
-from model.core.installing import require
-from model.core.mesh import Material
-from model.core.rotations import affine
+from model.core.geometry import Material, affine
+from model.core.packages import require
 from model.io.formats.loaded import DEFAULT_MAX_BYTES, Loaded, check_indices, join, read_bytes
 
 _WORLD_FROM_UP = {

@@ -12,9 +12,8 @@ from typing import Any
 import numpy as np
 
 from model.core.errors import InputFileError
-from model.core.textures import left_out
-from model.io.formats.gltf_buffers import MAX_VALUES, Array, GltfBuffers, Json
-from model.io.formats.gltf_materials import GltfMaterials, as_dict
+from model.core.textures import left_out, to_srgb
+from model.io.formats.gltf_data import MAX_VALUES, Array, GltfBuffers, GltfMaterials, Json, as_dict
 from model.io.formats.loaded import (
     DEFAULT_MAX_BYTES,
     Loaded,
@@ -23,7 +22,6 @@ from model.io.formats.loaded import (
     read_bytes,
     with_plain_colors,
 )
-from model.io.formats.srgb import to_srgb
 
 _UNREADABLE = {
     "KHR_draco_mesh_compression": "Draco compression",

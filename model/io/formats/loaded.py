@@ -1,7 +1,11 @@
-"""The result of a format's reader, and how several are joined."""
+"""The result of a format's reader, how several are joined, and files that a file names.
+
+Files that a file names may not leave its folder.
+"""
 
 from __future__ import annotations
 
+import re
 import stat
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -12,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from model.core.errors import InputFileError
-from model.core.mesh import Material
+from model.core.geometry import Material
 
 DEFAULT_MAX_BYTES = 4 << 30
 WHITE = (255, 255, 255, 255)
@@ -134,7 +138,7 @@ def _base_colors(piece: Loaded) -> Array:
 def with_plain_colors(loaded: Loaded) -> Loaded:
     """Multiply vertex colours by the base colours of their materials.
 
-    :class:`~model.core.mesh.Mesh` lets vertex colours replace the base colour, so vertices
+    :class:`~model.core.geometry.Mesh` lets vertex colours replace the base colour, so vertices
     that had none take the base colour of their material.
     """
     if loaded.colors is None or not len(loaded.faces) or not loaded.materials:
@@ -263,3 +267,37 @@ def _is_number(token: str) -> bool:
     except ValueError:
         return False
     return True
+
+
+_DRIVE = re.compile(r"^[A-Za-z]:")
+_SCHEME = re.compile(r"^[A-Za-z][A-Za-z0-9+.-]*:")
+
+
+class ReferenceRefused(ValueError):
+    """A reference that leaves its folder. The message says which and why."""
+
+
+def resolve(reference: str, folder: Path, root: Path) -> Path:
+    """The file that ``reference`` names, seen from ``folder``, inside ``root``.
+
+    Symbolic links are followed first, so that one can't lead outside.
+
+    Raises:
+        ReferenceRefused: for absolute paths, addresses, and whatever ends outside ``root``.
+    """
+    text = reference.strip().strip('"').replace("\\", "/")
+    shown = repr(reference[:120])
+    if not text or "\0" in text:
+        raise ReferenceRefused(f"{shown} is no file name")
+    if text.startswith(("/", "~")) or _DRIVE.match(text):
+        raise ReferenceRefused(f"{shown} is an absolute path; only files of the folder are read")
+    if _SCHEME.match(text):
+        raise ReferenceRefused(f"{shown} is an address; only files of the folder are read")
+    try:
+        target = (folder / text).resolve()
+        inside = target.is_relative_to(root.resolve())
+    except (OSError, RuntimeError, ValueError) as error:
+        raise ReferenceRefused(f"{shown} can't be followed: {error}") from None
+    if not inside:
+        raise ReferenceRefused(f"{shown} leads outside the folder {root.name or str(root)!r}")
+    return target

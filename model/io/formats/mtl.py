@@ -19,12 +19,18 @@ import numpy.typing as npt
 from PIL import Image
 
 from model.core.errors import InputFileError
-from model.core.mesh import Material
-from model.core.surface_maps import ImageFile, SurfaceMaps, holds_normals, open_image_file
-from model.core.textures import TextureError, left_out, open_texture
-from model.io.formats.loaded import WHITE, read_bytes
-from model.io.formats.references import ReferenceRefused, resolve
-from model.io.formats.srgb import to_linear
+from model.core.geometry import Material
+from model.core.textures import (
+    ImageFile,
+    SurfaceMaps,
+    TextureError,
+    holds_normals,
+    left_out,
+    open_image_file,
+    open_texture,
+    to_linear,
+)
+from model.io.formats.loaded import WHITE, ReferenceRefused, read_bytes, resolve
 
 _MAX_MTL = 64 << 20
 # Options of a map_* line and how many values each takes at most.

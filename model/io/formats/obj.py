@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from model.core.errors import InputFileError
-from model.core.mesh import Material
+from model.core.geometry import Material
 from model.io.formats.loaded import (
     DEFAULT_MAX_BYTES,
     Loaded,

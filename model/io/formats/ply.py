@@ -14,19 +14,20 @@ import numpy as np
 import numpy.typing as npt
 
 from model.core.errors import InputFileError
-from model.core.mesh import Material
+from model.core.geometry import Material
 from model.core.textures import TextureError, open_texture
 from model.io.formats.loaded import (
     DEFAULT_MAX_BYTES,
     GREY,
     WHITE,
     Loaded,
+    ReferenceRefused,
     check_indices,
     colors_from,
     read_bytes,
+    resolve,
 )
 from model.io.formats.ply_rows import Element, Property, Ragged, Table, read_ascii, read_binary
-from model.io.formats.references import ReferenceRefused, resolve
 from model.io.formats.triangulate import triangulate
 
 Array = npt.NDArray[Any]

@@ -20,8 +20,9 @@ import numpy.typing as npt
 from trimesh import creation
 
 from model.core.errors import InputFileError
-from model.core.installing import require
-from model.core.mesh import Material
+from model.core.geometry import Material
+from model.core.packages import require
+from model.core.textures import to_srgb
 from model.io.formats.loaded import (
     DEFAULT_MAX_BYTES,
     Loaded,
@@ -30,7 +31,6 @@ from model.io.formats.loaded import (
     join,
     size_of,
 )
-from model.io.formats.srgb import to_srgb
 from model.io.formats.triangulate import triangulate
 
 FloatArray = npt.NDArray[np.float64]

@@ -1,14 +1,34 @@
-"""Possible places of a URDF's files: its folder, or the ROS package around it."""
+"""Files of a URDF: where they may lie, and those that stand beside it or for it.
+
+They lie in its folder, or in the ROS package around it. Files beside it name its parts and its
+category.
+
+Articulate AnyMesh writes ``mobility.json`` beside ``mesh_parts/`` instead of a URDF: a list of
+``{id, parent, joint, name, jointData: {axis: {origin, direction}}}``, as its public code has it
+(``ArticulateAnymesh/joint_estimation.py``): ``parent`` is a part's name, None of ``base``,
+``joint`` a URDF's type. The frame is that of the meshes, ``mesh_parts/<name>.glb``. It tells no
+limits, so a range has to be set before such a joint moves.
+"""
 
 from __future__ import annotations
 
+import json
 import os
 import re
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 from xml.sax.saxutils import unescape
 
-from model.io.formats.references import ReferenceRefused, resolve
-from model.io.xml_file import MAX_BYTES
+import numpy as np
+
+from model.core.errors import InputFileError
+from model.core.files import read_json
+from model.io.formats.loaded import ReferenceRefused, read_bytes, resolve
+from model.io.robot_xml import MAX_BYTES
+
+if TYPE_CHECKING:
+    from xml.etree.ElementTree import Element
+
 
 URDF_SUFFIX = ".urdf"
 MOBILITY = "mobility.urdf"
@@ -109,3 +129,98 @@ def _by_its_end(text: str, folder: Path, root: Path) -> Path | None:
             if found.is_file():
                 return found
     return None
+
+
+DESCRIPTION = "object.json"
+
+
+def description_beside(path: Path) -> dict[str, Any]:
+    """The content of the ``object.json`` beside a URDF; empty without one.
+
+    Raises:
+        InputFileError: where it can't be read.
+    """
+    said = read_json_beside(path.parent / DESCRIPTION)
+    return said if isinstance(said, dict) else {}
+
+
+def partnet_category(folder: Path) -> str | None:
+    """The category in ``meta.json``."""
+    meta = read_json_beside(folder / "meta.json")
+    category = meta.get("model_cat") if isinstance(meta, dict) else None
+    return category if isinstance(category, str) else None
+
+
+def semantic_names(folder: Path) -> dict[str, str]:
+    """``link_k`` → part name, from semantics.txt, else from mobility_v2.json."""
+    path = folder / "semantics.txt"
+    if path.exists():
+        rows = [line.split() for line in path.read_text(encoding="utf-8").splitlines()]
+        return {r[0]: r[2] for r in rows if len(r) >= 3}
+    nodes = read_json_beside(folder / "mobility_v2.json")
+    if not isinstance(nodes, list):
+        return {}
+    return {f"link_{n['id']}": str(n["name"]) for n in nodes if "id" in n and n.get("name")}
+
+
+def read_json_beside(path: Path) -> object:
+    """The JSON value in a file; an empty object where the file is absent.
+
+    Raises:
+        InputFileError: where it is not JSON.
+    """
+    return read_json(path) if path.exists() else {}
+
+
+ANYMESH = "mobility.json"
+MESHES = "mesh_parts"
+_MOST_BYTES = 16 * 2**20
+
+
+def is_anymesh(path: Path) -> bool:
+    """True if ``path`` is such a file, by its name and the meshes beside it."""
+    return path.name == ANYMESH and path.is_file() and (path.parent / MESHES).is_dir()
+
+
+def robot_of(path: Path) -> Element:
+    """The same as a URDF's ``<robot>``.
+
+    Raises:
+        InputFileError: where it is no such list; what a URDF's reader checks is left to it.
+    """
+    from xml.etree import ElementTree as ET  # makes elements; nothing is parsed
+
+    try:
+        entries: Any = json.loads(read_bytes(path, _MOST_BYTES))
+        axes = {str(e["name"]): (e.get("jointData") or {}).get("axis") or {} for e in entries}
+        origins = {n: np.array(a.get("origin") or (0, 0, 0), float) for n, a in axes.items()}
+        ways = {n: " ".join(map(str, a["direction"])) for n, a in axes.items() if "direction" in a}
+        if any(o.shape != (3,) for o in origins.values()) or len(axes) < len(entries):
+            raise ValueError("each part needs a name of its own, an origin three numbers")
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+        raise InputFileError(
+            path, f"is no list of parts with name and jointData ({error!r})",
+            "give what Articulate AnyMesh wrote",
+        ) from None  # fmt: skip
+    robot = ET.Element("robot", name=path.absolute().parent.name)
+    for name, entry in zip(axes, entries, strict=True):
+        visual = ET.SubElement(ET.SubElement(robot, "link", name=name), "visual")
+        ET.SubElement(visual, "origin", xyz=_text(-origins[name]))
+        shape = ET.SubElement(visual, "geometry")
+        ET.SubElement(shape, "mesh", filename=f"{MESHES}/{name}.glb")
+        parent = entry.get("parent")
+        if parent is None:
+            continue
+        joint = ET.SubElement(robot, "joint", name=f"joint {name}", type=str(entry.get("joint")))
+        ET.SubElement(joint, "parent", link=str(parent))
+        ET.SubElement(joint, "child", link=name)
+        above = origins.get(str(parent), np.zeros(3))
+        ET.SubElement(joint, "origin", xyz=_text(origins[name] - above))
+        if name in ways:
+            ET.SubElement(joint, "axis", xyz=ways[name])
+        ET.SubElement(joint, "limit", effort="100", velocity="1")
+    return robot
+
+
+def _text(values: np.ndarray) -> str:
+    return " ".join(f"{v:.17g}" for v in values.tolist())

@@ -15,23 +15,17 @@ from scipy.spatial.transform import Rotation
 from model.core.articulated_object import ArticulatedObject
 from model.core.composite_joints import LIFT, Composite, composite_joints, free_helpers
 from model.core.errors import InputFileError, KinematicsError
+from model.core.geometry import Material, rotation_from_rpy
 from model.core.joint import JOINT_KINDS, JOINT_TYPES, Joint, JointType, Mimic
-from model.core.mesh import Material
 from model.core.progress import Progress, no_progress
-from model.core.rotations import rotation_from_rpy
 from model.core.textures import TextureError, open_texture
 from model.core.tree import KinematicTree, tree_problems
-from model.io.formats.loaded import WHITE
-from model.io.formats.references import ReferenceRefused
-from model.io.urdf.anymesh import ANYMESH, robot_of
-from model.io.urdf.collision import DeclaredCollision, repeats
-from model.io.urdf.declared_physics import read_declared_physics
-from model.io.urdf.files import package_root, resolve_mesh
-from model.io.urdf.model import UrdfModel, renamed_helpers
-from model.io.urdf.schema import URDF
+from model.io.formats.loaded import WHITE, ReferenceRefused
+from model.io.robot_xml import URDF, parse
+from model.io.urdf.files import ANYMESH, package_root, resolve_mesh, robot_of
+from model.io.urdf.meshes import DeclaredCollision, UrdfVisual, repeats
+from model.io.urdf.model import UrdfModel, read_declared_physics, renamed_helpers
 from model.io.urdf.sdf import SDF_SUFFIX, robot_of_sdf
-from model.io.urdf.visual import UrdfVisual
-from model.io.xml_file import parse
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element

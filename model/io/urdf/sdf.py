@@ -21,11 +21,10 @@ from scipy.spatial.transform import Rotation
 
 from model.core.composite_joints import Composite, composite_joints, free_helpers
 from model.core.errors import InputFileError, KinematicsError
+from model.core.geometry import affine, rotation_from_rpy, rpy_from_rotation
 from model.core.joint import JOINT_KINDS, Joint
-from model.core.rotations import affine, rotation_from_rpy, rpy_from_rotation
+from model.io.robot_xml import XmlSchema, parse
 from model.io.urdf.files import MODEL_URI, PACKAGE_URI
-from model.io.xml_file import parse
-from model.io.xml_schema import XmlSchema
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element

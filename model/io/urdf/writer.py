@@ -20,11 +20,10 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 import numpy.typing as npt
 
-from model.core.articulated_object import ArticulatedObject
+from model.core.articulated_object import ArticulatedObject, Inertial
 from model.core.errors import ArtiworldError, KinematicsError
-from model.core.inertial import Inertial
+from model.core.geometry import rpy_from_rotation
 from model.core.joint import EFFORT, VELOCITY, Joint, JointDynamics, Mimic
-from model.core.rotations import rpy_from_rotation
 from model.core.shapes import Primitive
 from model.core.tree import KinematicTree
 from model.io.urdf.reader import UrdfModel, UrdfVisual, read_urdf, read_urdf_model

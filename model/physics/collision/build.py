@@ -12,19 +12,15 @@ import numpy.typing as npt
 
 from model.core.articulated_object import ArticulatedObject, Part
 from model.core.errors import GeometryError
+from model.core.geometry import Mesh
 from model.core.joint import Joint
-from model.core.lru_cache import LruCache
-from model.core.mesh import Mesh
+from model.core.memory import LruCache
 from model.core.progress import Progress, no_progress
-from model.core.shapes import Hull, Primitive, Shape, hull_of_shape, simplified
+from model.core.shapes import Hull, Primitive, Shape, hull_of_shape, simplified, thick_hull
 from model.geometry.topology import same_points
 from model.kinematics.sweep import sweep_joint
-from model.physics.collision.coacd_process import coacd_hulls, coacd_installed
-from model.physics.collision.decomposition import decompose
-from model.physics.collision.dops import FaceExtents
-from model.physics.collision.fitting import primitive_of
-from model.physics.collision.hulls import thick_hull
-from model.physics.collision.merging import merge
+from model.physics.collision.convex_bodies import FaceExtents, Occupancy, occupancy, primitive_of
+from model.physics.collision.decomposition import coacd_hulls, coacd_installed, decompose, merge
 from model.physics.collision.narrow_phase import Bodies
 from model.physics.collision.overlap_resolution import (
     FreeRange,
@@ -32,7 +28,6 @@ from model.physics.collision.overlap_resolution import (
     resolve_overlaps,
 )
 from model.physics.collision.store import fingerprint, load_shapes, packed, save_shapes
-from model.physics.collision.voxels import Occupancy, occupancy
 from model.physics.part_mesh import part_mesh
 
 Method = Literal["hollow", "auto", "coacd", "hull"]

@@ -9,13 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from model.core.articulated_object import ArticulatedObject
-from model.core.shapes import Hull, hull_of_shape
+from model.core.shapes import Hull, hull_of_shape, thick_hull
 from model.physics.collision.build import Collision, covered, simplified_mesh
-from model.physics.collision.coacd_process import coacd_hulls
-from model.physics.collision.hulls import thick_hull
+from model.physics.collision.convex_bodies import occupancy
+from model.physics.collision.decomposition import coacd_hulls
 from model.physics.collision.narrow_phase import overlaps
 from model.physics.collision.overlap_resolution import moving_pairs, poses_over_range
-from model.physics.collision.voxels import occupancy
 from model.physics.part_mesh import part_mesh
 
 VOXELS = 200_000

@@ -20,12 +20,17 @@ import numpy as np
 import numpy.typing as npt
 
 from model.core.joint import Joint
-from model.core.shapes import Hull, simplified
+from model.core.shapes import Hull, clipped, simplified
 from model.core.tree import KinematicTree
-from model.kinematics.joint_path import joint_poses
-from model.physics.collision.hulls import clipped
-from model.physics.collision.narrow_phase import Bodies, BodyOverlap, PosePath, overlaps
-from model.physics.collision.overlap import Overlap, overlap
+from model.kinematics.sweep import joint_poses
+from model.physics.collision.narrow_phase import (
+    Bodies,
+    BodyOverlap,
+    Overlap,
+    PosePath,
+    overlap,
+    overlaps,
+)
 
 GAP = 2e-4
 """Gap between bodies after a cut, in the object's diagonal."""

@@ -17,7 +17,7 @@ import torch
 from scipy.special import softmax
 from torch import Tensor
 
-from model.core.threads import chosen_by_person
+from model.core.progress import chosen_by_person
 from model.prediction.arti4urdf import vocabulary as v
 from model.prediction.arti4urdf.grammar import Choice, Decision, Grammar, Lock, Token
 from model.prediction.arti4urdf.network import ArtiModel, Encoded, Prompt, token_tensors

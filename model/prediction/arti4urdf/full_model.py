@@ -21,12 +21,8 @@ from torch.nn import functional
 
 from model.core.checkpoints import strict_load
 from model.core.errors import ConfigurationError, InputFileError
-from model.core.installing import require
-from model.prediction.arti4urdf.checkpoints import (
-    from_config,
-    load_checkpoint,
-    save_checkpoint,
-)
+from model.core.packages import require
+from model.prediction.arti4urdf.checkpoints import from_config, load_checkpoint, save_checkpoint
 from model.prediction.arti4urdf.point_bert import (
     Groups,
     PointBert,

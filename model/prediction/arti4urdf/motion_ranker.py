@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from model.core.files import static_assets
 from model.core.joint import JOINT_KINDS
-from model.core.resources import static_assets
 from model.prediction.arti4urdf import vocabulary as v
 from model.prediction.arti4urdf.decoding import Answer
 from model.prediction.arti4urdf.grammar import Decision

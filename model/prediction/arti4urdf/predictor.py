@@ -35,12 +35,7 @@ from model.prediction.arti4urdf.weights import SHIPPED, load_weights
 from model.prediction.builder import PredictionBuilder, unknown_link
 from model.prediction.confidence import EXPERIENCE, Evidence, load_confidence
 from model.prediction.experience import FILE, Experience, Recalled, load_experience
-from model.prediction.explanation import (
-    COLLISION_FREE,
-    FREE_AXIS,
-    as_on,
-    explain,
-)
+from model.prediction.explanation import COLLISION_FREE, FREE_AXIS, as_on, explain
 from model.prediction.geometric.mechanisms import SWEPT_LIMITS
 from model.prediction.geometric.tree import rooted_tree
 

@@ -19,7 +19,7 @@ from model.core.articulated_object import SegmentedObject
 from model.core.joint import JOINT_KINDS
 from model.core.motion_lexicon import MECHANISMS as ALL_MECHANISMS
 from model.core.motion_lexicon import Mechanism
-from model.core.part_names import mechanism_of
+from model.core.names import mechanism_of
 from model.core.progress import Progress, no_progress
 from model.prediction.geometric.context import Assembly, PartContext
 from model.prediction.geometric.mechanisms import SWEPT_LIMITS, face_front, proposals_for

@@ -12,7 +12,7 @@ import torch
 from tokenizers import Tokenizer
 from torch import Tensor
 
-from model.core.installing import require
+from model.core.packages import require
 from model.core.progress import Progress, no_progress
 from model.prediction.arti4urdf.language_model import Decoder
 from model.prediction.arti4urdf.text_script import AnswerScript

@@ -10,7 +10,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from model.core.part_names import category_key, known_word, words
+from model.core.names import category_key, known_word, words
 from model.prediction.arti4urdf.structure import MECHANISMS, RANKS, SLOTS
 
 TYPES = ("revolute", "continuous", "prismatic", "screw", "fixed")

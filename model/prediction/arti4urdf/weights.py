@@ -10,7 +10,7 @@ from typing import Any
 
 from model.core.checkpoints import strict_load
 from model.core.errors import InputFileError
-from model.core.resources import static_assets
+from model.core.files import static_assets
 from model.prediction.arti4urdf import vocabulary
 from model.prediction.arti4urdf.checkpoints import from_config, load_checkpoint, save_checkpoint
 from model.prediction.arti4urdf.network import ArtiModel, ModelConfig

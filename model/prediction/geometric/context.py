@@ -10,7 +10,7 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from model.core.part_names import category_key, mechanism_of, words
+from model.core.names import category_key, mechanism_of, words
 from model.core.progress import attempt
 from model.prediction.geometric.proposal import UP, unit
 from model.prediction.geometric.sampled_object import CONTACT_GAP, SampledObject

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from model.core.motion_lexicon import Mechanism
-from model.kinematics.barrels import barrel_line
+from model.kinematics.snapping import barrel_line
 from model.prediction.explanation import Reason
 from model.prediction.geometric.context import PartContext
 from model.prediction.geometric.edge_limits import CATEGORY_OPENING, OPENING

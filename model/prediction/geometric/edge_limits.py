@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from model.core.joint import JOINT_KINDS
-from model.core.part_names import mechanism_of
+from model.core.names import mechanism_of
 from model.prediction.explanation import Reason
 from model.prediction.geometric.context import PartContext
 from model.prediction.geometric.proposal import JointProposal

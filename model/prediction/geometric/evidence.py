@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from model.core.motion_lexicon import MECHANISM_TABLE, Mechanism
-from model.core.part_names import mechanism_of
+from model.core.names import mechanism_of
 from model.prediction.geometric.context import PartContext
 from model.prediction.geometric.sampled_object import CONTACT_GAP
 

@@ -10,11 +10,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import softmax
 
-from model.core.files import read_json
+from model.core.files import read_json, static_assets
 from model.core.joint import JOINT_KINDS, Joint, JointType, canonical_axis_sign
 from model.core.motion_lexicon import Mechanism
-from model.core.part_names import known_word, words
-from model.core.resources import static_assets
+from model.core.names import known_word, words
 from model.prediction.explanation import Reason
 from model.prediction.geometric.sampled_object import SampledObject
 

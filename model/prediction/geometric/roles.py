@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import softmax
 
 from model.core.motion_lexicon import CATEGORY_MOTIONS, CATEGORY_WORDS, TURN_PREFIX, Mechanism
-from model.core.part_names import mechanism_of, mechanisms_of
+from model.core.names import mechanism_of, mechanisms_of
 from model.prediction.geometric.context import Assembly, PartContext
 from model.prediction.geometric.motion_scores import Scores, motion_scores, passes_sibling
 from model.prediction.geometric.part_features import PartFeatures, measure_features

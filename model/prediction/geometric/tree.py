@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from model.core.motion_lexicon import CATEGORY_PARENTS
-from model.core.part_names import base_score, category_key, known_word, mechanism_of, words
+from model.core.names import base_score, category_key, known_word, mechanism_of, words
 from model.core.progress import attempt
 from model.prediction.geometric.sampled_object import CONTACT_GAP, SampledObject
 from model.prediction.geometric.shape import blades, same_extents

@@ -24,10 +24,9 @@ import numpy.typing as npt
 from model.core import codec
 from model.core.articulated_object import Part, Prediction, SegmentedObject
 from model.core.errors import ArtiworldError, GeometryError
+from model.core.geometry import Material, Mesh, PointCloud
 from model.core.joint import Joint
-from model.core.mesh import Material, Mesh
-from model.core.point_cloud import PointCloud
-from model.geometry.appearance import vertex_colors
+from model.geometry.sampling import vertex_colors
 
 FORMAT = 1
 CONTENT_TYPE = "application/x-artiworld-parts"

@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 
 from model.core.errors import InputFileError
-from model.core.rotations import affine
+from model.core.geometry import affine
 from model.io.formats.gltf import Gltf, consistent, joined, node_matrix, open_gltf
 from model.io.formats.loaded import Loaded
 from model.io.geometry_files import turned_up
-from model.io.write.glb import packed
+from model.io.write import packed
 from model.scenes.readers.lisdf import readable
 from model.scenes.scene import FloatArray, Scene, SceneFrame, SceneObject, SceneObjectError
 from model.scenes.unpacking import Unpacked, Unpacker, placed_frame

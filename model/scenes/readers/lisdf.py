@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from model.core.errors import InputFileError
+from model.io.robot_xml import XmlSchema
 from model.io.urdf.sdf import pose_of
-from model.io.xml_schema import XmlSchema
 from model.scenes.scene import (
     FloatArray,
     Scene,

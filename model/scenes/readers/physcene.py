@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from model.core.errors import InputFileError
-from model.core.rotations import affine
+from model.core.geometry import affine
 from model.io.formats.loaded import DEFAULT_MAX_BYTES, Loaded, join
 from model.io.geometry_files import load_geometry, turned_up
 from model.scenes.poses import about_z, pose

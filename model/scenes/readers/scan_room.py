@@ -30,7 +30,7 @@ import numpy.typing as npt
 from model.core.errors import InputFileError
 from model.io.formats.loaded import Loaded
 from model.io.formats.ply import read_ply_columns
-from model.io.source_checks import MIN_POINTS
+from model.io.geometry_files import MIN_POINTS
 from model.scenes.poses import about_z, pose
 from model.scenes.scene import Scene, SceneObject, SceneObjectError, SceneProblem
 from model.scenes.unpacking import Unpacked, Unpacker

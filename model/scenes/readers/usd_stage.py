@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from model.core.errors import InputFileError
-from model.core.rotations import affine
+from model.core.geometry import affine
 from model.io.formats.loaded import Loaded
 from model.io.formats.usd import SHAPES, USD_SUFFIXES, UsdStage, sound_stage
 from model.scenes.readers.lisdf import readable

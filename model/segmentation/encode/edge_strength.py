@@ -9,7 +9,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from model.core.resources import static_assets
+from model.core.files import static_assets
 from model.segmentation.arrays import Float32
 from model.segmentation.encode.edge_features import FEATURE_NAMES, edge_features
 from model.segmentation.encode.graph import Graph

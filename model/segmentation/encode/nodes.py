@@ -14,11 +14,9 @@ from scipy.sparse import csr_matrix
 from scipy.spatial import KDTree
 
 from model.core.asset import Asset
-from model.core.mesh import Mesh
-from model.core.point_cloud import PointCloud
+from model.core.geometry import Mesh, PointCloud
+from model.geometry.cleaning import NOISY, denoised, noise_level, outlier_points
 from model.geometry.crop import ROOM_METRES
-from model.geometry.denoise import NOISY, denoised, noise_level
-from model.geometry.outliers import outlier_points
 from model.geometry.sampling import sample_surface
 from model.geometry.topology import coincident_faces, connected_shells
 from model.segmentation.arrays import Float32, Int, Int16, Int32, Int64, Uint8

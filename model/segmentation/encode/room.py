@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from model.core.asset import Asset
-from model.core.point_cloud import PointCloud
+from model.core.geometry import PointCloud
 from model.geometry.crop import ROOM_METRES, floor_and_walls, largest_component
 from model.segmentation.arrays import Bool, Float32
 from model.segmentation.encode.nodes import Nodes

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from model.core.mesh import Mesh
+from model.core.geometry import Mesh
 from model.geometry.topology import connected_shells
 from model.segmentation.arrays import Bool, Float, Float64, Int, Int32, Int64, Labels
 from model.segmentation.encode.graph import components

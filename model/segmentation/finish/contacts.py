@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from model.core.mesh import Mesh
+from model.core.geometry import Mesh
 from model.geometry.sampling import sample_surface
 from model.segmentation.arrays import Bool, Float32, Int, Int32, Int64
 

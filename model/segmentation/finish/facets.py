@@ -14,7 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
-from model.core.mesh import Mesh
+from model.core.geometry import Mesh
 from model.geometry.topology import face_adjacency
 from model.segmentation.arrays import Bool, Float64, Int, Int32, Int64, Labels
 from model.segmentation.encode.graph import components

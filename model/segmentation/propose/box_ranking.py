@@ -14,7 +14,7 @@ from operator import attrgetter
 import numpy as np
 from cachetools import LRUCache, cachedmethod
 
-from model.core.resources import static_assets
+from model.core.files import static_assets
 from model.segmentation.arrays import Bool, Float, Int, Int16, Int64, Uint8
 from model.segmentation.models.mlp import Mlp, load_mlp
 from model.segmentation.propose.plane_boxes import SIDE_FEATURES, STEPS, PlaneBoxes

@@ -6,7 +6,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Literal
 
-from model.core.resources import static_assets
+from model.core.files import static_assets
 from model.segmentation.describe.objects import MOVING_FEATURE_NAMES, OBJECT_FEATURE_NAMES
 from model.segmentation.describe.rooms import ROOM_FEATURE_NAMES
 from model.segmentation.models.trees import Scorer, load_scorer

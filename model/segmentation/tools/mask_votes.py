@@ -12,8 +12,8 @@ from functools import lru_cache
 
 import numpy as np
 
+from model.core.files import static_assets
 from model.core.progress import Progress, no_progress
-from model.core.resources import static_assets
 from model.segmentation.arrays import Bool, Float, Int, Int64
 from model.segmentation.describe.objects import MOVING_FEATURE_NAMES
 from model.segmentation.finish.alternatives import overlaps

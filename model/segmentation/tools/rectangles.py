@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from model.core.errors import PromptError
+from model.geometry.levelling import box_yaw
 from model.geometry.splitting import Plane
-from model.geometry.upright_box import box_yaw
 from model.segmentation.arrays import Bool, Float
 from model.segmentation.default import DefaultSession
 from model.segmentation.encode.edge_strength import MAX_STRENGTH

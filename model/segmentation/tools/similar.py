@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from model.core.errors import PromptError
-from model.geometry.upright_box import box_yaw
+from model.geometry.levelling import box_yaw
 from model.segmentation.arrays import Bool, Float64
 from model.segmentation.default import DefaultSession
 from model.segmentation.tools.element_masks import to_elements, to_nodes

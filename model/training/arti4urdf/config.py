@@ -11,7 +11,7 @@ from typing import Any
 
 from model.core import codec
 from model.core.errors import ConfigurationError, InputFileError
-from model.core.installing import install_command
+from model.core.packages import install_command
 from model.prediction.arti4urdf import vocabulary as v
 from model.prediction.arti4urdf.language_model import QWEN3, DecoderConfig
 from model.prediction.arti4urdf.network import ModelConfig

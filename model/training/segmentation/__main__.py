@@ -11,7 +11,7 @@ from typing import Annotated
 
 import tyro
 
-from model.core.resources import static_assets
+from model.core.files import static_assets
 from model.training.segmentation.boxes import BoxTraining, train_boxes
 from model.training.segmentation.clicks import ClickTraining, train_room_scorers, train_scorers
 from model.training.segmentation.clouds import CloudTraining, train_clouds

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from model.core.installing import install_command
+from model.core.packages import install_command
 
 
 def test_install_lines_are_of_the_environment_that_runs(

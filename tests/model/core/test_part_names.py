@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from model.core.motion_lexicon import CATEGORY_WORDS, MECHANISMS, SLIDING, TURNING, WORDS
-from model.core.part_names import (
+from model.core.names import (
     base_score,
     category_key,
     category_remark,

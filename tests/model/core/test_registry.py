@@ -45,7 +45,7 @@ def test_a_plug_in_that_does_not_fit_is_named_with_what_it_needs(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
     def offered(made: Any) -> Any:
-        monkeypatch.setattr("model.core.registry.entry_points", lambda group: [Point(made)])
+        monkeypatch.setattr("model.core.packages.entry_points", lambda group: [Point(made)])
         return load("theirs")
 
     told = rf"'theirs' \(package:make\) gives .*, which is no {kind}: it needs name"

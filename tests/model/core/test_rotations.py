@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from model.core.rotations import affine, axis_scales, quaternion_wxyz, uniform_scale
+from model.core.geometry import affine, axis_scales, quaternion_wxyz, uniform_scale
 from model.core.shapes import Primitive, moved_shape
 from sessions.tool_commands import ObjectFrame
 

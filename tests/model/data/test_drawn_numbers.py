@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from model.core.mesh import Mesh
+from model.core.geometry import Mesh
 from model.data.procedural.composite import random_composite
 from model.data.procedural.families import FAMILIES
 from model.data.procedural.generate import COMPOSITE

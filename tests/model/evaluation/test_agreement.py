@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from model.core.rotations import affine, rotation_from_rpy
+from model.core.geometry import affine, rotation_from_rpy
 from model.evaluation.agreement import agreement, mean_figures, similarity_of
 from tests.accepted import cupboard
 from tests.builders import box, part

@@ -13,8 +13,8 @@ from model.data.registry import DatasetOptions, open_dataset
 from model.evaluation import assets
 from model.evaluation.assets import AssetsConfig, beside, row, run, score_object, to_json
 from model.evaluation.scans import half_of
-from model.io.readback import validators
-from model.io.readback.compare import write_and_read
+from model.io import readback
+from model.io.readback import write_and_read
 from model.physics.simulation_values import plain_physics
 from tests.model.validation.cabinets import DRAWER, cabinet
 
@@ -95,9 +95,9 @@ def test_programs_on_the_path_judge_too(tmp_path, monkeypatch):
 def test_khronos_validator_reads_the_issues(monkeypatch):
     said = {"messages": [{"code": "A", "message": "bad", "severity": 0},
                          {"code": "B", "message": "odd", "severity": 1}]}  # fmt: skip
-    answer = validators.subprocess.CompletedProcess([], 0, json.dumps(said), "")
-    monkeypatch.setattr(validators.subprocess, "run", lambda *_, **__: answer)
-    assert validators.gltf_validator(Path("x.glb")) == ["glTF-Validator: A: bad"]
+    answer = readback.subprocess.CompletedProcess([], 0, json.dumps(said), "")
+    monkeypatch.setattr(readback.subprocess, "run", lambda *_, **__: answer)
+    assert readback.gltf_validator(Path("x.glb")) == ["glTF-Validator: A: bad"]
 
 
 def test_the_bundled_objects_are_a_data_set():

@@ -19,13 +19,7 @@ from model.core.joint import motion
 from model.data.registry import DatasetOptions
 from model.evaluation.corruption import Corruption, corrupt, visible
 from model.evaluation.markdown import write_markdown
-from model.evaluation.report import (
-    COLUMNS,
-    PAPER_ROWS,
-    read_report,
-    score_from_json,
-    score_to_json,
-)
+from model.evaluation.report import COLUMNS, PAPER_ROWS, read_report, score_from_json, score_to_json
 from model.evaluation.run import EvaluationConfig, evaluate
 from model.prediction import registry as predictors
 

@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from model.core.articulated_object import ArticulatedObject, Part
+from model.core.geometry import PointCloud
 from model.core.joint import Joint
-from model.core.point_cloud import PointCloud
 from model.core.tree import KinematicTree
 from model.evaluation.joint_metrics import (
     ObjectScore,

@@ -12,7 +12,7 @@ import pytest
 import trimesh
 
 from model.core.errors import InputFileError
-from model.core.mesh import Mesh
+from model.core.geometry import Mesh
 from model.data.registry import DatasetOptions
 from model.evaluation.report import Report
 from model.evaluation.run import EvaluationConfig, evaluate

@@ -9,21 +9,12 @@ import pytest
 import trimesh
 
 from model.core.articulated_object import ArticulatedObject, Part
+from model.core.geometry import Mesh, PointCloud
 from model.core.joint import Joint, motion
-from model.core.mesh import Mesh
-from model.core.point_cloud import PointCloud
 from model.core.progress import Cancelled
 from model.core.tree import KinematicTree
-from model.geometry.closing import closed_solid
-from model.geometry.completion import (
-    BOARD,
-    OPENING,
-    SURFACE,
-    THICKNESS,
-    TRAY,
-    as_scanned,
-    complete,
-)
+from model.geometry.completion import BOARD, OPENING, SURFACE, THICKNESS, TRAY, as_scanned, complete
+from model.geometry.reconstruct import closed_solid
 from tests.scanned_cabinet import DEPTH, HEIGHT, SPLIT, WIDTH, cabinet, sheet
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from model.geometry.denoise import NOISY, denoised, noise_level
+from model.geometry.cleaning import NOISY, denoised, noise_level
 
 
 def _plane(noise: float) -> np.ndarray:

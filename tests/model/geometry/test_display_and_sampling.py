@@ -10,8 +10,7 @@ import trimesh
 
 from model.core.asset import Asset
 from model.core.errors import GeometryError
-from model.core.mesh import Material, Mesh
-from model.core.point_cloud import PointCloud
+from model.core.geometry import Material, Mesh, PointCloud
 from model.geometry.display import display_asset, thin
 from model.geometry.sampling import sample_surface
 

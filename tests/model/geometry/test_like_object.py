@@ -9,8 +9,8 @@ import pytest
 
 from model.core.articulated_object import ArticulatedObject, Part
 from model.core.errors import GeometryError
+from model.core.geometry import Mesh
 from model.core.joint import Joint
-from model.core.mesh import Mesh
 from model.core.tree import KinematicTree
 from model.geometry.like_object import (
     best_match,

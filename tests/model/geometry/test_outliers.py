@@ -7,8 +7,8 @@ import pytest
 from scipy.spatial import KDTree
 
 from model.core.asset import Asset
-from model.core.point_cloud import PointCloud
-from model.geometry.outliers import OutlierTest, outlier_points
+from model.core.geometry import PointCloud
+from model.geometry.cleaning import OutlierTest, outlier_points
 from model.geometry.picking import Picker
 
 WALL = 20_000

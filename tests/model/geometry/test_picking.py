@@ -10,10 +10,8 @@ import trimesh
 
 from model.core.asset import Asset
 from model.core.errors import GeometryError
-from model.core.mesh import Mesh
-from model.core.point_cloud import PointCloud
-from model.geometry.picking import Camera, Picker
-from model.geometry.strokes import Stroke
+from model.core.geometry import Mesh, PointCloud
+from model.geometry.picking import Camera, Picker, Stroke
 
 FRONT = [[1, 0, 0], [0, 0, 1], [0, -1, 0]]  # looks along +y, z up
 

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from model.core.asset import Asset
 from model.core.errors import ConfigurationError
-from model.core.point_cloud import PointCloud
+from model.core.geometry import PointCloud
 from model.data.simulated.reconstruction import (
     Reconstruction,
     ReconstructionSettings,

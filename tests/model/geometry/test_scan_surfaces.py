@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from model.core.errors import GeometryError
-from model.core.point_cloud import PointCloud
+from model.core.geometry import PointCloud
 from model.geometry.normals import estimate_normals
 from model.geometry.reconstruct import mesh_from_cloud
 

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from model.core.errors import GeometryError
-from model.core.mesh import Mesh
+from model.core.geometry import Mesh
 from model.geometry.splitting import Plane, share_crossed, split_faces
 
 

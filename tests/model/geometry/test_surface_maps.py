@@ -12,7 +12,7 @@ import trimesh
 from PIL import Image
 
 from model.core.asset import Asset
-from model.core.surface_maps import SurfaceMaps
+from model.core.textures import SurfaceMaps
 from model.io.open_asset import open_asset
 
 TRIANGLE = (

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from model.core.mesh import Mesh
-from model.geometry.shading import corner_normals
+from model.core.geometry import Mesh
+from model.geometry.normals import corner_normals
 from model.geometry.topology import connected_shells, face_adjacency, same_points, weld
 
 

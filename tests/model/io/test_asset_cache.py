@@ -11,8 +11,7 @@ import pytest
 
 from model.core.asset import Asset, Source
 from model.core.errors import InputFileError
-from model.core.mesh import Mesh
-from model.core.point_cloud import PointCloud
+from model.core.geometry import Mesh, PointCloud
 from model.io.asset_cache import FORMAT_VERSION, load_asset, save_asset
 
 

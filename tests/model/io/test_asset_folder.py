@@ -16,11 +16,10 @@ from PIL import Image
 from model.core.articulated_object import ArticulatedObject, Part
 from model.core.asset import Asset
 from model.core.errors import GeometryError, InputFileError
+from model.core.geometry import Material, Mesh, PointCloud
 from model.core.joint import Joint, Mimic
-from model.core.mesh import Material, Mesh
-from model.core.point_cloud import PointCloud
 from model.core.tree import KinematicTree
-from model.geometry.parts import split
+from model.geometry.splitting import split
 from model.io.assets import asset_folder
 from model.io.assets.asset_folder import load_object, read_provenance, reload_check, write_asset
 from model.io.export.part_files import file_stems

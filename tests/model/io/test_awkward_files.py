@@ -15,7 +15,7 @@ import pytest
 
 from model.core.asset import Asset
 from model.core.errors import InputFileError
-from model.core.mesh import Mesh
+from model.core.geometry import Mesh
 from model.io.open_asset import open_asset
 from model.scenes.assets import index_assets
 from model.scenes.registry import read_scene

@@ -14,13 +14,12 @@ import numpy as np
 import pytest
 
 from model.core.errors import ArtiworldError, InputFileError
-from model.core.mesh import Mesh
-from model.core.point_cloud import PointCloud
-from model.io.find_assets import find_assets
-from model.io.formats.npz import read_npz
+from model.core.geometry import Mesh, PointCloud
+from model.io.formats.points import read_npz
 from model.io.geometry_files import SUFFIXES
+from model.io.model_files import find_assets
 from model.io.open_asset import open_asset, read_part_files
-from model.io.write.meshes import write_cloud, write_mesh
+from model.io.write import write_cloud, write_mesh
 
 HEAD = (
     "ply\nformat {} 1.0\nelement vertex {}\nproperty float x\nproperty float y\n"

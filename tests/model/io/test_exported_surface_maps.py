@@ -20,12 +20,11 @@ from trimesh.visual.material import PBRMaterial
 
 from model.core.articulated_object import ArticulatedObject
 from model.core.asset import Asset
+from model.core.geometry import Material
 from model.core.joint import Joint
-from model.core.mesh import Material
-from model.core.surface_maps import SurfaceMaps
+from model.core.textures import SurfaceMaps
 from model.core.tree import KinematicTree
-from model.geometry.parts import split
-from model.geometry.splitting import Plane, split_faces
+from model.geometry.splitting import Plane, split, split_faces
 from model.io.asset_cache import load_asset, save_asset
 from model.io.assets.asset_folder import write_asset
 from model.io.assets.reader import load_object

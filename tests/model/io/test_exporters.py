@@ -19,21 +19,18 @@ from scipy.spatial.transform import Rotation
 
 from model.core.articulated_object import ArticulatedObject, Part
 from model.core.errors import ConfigurationError, InputFileError
+from model.core.geometry import Material, Mesh, PointCloud
 from model.core.joint import Joint, Mimic
-from model.core.mesh import Material, Mesh
-from model.core.point_cloud import PointCloud
 from model.core.shapes import Primitive, Solid
 from model.core.tree import KinematicTree
 from model.data.mjcf import read_mjcf
 from model.io.assets.asset_folder import write_asset
-from model.io.assets.reader import load_object, reading_notes
-from model.io.assets.reload import mujoco_problems, object_from_links
+from model.io.assets.reader import load_object, mujoco_problems, object_from_links, reading_notes
 from model.io.export import registry
-from model.io.export.protocol import Exporter
-from model.io.export.registry import export, exporter_names, load_exporter, write_object
+from model.io.export.registry import Exporter, export, exporter_names, load_exporter, write_object
 from model.io.export.urdf import losses_of
 from model.io.open_asset import open_asset
-from model.io.readback.compare import read_back
+from model.io.readback import read_back
 from model.io.urdf.writer import read_urdf
 from model.physics.simulation_values import Physics, PhysicsSettings, physics_of, whose_shapes
 

@@ -15,12 +15,11 @@ from hypothesis import strategies as st
 from pxr import Usd
 
 from model.core.articulated_object import ArticulatedObject, Part
+from model.core.geometry import Mesh
 from model.core.joint import Joint, Mimic
-from model.core.mesh import Mesh
 from model.core.tree import KinematicTree
 from model.io.assets.asset_folder import write_asset
-from model.io.assets.reader import load_object, read_provenance
-from model.io.assets.reload import reload_check
+from model.io.assets.reader import load_object, read_provenance, reload_check
 from model.io.export.registry import EXPORTERS, export
 from model.io.file_names import FileNames
 from model.io.open_asset import open_asset

@@ -7,7 +7,7 @@ import numpy as np
 import trimesh
 
 from model.core.articulated_object import ArticulatedObject, Part
-from model.core.mesh import Material, Mesh
+from model.core.geometry import Material, Mesh
 from model.core.tree import KinematicTree
 from model.io.export.mjcf import MjcfExporter
 

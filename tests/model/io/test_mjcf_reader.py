@@ -19,7 +19,7 @@ from model.core.shapes import Primitive
 from model.io.assets.reader import load_object
 from model.io.export.mjcf import MjcfExporter
 from model.io.export.registry import write_object
-from model.io.find_assets import find_assets
+from model.io.model_files import find_assets
 from model.io.open_asset import open_asset
 from model.physics.simulation_values import physics_of
 from tests.model.demos import demo_object
@@ -258,7 +258,7 @@ def test_large_files_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
                    '<geom type="mesh" mesh="b"/></worldbody>')  # fmt: skip
     with pytest.raises(InputFileError, match=r"b\.stl"):
         open_asset(path, max_bytes=100)
-    monkeypatch.setattr("model.io.xml_file.MAX_BYTES", 10)
+    monkeypatch.setattr("model.io.robot_xml.MAX_BYTES", 10)
     with pytest.raises(InputFileError, match=r"robot\.xml: is larger"):
         open_asset(path)
 

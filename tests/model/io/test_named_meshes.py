@@ -9,7 +9,7 @@ import pytest
 import trimesh
 
 from model.core.errors import InputFileError
-from model.core.part_names import MOST_NAMED, named_parts
+from model.core.names import MOST_NAMED, named_parts
 from model.io.open_asset import open_asset, read_part_files
 
 

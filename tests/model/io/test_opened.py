@@ -13,13 +13,13 @@ import trimesh
 from model.core.articulated_object import ArticulatedObject, Part
 from model.core.asset import Asset
 from model.core.errors import InputFileError
+from model.core.geometry import Mesh
 from model.core.joint import Joint
-from model.core.mesh import Mesh
 from model.core.tree import KinematicTree
 from model.io.asset_cache import load_asset, save_asset
 from model.io.assets.asset_folder import write_asset
 from model.io.export.registry import load_exporter
-from model.io.find_assets import find_assets
+from model.io.model_files import find_assets
 from model.io.open_asset import open_asset
 from model.io.urdf.reader import MOST_LINKS
 from model.physics.simulation_values import plain_physics

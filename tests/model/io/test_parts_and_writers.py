@@ -15,14 +15,12 @@ from PIL import Image
 
 from model.core.asset import Asset
 from model.core.errors import ConfigurationError, GeometryError, InputFileError
-from model.core.mesh import Material, Mesh
-from model.core.point_cloud import PointCloud
+from model.core.geometry import Material, Mesh, PointCloud
 from model.core.textures import encode
-from model.geometry.appearance import face_colors
-from model.geometry.parts import split
+from model.geometry.sampling import face_colors
+from model.geometry.splitting import split
 from model.io.open_asset import open_asset
-from model.io.write.glb import face_order
-from model.io.write.meshes import mesh_to_glb, write_cloud, write_mesh
+from model.io.write import face_order, mesh_to_glb, write_cloud, write_mesh
 
 
 @settings(max_examples=40, deadline=None)

@@ -12,13 +12,12 @@ import trimesh
 from PIL import Image
 
 from model.core.errors import ConfigurationError, InputFileError
-from model.core.mesh import Mesh
-from model.core.point_cloud import PointCloud
-from model.core.surface_maps import SurfaceMaps
-from model.geometry.appearance import face_colors
-from model.io.find_assets import find_assets
+from model.core.geometry import Mesh, PointCloud
+from model.core.textures import SurfaceMaps
+from model.geometry.sampling import face_colors
+from model.io.model_files import find_assets
 from model.io.open_asset import open_asset, read_part_files
-from model.io.write.meshes import write_cloud, write_mesh
+from model.io.write import write_cloud, write_mesh
 
 
 def ply(path: Path, cloud: PointCloud, style: str) -> Path:

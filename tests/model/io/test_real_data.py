@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from model.io.find_assets import find_assets
 from model.io.geometry_files import SUFFIXES
+from model.io.model_files import find_assets
 from model.io.open_asset import open_asset
 
 

@@ -17,10 +17,9 @@ from model.core.articulated_object import ArticulatedObject
 from model.core.composite_joints import Composite, composite_of, with_composite
 from model.core.tree import KinematicTree
 from model.data.bundled import Bundled
-from model.io.assets.reader import load_object
-from model.io.assets.reload import random_q
+from model.io.assets.reader import load_object, random_q
 from model.io.export.registry import load_exporter, write_object
-from model.io.readback.compare import read_back
+from model.io.readback import read_back
 from model.physics.simulation_values import Physics, physics_of, plain_physics
 from tests.model.io.test_exporters import make_object
 from tests.model.validation.cabinets import cabinet

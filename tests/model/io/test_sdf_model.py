@@ -11,8 +11,7 @@ import pytest
 from model.core.composite_joints import Composite, composite_of
 from model.core.errors import InputFileError
 from model.io.export.registry import load_exporter, write_object
-from model.io.find_assets import find_assets
-from model.io.model_files import files_named_by, is_model, read_model
+from model.io.model_files import files_named_by, find_assets, is_model, read_model
 from model.io.open_asset import open_asset
 from model.physics.simulation_values import plain_physics
 from tests.model.io.test_exporters import make_object

@@ -21,7 +21,7 @@ from model.io.export.simready import (
     simready_problems,
     validator_installed,
 )
-from model.io.readback.compare import read_back
+from model.io.readback import read_back
 from model.physics.simulation_values import physics_of
 from tests.model.io.test_exporters import make_object
 

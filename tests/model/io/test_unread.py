@@ -14,12 +14,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from model.core.errors import InputFileError
-from model.io.mjcf.reader import read_mjcf_model
-from model.io.mjcf.schema import MJCF
+from model.io.mjcf_reader import read_mjcf_model
 from model.io.open_asset import open_asset
+from model.io.robot_xml import MJCF, URDF, XmlSchema
 from model.io.urdf.reader import read_urdf_model
-from model.io.urdf.schema import URDF
-from model.io.xml_schema import XmlSchema
 from model.scenes.readers.lisdf import SDF
 from model.scenes.registry import read_scene
 

@@ -11,10 +11,9 @@ import yourdfpy
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from model.core.articulated_object import ArticulatedObject, Part
-from model.core.inertial import Inertial
+from model.core.articulated_object import ArticulatedObject, Inertial, Part
+from model.core.geometry import Mesh
 from model.core.joint import JOINT_TYPES, Joint, Mimic
-from model.core.mesh import Mesh
 from model.core.tree import KinematicTree
 from model.io.urdf.writer import link_origins, read_urdf_model, to_urdf_text, write_urdf
 

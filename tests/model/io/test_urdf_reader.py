@@ -12,7 +12,7 @@ import yourdfpy
 
 from model.core.composite_joints import Composite, composite_of
 from model.core.errors import InputFileError
-from model.core.rotations import rotation_from_rpy
+from model.core.geometry import rotation_from_rpy
 from model.io.urdf.writer import read_urdf, read_urdf_model
 
 

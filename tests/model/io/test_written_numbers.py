@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from pxr import Usd
 
-from model.core.articulated_object import ArticulatedObject
-from model.core.inertial import Inertial
+from model.core.articulated_object import ArticulatedObject, Inertial
 from model.core.shapes import Primitive
 from model.core.tree import KinematicTree
 from model.io.export.registry import load_exporter, write_object

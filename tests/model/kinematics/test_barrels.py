@@ -7,9 +7,9 @@ import pytest
 import trimesh
 
 from model.core.articulated_object import Part
+from model.core.geometry import PointCloud
 from model.core.joint import Joint
-from model.core.point_cloud import PointCloud
-from model.kinematics.barrels import barrel_line, on_barrels
+from model.kinematics.snapping import barrel_line, on_barrels
 from tests.builders import part
 
 AXIS = np.array((0.0, 0.0, 1.0))

@@ -6,8 +6,7 @@ import trimesh
 
 from model.core.articulated_object import Part
 from model.core.errors import GeometryError
-from model.core.mesh import Mesh
-from model.core.point_cloud import PointCloud
+from model.core.geometry import Mesh, PointCloud
 from model.kinematics.contact import contact_between, contact_tolerance, contacts
 
 

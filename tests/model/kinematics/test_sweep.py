@@ -11,9 +11,8 @@ import trimesh
 
 from model.core.articulated_object import ArticulatedObject, Part
 from model.core.errors import KinematicsError
+from model.core.geometry import Mesh, PointCloud
 from model.core.joint import Joint, Mimic
-from model.core.mesh import Mesh
-from model.core.point_cloud import PointCloud
 from model.core.tree import KinematicTree
 from model.kinematics.surface import surface_of
 from model.kinematics.sweep import free_range, sweep_joint, sweep_path

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from model.core.affordance import Affordance
+from model.core.articulated_object import Affordance
 from model.core.errors import GeometryError, InputFileError
 from model.core.joint import motion
 from model.io.assets.asset_folder import write_asset

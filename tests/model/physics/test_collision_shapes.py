@@ -13,9 +13,8 @@ from hypothesis.extra import numpy as hnp
 
 from model.core.articulated_object import ArticulatedObject, Part
 from model.core.errors import GeometryError
+from model.core.geometry import Mesh, PointCloud
 from model.core.joint import Joint
-from model.core.mesh import Mesh
-from model.core.point_cloud import PointCloud
 from model.core.shapes import Hull, Primitive, hull_of, hull_of_shape
 from model.core.tree import KinematicTree
 from model.geometry import reconstruct
@@ -23,10 +22,9 @@ from model.geometry.sampling import sample_surface
 from model.physics import part_mesh as surfaces_of_parts
 from model.physics.collision import build
 from model.physics.collision.build import CollisionSettings, collision_of, prepare_bodies
-from model.physics.collision.coacd_process import coacd_hulls
+from model.physics.collision.decomposition import coacd_hulls
 from model.physics.collision.measure import free_volume, overlaps_of
-from model.physics.collision.narrow_phase import PosePath, overlaps
-from model.physics.collision.overlap import overlap
+from model.physics.collision.narrow_phase import PosePath, overlap, overlaps
 from model.physics.collision.overlap_resolution import MOST_CORNERS, resolve_overlaps
 from model.physics.part_mesh import part_mesh
 from model.physics.simulation_values import physics_of

@@ -6,21 +6,20 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from model.core.articulated_object import ArticulatedObject, Part
+from model.core.articulated_object import ArticulatedObject, Inertial, Part
 from model.core.errors import ConfigurationError, InputFileError
-from model.core.inertial import Inertial
+from model.core.geometry import Mesh, PointCloud
 from model.core.joint import Joint
-from model.core.mesh import Mesh
-from model.core.point_cloud import PointCloud
 from model.core.tree import KinematicTree
 from model.physics.inertia import (
     MIN_MASS,
     MIN_RADIUS,
+    PartMaterial,
     hull_inertial,
     inertial_problems,
     inertials_of,
+    read_materials,
 )
-from model.physics.materials import PartMaterial, read_materials
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -45,7 +45,7 @@ class _Point:
 def test_plug_ins_load_and_cannot_replace_built_ins(monkeypatch: pytest.MonkeyPatch) -> None:
     mine = GeometricPredictor()
     points = [_Point("mine", mine), _Point("geometric", "theirs")]
-    monkeypatch.setattr("model.core.registry.entry_points", lambda group: points)
+    monkeypatch.setattr("model.core.packages.entry_points", lambda group: points)
     assert predictors.load_predictor("mine") is mine
     assert isinstance(predictors.load_predictor("geometric"), Predictor)
 
@@ -64,7 +64,7 @@ def test_plug_ins_load_and_cannot_replace_built_ins(monkeypatch: pytest.MonkeyPa
 def test_bad_plug_ins_are_named(
     made: object, told: str, monkeypatch: pytest.MonkeyPatch, capsys, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr("model.core.registry.entry_points", lambda group: [_Point("bad", made)])
+    monkeypatch.setattr("model.core.packages.entry_points", lambda group: [_Point("bad", made)])
     with pytest.raises(ConfigurationError, match=told):
         predictors.load_predictor("bad")
     (tmp_path / "parts").mkdir()

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from model.core.mesh import Mesh
-from model.io.write.meshes import write_mesh
+from model.core.geometry import Mesh
+from model.io.write import write_mesh
 from tests.builders import boxes
 
 
@@ -211,8 +211,8 @@ def write_usd(path: Path, up: str = "Y", unit: float = 0.01) -> Path:
 
 def write_scan(path: Path, labels: bool = True, seed: int = 0) -> Path:
     """A room of points: floor, the cabinet and a rock; with instances beside it, or boxes."""
-    from model.core.point_cloud import PointCloud
-    from model.io.write.meshes import write_cloud
+    from model.core.geometry import PointCloud
+    from model.io.write import write_cloud
 
     rng = np.random.default_rng(seed)
     pose = world_pose()

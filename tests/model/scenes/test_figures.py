@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from model.core.articulated_object import ArticulatedObject, Part
+from model.core.geometry import Mesh
 from model.core.joint import Joint
-from model.core.mesh import Mesh
 from model.core.tree import KinematicTree
 from model.io.assets.asset_folder import write_asset
 from model.scenes.asset_parts import known_parts, scaled, scaled_tree

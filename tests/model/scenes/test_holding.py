@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from model.core.articulated_object import ArticulatedObject
 from model.core.joint import Joint, Mimic
 from model.core.tree import KinematicTree
-from model.geometry.parts import Part
+from model.geometry.splitting import Part
 from model.io.export.mjcf import MjcfExporter
 from model.io.export.sdf import SdfExporter
 from model.io.export.urdf import UrdfExporter

@@ -23,13 +23,7 @@ from model.scenes.language_finder import (
 from model.scenes.protocol import ArticulableFinder, ObjectDescription
 from tests.model.prediction.arti4urdf.tiny_qwen3 import write_tiny_qwen3
 from tests.model.scenes import scenes_made as made
-from tests.model.scenes.chat_server import (
-    ChatServer,
-    chat_server,
-    decisions,
-    fault,
-    said,
-)
+from tests.model.scenes.chat_server import ChatServer, chat_server, decisions, fault, said
 
 pytest.importorskip("openai", reason="the finder's tests need openai (artiworld[finder])")
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from model.core.asset import Asset
-from model.core.mesh import Mesh
+from model.core.geometry import Mesh
 from model.data.simulated.primitives import block
 from model.geometry.topology import connected_shells
 from model.segmentation.default import DefaultSegmenter, DefaultSession

@@ -130,7 +130,7 @@ def test_without_boxes_none_are_offered() -> None:
 
 def test_an_object_without_planes_has_no_boxes_and_is_answered() -> None:
     """A ball: nothing faces along a direction for long."""
-    from model.core.point_cloud import PointCloud
+    from model.core.geometry import PointCloud
     from model.segmentation.default import DefaultSegmenter
     from model.segmentation.prompts import Click, Prompts
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from model.core.asset import Asset
-from model.core.mesh import Mesh
+from model.core.geometry import Mesh
 from model.geometry.sampling import sample_surface
 from model.segmentation.describe.masks import ClickContext
 from model.segmentation.encode.edge_strength import shipped_edge_model

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from model.core.asset import Asset
-from model.core.mesh import Mesh
-from model.core.resources import static_assets
+from model.core.files import static_assets
+from model.core.geometry import Mesh
 from model.geometry.topology import coincident_faces
 from model.io.open_asset import open_asset
 from model.segmentation.default import DefaultSegmenter, DefaultSession

@@ -11,7 +11,7 @@ import pytest
 
 from model.core.asset import Asset
 from model.core.errors import ConfigurationError, PromptError
-from model.core.point_cloud import PointCloud
+from model.core.geometry import PointCloud
 from model.segmentation.adapters.example import BallSegmenter
 from model.segmentation.prompts import BASE, Click, Prompts, Region
 from model.segmentation.protocol import SegmentationSession, Segmenter

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from model.core.asset import Asset
-from model.core.mesh import Mesh
+from model.core.geometry import Mesh
 from model.data.procedural.examples import joined
 from model.data.procedural.generate import make
 from model.segmentation import default

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from model.core.asset import Asset
-from model.core.point_cloud import PointCloud
+from model.core.geometry import PointCloud
 from model.segmentation.default import DefaultSegmenter
 from model.segmentation.describe.fronts import FRONT_FEATURES, front_features
 from model.segmentation.describe.objects import MOVING_FEATURE_NAMES, OBJECT_FEATURE_NAMES

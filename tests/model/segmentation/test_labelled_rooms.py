@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from model.core.errors import InputFileError
-from model.core.point_cloud import PointCloud
+from model.core.geometry import PointCloud
 from model.evaluation.segmentation.bench_data import room_objects
-from model.io.write.meshes import write_cloud
+from model.io.write import write_cloud
 
 
 def room(folder: Path, name: str, labels: int = 300) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from model.core.asset import Asset
-from model.core.point_cloud import PointCloud
+from model.core.geometry import PointCloud
 from model.data.simulated.scans import build, scan
 from model.evaluation.segmentation.bench_data import partnet_objects
 from model.segmentation.default import DefaultSegmenter, DefaultSession

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from model.core.asset import Asset
-from model.core.point_cloud import PointCloud
+from model.core.geometry import PointCloud
 from model.segmentation.default import DefaultSegmenter
 from model.segmentation.encode.nodes import nodes_of_asset
 from model.segmentation.prompt_steps import ClickStep, resolve, surface_steps

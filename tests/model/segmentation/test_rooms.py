@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from model.core.asset import Asset
-from model.core.point_cloud import PointCloud
+from model.core.geometry import PointCloud
 from model.data.simulated.rooms import NOTHING, scanned_room
 from model.data.simulated.scans import LabelledCloud, family_shape, scan
 from model.segmentation.default import DefaultSegmenter, DefaultSession

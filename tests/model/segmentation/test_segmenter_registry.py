@@ -28,7 +28,7 @@ def plug_ins(monkeypatch):
         _Entry("broken", ImportError("no torch")),
         _Entry("renamed", AttributeError("module 'mine' has no attribute 'Segmenter'")),
     ]
-    monkeypatch.setattr("model.core.registry.entry_points", lambda group: entries)
+    monkeypatch.setattr("model.core.packages.entry_points", lambda group: entries)
 
 
 def test_a_plug_in_is_listed_and_loads(plug_ins):

@@ -9,7 +9,7 @@ import pytest
 
 from model.core.asset import Asset
 from model.core.errors import InputFileError
-from model.core.point_cloud import PointCloud
+from model.core.geometry import PointCloud
 from model.data.procedural.families import HELD_OUT
 from model.data.procedural.generate import GenerateSettings, generate
 from model.data.simulated.scans import SMALL_PARTED, build, random_scan, scan

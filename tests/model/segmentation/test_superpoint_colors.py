@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from model.core.asset import Asset
-from model.core.point_cloud import PointCloud
+from model.core.geometry import PointCloud
 from model.segmentation.encode.edge_features import lab_colors
 from model.segmentation.encode.edge_strength import shipped_edge_model
 from model.segmentation.encode.encoding import encode_superpoints

@@ -8,8 +8,7 @@ import trimesh
 
 from model.core.asset import Asset
 from model.core.errors import GeometryError, PromptError
-from model.core.mesh import Mesh
-from model.core.point_cloud import PointCloud
+from model.core.geometry import Mesh, PointCloud
 from model.data.simulated.primitives import block
 from model.geometry.crop import crop, floor_and_walls, largest_component, outliers
 from model.segmentation.default import DefaultSegmenter

@@ -8,7 +8,7 @@ import numpy as np
 import trimesh
 
 from model.core.articulated_object import ArticulatedObject
-from model.core.mesh import Mesh
+from model.core.geometry import Mesh
 from tests.builders import box
 from tests.model.validation.cabinets import W
 

@@ -12,10 +12,10 @@ import pytest
 from model.core import codec
 from model.core.articulated_object import ArticulatedObject
 from model.core.joint import Joint
-from model.core.lru_cache import LruCache
+from model.core.memory import LruCache
 from model.kinematics import penetration
 from model.physics.collision import build, narrow_phase
-from model.validation import drives, physics
+from model.validation import physics
 from model.validation.runner import validate
 from tests.model.demos import demo_object
 
@@ -48,7 +48,7 @@ def said(obj: ArticulatedObject, store: Path) -> Any:
 def forget() -> None:
     """As in a process that has judged nothing yet; what is known of parts goes with them."""
     caches: tuple[LruCache[Any, Any], ...] = (
-        build.recent_objects, build.recent_parts, narrow_phase.recent_depths, drives.recent_drives,
+        build.recent_objects, build.recent_parts, narrow_phase.recent_depths, physics.recent_drives,
     )  # fmt: skip
     for cache in caches:
         cache.clear()

@@ -11,9 +11,8 @@ import pytest
 
 from model.core.articulated_object import ArticulatedObject, Part
 from model.core.errors import GeometryError, KinematicsError
+from model.core.geometry import Mesh, PointCloud
 from model.core.joint import Joint
-from model.core.mesh import Mesh
-from model.core.point_cloud import PointCloud
 from model.core.progress import Cancelled
 from model.core.tree import KinematicTree
 from model.validation.report import Severity

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from model.core.joint import Joint
 from model.core.tree import KinematicTree
-from model.validation.low_confidence import with_low_confidence
+from model.validation.examine import with_low_confidence
 from model.validation.report import Finding, JointReport, Severity, ValidationReport
 
 DRAWER = Joint("drawer", "prismatic", "link_0", "link_1", (1, 0, 0), lower=0.0, upper=0.7)

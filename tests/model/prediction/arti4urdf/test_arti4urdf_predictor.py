@@ -10,9 +10,9 @@ pytest.importorskip("torch", reason="torch is not installed")
 import torch
 
 from model.core.articulated_object import Part, SegmentedObject
+from model.core.geometry import PointCloud
 from model.core.joint import Joint
-from model.core.point_cloud import PointCloud
-from model.core.threads import BY_DEFAULT, NAMES, with_threads
+from model.core.progress import BY_DEFAULT, NAMES, with_threads
 from model.data.procedural.generate import make
 from model.evaluation.tree_metrics import parents
 from model.prediction.arti4urdf import decoding

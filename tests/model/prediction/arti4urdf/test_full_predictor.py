@@ -15,9 +15,11 @@ pytest.importorskip("transformers", reason="needs the extra network")
 
 from model.core.articulated_object import Part, SegmentedObject  # noqa: E402
 from model.core.errors import ArtiworldError, ConfigurationError  # noqa: E402
+from model.core.geometry import (  # noqa: E402
+    Mesh,
+    PointCloud,
+)
 from model.core.joint import Joint  # noqa: E402
-from model.core.mesh import Mesh  # noqa: E402
-from model.core.point_cloud import PointCloud  # noqa: E402
 from model.core.progress import Cancelled  # noqa: E402
 from model.core.tree import KinematicTree  # noqa: E402
 from model.prediction.arti4urdf.answer import write_answer  # noqa: E402

@@ -14,7 +14,7 @@ import numpy as np
 import trimesh
 
 from model.core.articulated_object import Part, SegmentedObject
-from model.core.mesh import Mesh
+from model.core.geometry import Mesh
 
 X, Y, Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 

@@ -10,9 +10,8 @@ import pytest
 import trimesh
 
 from model.core.articulated_object import ArticulatedObject, Part, SegmentedObject
+from model.core.geometry import Mesh, PointCloud
 from model.core.joint import Joint
-from model.core.mesh import Mesh
-from model.core.point_cloud import PointCloud
 from model.core.progress import Cancelled
 from model.core.tree import KinematicTree
 from model.data.procedural.generate import make

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial import KDTree
 
 from model.core.articulated_object import Part
-from model.core.point_cloud import PointCloud
+from model.core.geometry import PointCloud
 from model.data.procedural_set import ProceduralSet
 from model.prediction.geometric.predictor import GeometricPredictor
 from model.prediction.geometric.surface import (

@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 
 from model.core.articulated_object import ArticulatedObject, Part, SegmentedObject
-from model.core.mesh import Mesh
-from model.core.point_cloud import PointCloud
+from model.core.geometry import Mesh, PointCloud
 from model.core.progress import Cancelled
 from model.prediction.geometric import context, mechanisms, motion_scores, predictor, roles, tree
 from model.prediction.geometric.predictor import GeometricPredictor

@@ -16,9 +16,8 @@ from PIL import Image
 
 from model.core.articulated_object import Part, Prediction, SegmentedObject
 from model.core.errors import ArtiworldError
+from model.core.geometry import Material, Mesh, PointCloud
 from model.core.joint import Joint, Mimic
-from model.core.mesh import Material, Mesh
-from model.core.point_cloud import PointCloud
 from model.core.tree import KinematicTree
 from model.prediction.remote.wire import (
     RequestError,

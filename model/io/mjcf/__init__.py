@@ -1,1 +1,0 @@
-"""MJCF, read through MuJoCo."""

@@ -1,1 +1,0 @@
-"""Exported files as other software reads them."""

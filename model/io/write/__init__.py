@@ -1,1 +1,0 @@
-"""Writing meshes and clouds."""

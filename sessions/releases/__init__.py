@@ -1,1 +1,0 @@
-"""Data sets for other people: frozen, numbered, checksummed sets of accepted assets."""
