@@ -600,7 +600,8 @@ class Interleaved(RuleBasedStateMachine):
         assert len(effective) <= 1, "one decision is undone at a time"
         for o, head in enumerate(heads):
             new = self.store.history(self.ids[o], after=head.seq)
-            if head.present.review.decided_at in gone:
+            review = head.present.review
+            if review.decided_at in gone and review.state in ("accepted", "rejected"):
                 assert [line.command for line in new] in ([cmd.Undo()], [cmd.Reopen()])
                 self.given[o] += [line.command for line in new]
             else:
