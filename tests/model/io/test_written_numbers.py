@@ -84,7 +84,8 @@ def test_last_bits_change_no_file(format_name: str, tmp_path: Path) -> None:
         files = sorted(out.rglob("*"))
         texts = [p.read_text() for p in files if p.suffix in (".urdf", ".xml", ".sdf")]
         for path in (p for p in files if "usd" in p.suffix):
-            lines = Usd.Stage.Open(str(path)).GetRootLayer().ExportToString().splitlines()
+            stage = Usd.Stage.Open(str(path))
+            lines = stage.GetRootLayer().ExportToString().splitlines()
             texts += [line for line in lines if "[]" not in line]  # but for arrays of vertices
         assert texts
         seen.add(tuple(texts))
