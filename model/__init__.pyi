@@ -13,7 +13,7 @@ from .core.geometry import Mesh, PointCloud
 from .core.joint import Joint
 from .core.progress import no_progress
 from .core.tree import KinematicTree
-from .data.protocol import GroundTruth
+from .data.datasets import GroundTruth
 from .data.registry import DatasetOptions, open_dataset
 from .geometry.prepare import Prepared, PrepareSettings, prepare
 from .geometry.splitting import split

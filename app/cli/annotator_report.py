@@ -10,8 +10,8 @@ from typing import Any
 
 from app.cli.simulated_annotator import BY_HAND, AnnotatorConfig, AnnotatorScore, annotate
 from model.core.progress import Progress, no_progress
-from model.evaluation.markdown import escaped, table
 from model.evaluation.pool import robust_map
+from model.evaluation.report import escaped, table
 
 COLUMNS = (
     "predictor", "objects", "right %", "clicks", "part IoU", "wrong joints %", "corrections",

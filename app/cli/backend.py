@@ -12,8 +12,8 @@ from app.server.login import Login
 from app.server.network import check_address, is_loopback, url
 from model.core.errors import ConfigurationError
 from model.core.packages import install_command
+from model.prediction import TOKEN_VARIABLE, is_backend
 from model.prediction.registry import check_predictor
-from model.prediction.remote import TOKEN_VARIABLE, is_backend
 
 
 def serve_backend(options: BackendCommand) -> int:

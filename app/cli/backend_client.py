@@ -7,9 +7,9 @@ import sys
 
 from app.cli.options import PredictorOptions
 from model.core.errors import ConfigurationError
+from model.prediction import TOKEN_VARIABLE, is_backend
 from model.prediction.registry import DEFAULT
-from model.prediction.remote import TOKEN_VARIABLE, is_backend
-from model.prediction.remote.http_predictor import BackendError, BackendRefused, HttpPredictor
+from model.prediction.remote_backend import BackendError, BackendRefused, HttpPredictor
 
 
 def chosen_predictor(options: PredictorOptions) -> str:

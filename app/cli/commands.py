@@ -37,7 +37,7 @@ from app.server.config import TOKEN_VARIABLE
 from app.server.ending import EndSignals
 from model.core.packages import at_place
 from model.prediction import DEFAULT as DEFAULT_PREDICTOR
-from model.prediction.remote import TOKEN_VARIABLE as BACKEND_TOKEN_VARIABLE
+from model.prediction import TOKEN_VARIABLE as BACKEND_TOKEN_VARIABLE
 
 
 @dataclass(frozen=True, kw_only=True)

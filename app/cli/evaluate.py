@@ -17,17 +17,14 @@ from app.cli.simulated_annotator import AnnotatorConfig
 from model.core.errors import ConfigurationError
 from model.core.files import write_json
 from model.core.progress import Progress, scaled_progress
-from model.data.part_export import export_parts
+from model.data.folders import export_parts
 from model.data.registry import DatasetOptions, open_dataset
-from model.evaluation.alignment import Frame
-from model.evaluation.compare import compare
-from model.evaluation.corruption import Corruption
+from model.evaluation.compare import compare, print_comparison, print_reports, print_table
 from model.evaluation.html_report import write_html
-from model.evaluation.markdown import write_markdown
-from model.evaluation.report import Report, read_report
-from model.evaluation.run import TRUTH, EvaluationConfig, chosen_ids, require_predictor
+from model.evaluation.predictions import Frame
+from model.evaluation.report import Report, read_report, write_markdown
+from model.evaluation.run import TRUTH, Corruption, EvaluationConfig, chosen_ids, require_predictor
 from model.evaluation.run import evaluate as evaluate_method
-from model.evaluation.table import print_comparison, print_reports, print_table
 from model.io.model_files import safe_link
 from model.prediction.registry import DEFAULT
 from model.segmentation.registry import load_segmenter

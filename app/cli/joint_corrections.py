@@ -10,9 +10,15 @@ import numpy as np
 from model.core.articulated_object import ArticulatedObject, SegmentedObject
 from model.core.joint import Joint
 from model.core.tree import KinematicTree
-from model.evaluation.joint_metrics import UsableLimits, axis_angle, compare_ranges, point_to_line
-from model.evaluation.tree_metrics import chain, path
-from model.prediction.geometric.type_change import change_joint_type
+from model.evaluation.joint_metrics import (
+    UsableLimits,
+    axis_angle,
+    chain,
+    compare_ranges,
+    path,
+    point_to_line,
+)
+from model.prediction.geometric.roles import change_joint_type
 from sessions.commands import SetJoint, SetRoot
 from sessions.live import LiveSession
 

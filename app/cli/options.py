@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from app.cli.command import Option, flag, option
-from model.prediction import DEFAULT
-from model.prediction.remote import TOKEN_VARIABLE
+from model.prediction import DEFAULT, TOKEN_VARIABLE
 
 Vector = tuple[float, float, float]
 

@@ -17,17 +17,14 @@ from app.server.prompt_file import beside, read_prompts
 from model.core.errors import ConfigurationError
 from model.core.progress import Progress
 from model.prediction.registry import check_predictor
-from model.scenes.assets import AssetIndex, index_assets
-from model.scenes.clicked import ObjectClicks
+from model.scenes.articulable_finders import FinderOptions, default_cache, load_finder
+from model.scenes.asset_parts import AssetIndex, ObjectClicks, index_assets
 from model.scenes.convert import ConvertSettings, convert_scene, decide, descriptions
-from model.scenes.embedded import holds_geometry, unpack
-from model.scenes.finder_options import FinderOptions
-from model.scenes.finder_registry import default_cache, load_finder
 from model.scenes.language_finder import LanguageFinder, Usage
-from model.scenes.protocol import ArticulableFinder
 from model.scenes.registry import read_scene
 from model.scenes.results import sim_id
-from model.scenes.scene import Scene
+from model.scenes.scene import ArticulableFinder, Scene
+from model.scenes.unpacking import holds_geometry, unpack
 from model.segmentation.registry import check_segmenter
 
 

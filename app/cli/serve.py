@@ -19,10 +19,9 @@ from model.core.errors import ConfigurationError, InputFileError
 from model.io.geometry_files import STAGES, SUFFIXES
 from model.io.masks import read_masks
 from model.io.model_files import articulated_stage, find_assets, is_model
+from model.prediction import is_backend
 from model.prediction.registry import check_predictor
-from model.prediction.remote import is_backend
-from model.scenes.finder_options import FinderOptions
-from model.scenes.finder_registry import load_finder
+from model.scenes.articulable_finders import FinderOptions, load_finder
 from model.scenes.registry import recognised
 from model.segmentation.registry import check_segmenter
 

@@ -31,9 +31,8 @@ from model.evaluation.pool import time_limit
 from model.geometry.sampling import sample_surface
 from model.geometry.splitting import split
 from model.prediction.registry import DEFAULT, load_predictor
-from model.segmentation.prompts import BASE, Click, Prompts
+from model.segmentation.prompts import BASE, Click, Prompts, deepest, next_part_click
 from model.segmentation.registry import load_segmenter
-from model.segmentation.simulated_clicks import deepest, next_part_click
 from sessions.commands import AddClick, NamePart, RecordPrediction, RecordSegmentation, SetCategory
 from sessions.live import LiveSession
 from sessions.store import Store

@@ -10,9 +10,9 @@ from typing import Any
 from app.cli.printing import progress_bar
 from app.cli.research_commands import TrainCommand
 from model.core.progress import no_progress
+from model.data.datasets import training_ids
 from model.data.procedural.generate import family_names
 from model.data.registry import recognised
-from model.data.splits import training_ids
 from model.training.arti4urdf.config import FullConfig
 from model.training.arti4urdf.full_data import ObjectSet
 from model.training.arti4urdf.full_trainer import LEFT_OUT, Sources, train_full

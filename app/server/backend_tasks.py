@@ -8,9 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from model.core.progress import Progress, no_progress
-from model.prediction.protocol import Predictor
-from model.prediction.registry import load_predictor
-from model.prediction.remote.wire import decode_request, encode_answer
+from model.prediction.registry import Predictor, load_predictor
+from model.prediction.remote_backend import decode_request, encode_answer
 
 _loaded: list[Predictor] = []
 

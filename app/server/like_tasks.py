@@ -28,7 +28,7 @@ from model.geometry.like_object import (
 )
 from model.io.assets.reader import load_object
 from model.segmentation.registry import DEFAULT
-from model.segmentation.tools.carry_over import carry_over
+from model.segmentation.similar import carry_over
 
 LIKE = "like"
 """First word of the recorded tool; the second one is the asset's folder."""

@@ -30,7 +30,7 @@ from app.server.validating import JointCollision, Validation
 from app.server.workers import READ_CANCELLED, READ_SECONDS, too_slow
 from model.core.errors import ArtiworldError, CommandError
 from model.prediction.registry import DEFAULT as DEFAULT_PREDICTOR
-from model.prediction.remote.http_predictor import BackendError
+from model.prediction.remote_backend import BackendError
 from sessions import commands as cmd
 from sessions.people import Presence
 from sessions.review import transition

@@ -23,10 +23,9 @@ from app.server.scene_tasks import SceneItem
 from app.server.workers import READ_SECONDS
 from model.core.errors import CommandError
 from model.core.geometry import quaternion_wxyz
-from model.scenes.finders import LexiconFinder
-from model.scenes.poses import pose, rotation_from_quaternion
-from model.scenes.protocol import Decision, ObjectDescription
-from model.scenes.scene import FloatArray, SceneObject
+from model.scenes.articulable_finders import LexiconFinder
+from model.scenes.scene import Decision, FloatArray, ObjectDescription, SceneObject
+from model.scenes.values import pose, rotation_from_quaternion
 from sessions import commands as cmd
 from sessions.checks import clean_text
 from sessions.scene_commands import PickOut, Position, Quaternion

@@ -25,7 +25,7 @@ from model.core.joint import Joint
 from model.core.progress import Progress, no_progress
 from model.core.tree import KinematicTree
 from model.evaluation import render
-from model.evaluation.html_page import write_page
+from model.evaluation.html_report import write_page
 from model.io.assets.reader import read_provenance
 from model.io.urdf.meshes import merged
 from model.scenes.results import SCENE_JSON

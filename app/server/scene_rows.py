@@ -13,7 +13,7 @@ from app.server.part_tasks import PartSource
 from app.server.scene_shapes import DrawnParts
 from app.server.scene_tasks import SceneItem
 from model.core.errors import InputFileError
-from model.scenes.assets import asset_digest
+from model.scenes.asset_parts import asset_digest
 from sessions.document import Document
 from sessions.live import LiveSession
 

@@ -23,7 +23,7 @@ from model.io.assets.asset_folder import write_asset
 from model.io.assets.reader import read_provenance
 from model.io.file_names import FileNames
 from model.physics.simulation_values import physics_of
-from model.scenes.assets import asset_digest
+from model.scenes.asset_parts import asset_digest
 from model.scenes.convert import ConvertSettings, alone, asset_job, shorten_limits
 from model.scenes.jobs import (
     ACCEPTED,
@@ -39,10 +39,9 @@ from model.scenes.jobs import (
     read_done,
     write_formats,
 )
-from model.scenes.outcome import Outcome
-from model.scenes.protocol import Decision
 from model.scenes.registry import read_scene
-from model.scenes.results import write_results
+from model.scenes.results import Outcome, write_results
+from model.scenes.scene import Decision
 
 ASSET_SECONDS = 1800.0
 """Longest time for one rigid asset, collision shapes included."""

@@ -29,9 +29,12 @@ from model.geometry.splitting import split
 from model.io.urdf.model import save_declared
 from model.io.write import write_cloud, write_mesh
 from model.prediction.registry import load_predictor
+from model.scenes.articulable_finders import FinderOptions, default_cache, load_finder
 from model.scenes.asset_parts import (
     AssetParts,
     LeftForAnnotator,
+    asset_digest,
+    index_assets,
     known_parts,
     masses_at,
     scaled,
@@ -39,15 +42,11 @@ from model.scenes.asset_parts import (
     size_factors,
     whole,
 )
-from model.scenes.assets import asset_digest, index_assets
 from model.scenes.convert import decide
-from model.scenes.embedded import unpack
-from model.scenes.finder_options import FinderOptions
-from model.scenes.finder_registry import default_cache, load_finder
 from model.scenes.jobs import FAILED
-from model.scenes.protocol import Decision
 from model.scenes.registry import read_scene
-from model.scenes.scene import SceneObject, SceneProblem
+from model.scenes.scene import Decision, SceneObject, SceneProblem
+from model.scenes.unpacking import unpack
 from model.segmentation.prompts import BASE, Click
 from sessions.checks import NAME_LIMIT, clipped
 

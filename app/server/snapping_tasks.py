@@ -22,7 +22,7 @@ from model.kinematics.snapping import (
     origin_on_contact,
 )
 from model.kinematics.sweep import free_range
-from model.prediction.geometric.type_change import change_joint_type
+from model.prediction.geometric.roles import change_joint_type
 
 SWEEP_POINTS = 3000
 

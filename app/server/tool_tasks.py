@@ -19,16 +19,22 @@ from model.core.memory import LruCache
 from model.core.progress import Progress, no_progress
 from model.geometry.sampling import sample_surface
 from model.geometry.splitting import split_faces
-from model.segmentation.finish.alternatives import look_alike
+from model.segmentation.all_parts import absorb_small_components, propose_parts
+from model.segmentation.mask_tools import (
+    Cut,
+    connected,
+    connected_components,
+    grow,
+    line_cut,
+    rectangle_cut,
+    surface_frame,
+    to_elements,
+)
 from model.segmentation.prompt_steps import locate
 from model.segmentation.prompts import BASE, Click, Prompts
 from model.segmentation.registry import DEFAULT
-from model.segmentation.tools.all_parts import absorb_small_components, propose_parts
-from model.segmentation.tools.connected import connected, grow
-from model.segmentation.tools.cuts import Cut, connected_components, line_cut
-from model.segmentation.tools.element_masks import to_elements
-from model.segmentation.tools.rectangles import rectangle_cut, surface_frame
-from model.segmentation.tools.similar import mirrored, same_shape
+from model.segmentation.similar import mirrored, same_shape
+from model.segmentation.solver import look_alike
 from sessions.tool_commands import FaceCut
 
 Bool = npt.NDArray[np.bool_]

@@ -33,7 +33,7 @@ from model.core.files import read_json
 from model.core.geometry import Mesh
 from model.core.joint import Joint
 from model.core.tree import KinematicTree
-from model.data.protocol import GroundTruth
+from model.data.datasets import GroundTruth
 from model.io.geometry_files import turned_up
 from model.io.merging import merge_rigid
 from model.io.open_asset import open_asset
@@ -69,7 +69,7 @@ class PhysXNet:
         return found
 
     def category(self, object_id: str) -> str | None:
-        """See :class:`~model.data.protocol.Dataset`."""
+        """See :class:`~model.data.datasets.Dataset`."""
         said = self._read(object_id).get("category")
         return said if isinstance(said, str) else None
 

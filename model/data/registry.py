@@ -7,7 +7,7 @@ from pathlib import Path
 
 from model.core.errors import ConfigurationError, InputFileError
 from model.core.packages import Registry
-from model.data.protocol import Dataset
+from model.data.datasets import Dataset
 
 
 @dataclass(frozen=True)
@@ -33,12 +33,12 @@ DATASETS = Registry[Dataset](
     Dataset,
     "name, ids, category and load",
     {
-        "partnet-mobility": "model.data.partnet_mobility:PartNetMobility",
+        "partnet-mobility": "model.data.folders:PartNetMobility",
         "physxnet": "model.data.physxnet:PhysXNet",
-        "urdf": "model.data.urdf_folders:UrdfFolders",
-        "mjcf": "model.data.mjcf:MjcfFolder",
-        "procedural": "model.data.procedural_set:ProceduralSet",
-        "bundled": "model.data.bundled:Bundled",
+        "urdf": "model.data.folders:UrdfFolders",
+        "mjcf": "model.data.folders:MjcfFolder",
+        "procedural": "model.data.procedural.generate:ProceduralSet",
+        "bundled": "model.data.folders:Bundled",
     },
     group="artiworld.datasets",
 )

@@ -18,9 +18,9 @@ import numpy.typing as npt
 
 from model.core.articulated_object import ArticulatedObject
 from model.core.geometry import uniform_scale
-from model.evaluation.alignment import Similarity, renamed
 from model.evaluation.joint_metrics import WORST_ANGLE, ObjectScore, UsableLimits, score_object
 from model.evaluation.part_matching import match_parts, sampled_parts
+from model.evaluation.predictions import Similarity, renamed
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ import numpy as np
 from model.core.articulated_object import ArticulatedObject
 from model.core.progress import Progress, no_progress
 from model.data.registry import DatasetOptions, open_dataset
-from model.evaluation.executability import execute
+from model.evaluation.joint_metrics import execute
 from model.evaluation.pool import OutOfTimeError, robust_map, time_limit
 from model.evaluation.report import finite
 from model.evaluation.scans import Half, half_of

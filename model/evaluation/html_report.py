@@ -1,22 +1,49 @@
-"""The evaluation as one self-contained HTML page: tables, calibration, pictures of failures."""
+"""HTML pages of one file, and the evaluation as one: tables, calibration, pictures of failures.
+
+Templates lie beside the modules that fill them; every value is escaped.
+"""
 
 from __future__ import annotations
 
+import base64
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
+from model.core.files import draft_of, written_to
 from model.evaluation import render
-from model.evaluation.calibration import Calibration
-from model.evaluation.html_page import write_page
 from model.evaluation.joint_metrics import ObjectScore
 from model.evaluation.pool import robust_map, time_limit
 from model.evaluation.report import COLUMNS, Report, faults, figure_row, paper_rows, summary_cells
 from model.evaluation.run import EvaluationConfig, load_truth, score_prediction
-from model.evaluation.summary import METRICS
+from model.evaluation.summary import METRICS, Calibration
+
+
+def write_page(path: Path, template: Path, **values: Any) -> Path:
+    """Write ``template`` filled with ``values``; ``|png`` makes an address of a PNG file's bytes.
+
+    Raises:
+        InputFileError: where it can't be written.
+    """
+    environment = Environment(
+        autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined,
+        loader=FileSystemLoader(template.parent),
+    )  # fmt: skip
+    environment.filters["png"] = _png
+    page = environment.get_template(template.name).render(values)
+    with written_to(path), draft_of(path) as draft:
+        draft.write_text(page, encoding="utf-8")
+    return path
+
+
+def _png(data: bytes) -> str:
+    return f"data:image/png;base64,{base64.b64encode(data).decode('ascii')}"
+
 
 TEMPLATE = Path(__file__).with_name("report.html")
 

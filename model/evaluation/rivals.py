@@ -22,12 +22,11 @@ from model.core.articulated_object import ArticulatedObject
 from model.core.errors import ConfigurationError, InputFileError
 from model.core.files import write_json
 from model.core.progress import Progress, no_progress, scaled_progress
+from model.data.folders import urdf_files
 from model.data.registry import DatasetOptions
-from model.data.urdf_folders import urdf_files
-from model.evaluation.html_page import write_page
-from model.evaluation.html_report import Pictures, draw_objects
-from model.evaluation.longest_edge import LONGEST_EDGE
+from model.evaluation.html_report import Pictures, draw_objects, write_page
 from model.evaluation.pool import robust_map, time_limit
+from model.evaluation.predictions import LONGEST_EDGE
 from model.evaluation.report import PAPER_ROWS, Report
 from model.evaluation.run import (
     EvaluationConfig,

@@ -1,6 +1,6 @@
 """``artiworld bench scans``: reconstructed scans from file to joints, as people deliver them.
 
-Ground-truth objects are scanned as phones do (:mod:`model.data.simulated.reconstruction`), in three
+Ground-truth objects are scanned as phones do (:mod:`model.data.simulated.depth_camera`), in three
 ways: *cleaned by the truth* (upright, in metres, the object alone), *upright* (in metres, on its
 table), and *any* (any rotation and scale; the height is given, as a person types it). Each is
 prepared, clicked as seen (three rounds), cut, and predicted with names. *Clean* scans have points
@@ -27,15 +27,14 @@ from model.core.joint import Joint, same_motion
 from model.core.progress import Progress, no_progress
 from model.core.tree import KinematicTree
 from model.data.registry import DatasetOptions, open_dataset
-from model.data.simulated.reconstruction import (
+from model.data.simulated.depth_camera import (
     Reconstruction,
     ReconstructionSettings,
     reconstruct_scan,
 )
+from model.evaluation.joint_metrics import chain
 from model.evaluation.pool import robust_map
-from model.evaluation.segmentation.bench_data import front_of
-from model.evaluation.segmentation.visible_clicks import picture_of, visible_rounds
-from model.evaluation.tree_metrics import chain
+from model.evaluation.segmentation_clicks import front_of, picture_of, visible_rounds
 from model.geometry.cleaning import OBJECT
 from model.geometry.crop import crop
 from model.geometry.prepare import PrepareSettings, moved, prepare
@@ -97,7 +96,7 @@ class ScanScore:
         kept: share of the object's points that preparing keeps.
         iou: after each round, of the moving parts that are seen.
         clicks, drops: how many, and how many of them lowered the mean IoU by more than
-            :data:`~model.evaluation.segmentation.visible_clicks.DROP`.
+            :data:`~model.evaluation.segmentation_clicks.DROP`.
         joints, right: true moving joints, and those that were predicted right.
         extra: moving joints that the object hasn't.
         seconds: of preparing, encoding, the clicks together, and predicting.

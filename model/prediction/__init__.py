@@ -2,7 +2,7 @@
 
 From labels to a URDF in six files (the default predictor, ``hybrid``):
 
-1. ``model/geometry/splitting.py``: ``split`` cuts an asset by its labels into rigid parts.
+1. ``model/geometry/parts.py``: ``split`` cuts an asset by its labels into rigid parts.
 2. ``model/prediction/arti4urdf/predictor.py``: ``Arti4UrdfPredictor.predict`` runs steps 3 to 5 and
    collects the joints in a ``PredictionBuilder``.
 3. ``model/prediction/arti4urdf/structure.py``: ``read_structure`` measures the parts and lets the
@@ -16,3 +16,12 @@ From labels to a URDF in six files (the default predictor, ``hybrid``):
 
 DEFAULT = "hybrid"
 """Name of the default predictor: Arti4URDF beside geometry, with the weights in the repository."""
+
+
+TOKEN_VARIABLE = "ARTIWORLD_BACKEND_TOKEN"
+"""Environment variable with the backend's token, which keeps it out of process lists."""
+
+
+def is_backend(name: str) -> bool:
+    """True if a predictor's name is the address of a backend."""
+    return name.startswith(("http://", "https://"))

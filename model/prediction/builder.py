@@ -1,17 +1,189 @@
-"""Assembly of a prediction from the joints of its parts."""
+"""Assembly of a prediction from its parts' joints, with explanations and calibrated confidence.
+
+The scores of the predictors (a softmax, or a product of experts) are overconfident. Instead a
+logistic regression weighs a joint's evidence: log-odds of each decision, and circumstances in which
+such decisions fail. It was fitted to how often joints of procedural objects are right in type,
+parent, axis, line and range together (:mod:`model.training.arti4urdf.confidence`).
+"""
 
 from __future__ import annotations
 
+import json
+import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
 
 from model.core.articulated_object import Prediction
-from model.core.errors import KinematicsError
+from model.core.errors import InputFileError, KinematicsError
+from model.core.files import static_assets
 from model.core.joint import Joint
 from model.core.tree import KinematicTree
-from model.prediction.confidence import ConfidenceModel, Evidence, least_certain
-from model.prediction.explanation import LOCKED
+
+
+class Reason(StrEnum):
+    """Why a joint was placed where it is."""
+
+    AJAR = "panel ajar"
+    BACK = "at the back"
+    BARRELS = "at visible barrels"
+    BLADES = "axis of its equal blades"
+    BOTH_ENDS = "held at both ends"
+    BOTTOM_EDGE = "at the bottom edge"
+    CENTER = "through its centre, barely round"
+    CHAIN_PLANE = "normal to the plane of its chain"
+    CONTACT = "at the contact"
+    CROSSED_FRAMES = "where the frames cross"
+    CROSSED_PARTS = "where the parts cross"
+    HANDLE = "opposite the handle"
+    INTO_SURFACE = "into its surface"
+    MIDDLE = "about its middle"
+    MOUNT = "about its mount"
+    NO_PROPOSAL = "no other proposal fits"
+    ONE_END = "held at one end"
+    ONLY_CONTACT = "at the only edge in contact"
+    OPEN_SIDE = "towards the open side"
+    OUTER_EDGE = "at the outer edge of two panels"
+    OWN_PLANE = "within its own plane"
+    POLES = "between its two supports"
+    RAISED_BACK = "at the raised back"
+    STEM = "about its stem"
+    SUPPORT = "vertical through its support"
+    SYMMETRY = "about its symmetry axis"
+    UPRIGHT = "vertical"
+
+
+COLLISION_FREE = "Range: collision-free"
+FREE_AXIS = "Axis: from the network alone"
+LOCKED = "Locked joint"
+
+
+def as_on(objects: int) -> str:
+    """Remark that joints of accepted objects were compared."""
+    return f"Compared with {objects} accepted object{'s' * (objects != 1)}"
+
+
+def explain(title: str, reasons: Iterable[str] = (), *more: str) -> str:
+    """As in "Hinge: opposite the handle, at visible barrels. Range: collision-free".
+
+    Args:
+        title: of the motion. reasons: for its place. more: further sentences, "" for none.
+    """
+    because = ", ".join(reasons)
+    first = f"{title}: {because}" if because else title
+    return ". ".join(filter(None, (first, *more)))
+
+
+Array = npt.NDArray[np.float64]
+Evidence = Mapping[str, float]
+"""Name → number, for one joint."""
+
+SHIPPED = static_assets() / "confidence.json"
+FORMAT = 1
+MAX_LOG_ODDS = 6.0
+"""Log-odds of one decision are clipped to this: beyond it they carry no information."""
+MAX_CONFIDENCE = 0.99
+"""One joint in a hundred is wrong for a reason that no evidence shows."""
+EXPERIENCE = "experience"
+"""Evidence that is a probability by itself: of joints that are as accepted ones were."""
+DECISIONS = {"parent": "parent", "type": "joint type", "slot": "axis"}
+"""First word of an evidence's name → the decision that it concerns."""
+DOUBT = math.log(9)
+"""Log-odds below which a decision is in doubt: 90 %."""
+
+
+@dataclass(frozen=True)
+class ConfidenceModel:
+    """A logistic regression on a predictor's evidence.
+
+    Attributes:
+        names: of the evidence that it reads; missing evidence counts as its mean.
+        mean, scale: of each over the objects of the fit. weights: log-odds per standard deviation.
+        bias: log-odds at the means.
+    """
+
+    names: tuple[str, ...]
+    mean: tuple[float, ...]
+    scale: tuple[float, ...]
+    weights: tuple[float, ...]
+    bias: float
+
+    def confidence(self, evidence: Evidence) -> float:
+        """Probability that the joint is right, 0..1."""
+        odds = self.bias
+        for name, mean, scale, weight in zip(
+            self.names, self.mean, self.scale, self.weights, strict=True
+        ):
+            odds += weight * (evidence.get(name, mean) - mean) / scale
+        known = evidence.get(EXPERIENCE, 0.0)
+        return round(min(max(1 / (1 + math.exp(-odds)), known), MAX_CONFIDENCE), 4)
+
+
+def least_certain(evidence: Evidence) -> str:
+    """A sentence that names the least certain decision; "" if none is in doubt."""
+    least = {
+        decision: min((v for k, v in evidence.items() if k.split()[0] == name), default=math.inf)
+        for name, decision in DECISIONS.items()
+    }
+    weakest = min(least, key=lambda decision: least[decision])
+    return f"Least certain: {weakest}" if least[weakest] < DOUBT else ""
+
+
+def log_odds(probability: float) -> float:
+    """Log-odds within ±:data:`MAX_LOG_ODDS`."""
+    clipped = min(max(probability, 1e-6), 1 - 1e-6)
+    return min(max(math.log(clipped / (1 - clipped)), -MAX_LOG_ODDS), MAX_LOG_ODDS)
+
+
+def fit(
+    names: tuple[str, ...], values: Array, right: Array, weights: Array, penalty: float = 1.0
+) -> ConfidenceModel:
+    """Fit the regression by Newton's method.
+
+    Args:
+        names: of the columns. values: (N, F). right: (N,) 0 or 1. weights: (N,) of the joints.
+        penalty: on the squared weights, not on the bias.
+    """
+    mean = np.average(values, axis=0, weights=weights)
+    scale = np.sqrt(np.average((values - mean) ** 2, axis=0, weights=weights))
+    scale = np.where(scale > 1e-9, scale, 1.0)
+    x = np.column_stack([(values - mean) / scale, np.ones(len(values))])
+    ridge = np.diag([penalty] * len(names) + [1e-6])
+    at = np.zeros(x.shape[1])
+    for _ in range(50):
+        p = 1 / (1 + np.exp(-x @ at))
+        slope = x.T @ (weights * (p - right)) + ridge @ at
+        curve = x.T @ (x * (weights * p * (1 - p))[:, None]) + ridge
+        step = np.linalg.solve(curve, slope)
+        at = at - step
+        if np.abs(step).max() < 1e-8:
+            break
+    columns = [tuple(round(float(v), 5) for v in column) for column in (mean, scale, at[:-1])]
+    return ConfidenceModel(names, *columns, bias=round(float(at[-1]), 5))
+
+
+@lru_cache(maxsize=8)
+def load_confidence(predictor: str, path: Path = SHIPPED) -> ConfidenceModel:
+    """The confidence model of a built-in predictor.
+
+    Raises:
+        InputFileError: if the file is absent or damaged, or has no model of this predictor.
+    """
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+        if data["format"] != FORMAT:
+            raise InputFileError(path, f"has format {data['format']}, expected {FORMAT}")
+        found = data["predictors"][predictor]
+        lists = {k: tuple(found[k]) for k in ("names", "mean", "scale", "weights")}
+        return ConfidenceModel(**lists, bias=float(found["bias"]))
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputFileError(path, f"holds no confidence model: {error}") from None
 
 
 def unknown_link(joint: Joint) -> str:

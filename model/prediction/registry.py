@@ -1,11 +1,40 @@
-"""All predictors in one table."""
+"""The port that every predictor fits, and all predictors in one table."""
 
 from __future__ import annotations
 
+from typing import Protocol, runtime_checkable
+
+from model.core.articulated_object import Prediction, SegmentedObject
+from model.core.joint import Joint
 from model.core.packages import Registry
-from model.prediction import DEFAULT
-from model.prediction.protocol import Predictor
-from model.prediction.remote import is_backend
+from model.core.progress import Progress, no_progress
+from model.prediction import DEFAULT, is_backend
+
+
+@runtime_checkable
+class Predictor(Protocol):
+    """Parts in, kinematic tree out."""
+
+    name: str
+
+    def predict(
+        self,
+        segmented: SegmentedObject,
+        *,
+        locked: tuple[Joint, ...] = (),
+        seed: int = 0,
+        progress: Progress = no_progress,
+    ) -> Prediction:
+        """Predict the tree of ``segmented``.
+
+        Args:
+            segmented: parts; category and part names are hints that may be missing.
+            locked: joints that a person has fixed; they are returned unchanged.
+            seed: the only source of randomness.
+            progress: may raise :class:`~model.core.progress.Cancelled`.
+        """
+        ...
+
 
 PREDICTORS = Registry[Predictor](
     "predictor",
@@ -44,7 +73,7 @@ def load_predictor(name: str = DEFAULT) -> Predictor:
             can't be loaded or is no predictor.
     """
     if is_backend(name):
-        from model.prediction.remote.http_predictor import HttpPredictor  # only to ask a backend
+        from model.prediction.remote_backend import HttpPredictor  # only to ask a backend
 
         return HttpPredictor(name)
     return PREDICTORS.load(name)

@@ -1,8 +1,14 @@
-"""The rigid parts that an asset declares, or why an annotator must segment it."""
+"""Assets of a scene: indexed by id, and the rigid parts that each declares or was cut into.
+
+Scenes name assets by ids; folders of 3D assets are searched for them. An asset declares its parts,
+or an annotator must segment it, by clicks made in the scene or kept beside it.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import hashlib
+import os
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -11,14 +17,14 @@ from scipy.spatial import KDTree
 
 from model.core.articulated_object import Inertial, Part, SegmentedObject, remarks_of
 from model.core.asset import Asset
-from model.core.errors import ArtiworldError
+from model.core.errors import ArtiworldError, InputFileError, PromptError
+from model.core.files import file_sha256
 from model.core.geometry import PointCloud, affine
 from model.core.names import MOST_NAMED
 from model.core.shapes import Shape, moved_shape
 from model.core.tree import KinematicTree
-from model.data.partnet_mobility import read_partnet_mobility
-from model.data.protocol import GroundTruth
-from model.data.urdf_folders import UrdfFolders
+from model.data.datasets import GroundTruth
+from model.data.folders import UrdfFolders, read_partnet_mobility
 from model.geometry.cleaning import outlier_points
 from model.geometry.splitting import split
 from model.geometry.topology import connected_shells
@@ -26,10 +32,122 @@ from model.io.assets.reader import declared_links
 from model.io.geometry_files import FOLDER_SUFFIXES
 from model.io.model_files import is_part_folder
 from model.io.open_asset import open_asset, read_part_files
-from model.io.urdf.files import MOBILITY
+from model.io.urdf.files import MOBILITY, URDF_SUFFIX
 from model.io.urdf.meshes import merged, merged_clouds, moved_mesh
 from model.io.urdf.reader import read_urdf_model
-from model.scenes.scene import FloatArray, SceneObject
+from model.scenes.scene import Anchor, FloatArray, SceneObject
+from model.segmentation.prompts import Click, Prompts, Region
+from model.segmentation.registry import load_segmenter
+
+_URDF_NAMES = (MOBILITY, "object.urdf")
+_FOLDERS_MODEL = "raw_model"
+"""Name of the mesh in the folder of each model of 3D-FUTURE."""
+
+
+@dataclass(frozen=True)
+class AssetIndex:
+    """Index of assets by id.
+
+    Attributes:
+        folders: that were searched.
+        by_id: id in lower case → file or folder. An asset's ids are its name, its name without
+            suffix and its path below the searched folder, with and without suffix; a 3D-FUTURE
+            model's is its folder.
+        ambiguous: ids that several assets have; the first in the order of ``folders`` counts.
+    """
+
+    folders: tuple[Path, ...]
+    by_id: dict[str, Path] = field(default_factory=dict)
+    ambiguous: frozenset[str] = frozenset()
+
+    def find(self, id: str) -> Path | None:
+        """The asset called ``id``, which may be a path: its last folders count most.
+
+        ``../models/Microwave/7128/mobility.urdf`` is found as ``models/microwave/7128``, else as
+        ``microwave/7128``, else as ``7128``.
+        """
+        words = [w for w in id.replace("\\", "/").lower().split("/") if w not in ("", ".", "..")]
+        if not words:
+            return None
+        ends = [words]
+        if len(words) > 1 and "." in words[-1]:
+            ends.append(words[:-1])  # the folder that the file is in
+        for end in ends:
+            for start in range(len(end)):
+                found = self.by_id.get("/".join(end[start:]))
+                if found is not None:
+                    return found
+        return None
+
+
+def index_assets(folders: Iterable[str | Path]) -> AssetIndex:
+    """Search folders in depth for assets.
+
+    An asset is a folder with a ``mobility.urdf`` or ``object.urdf``, a folder of part meshes,
+    another URDF, or a mesh file.
+
+    Raises:
+        InputFileError: where a folder isn't there.
+    """
+    roots = tuple(Path(f) for f in folders)
+    by_id: dict[str, Path] = {}
+    ambiguous: set[str] = set()
+    for root in roots:
+        if not root.is_dir():
+            raise InputFileError(root, "no such folder", "give a folder of assets")
+        for path in _assets_in(root):
+            for id in _ids(root, path):
+                if by_id.setdefault(id, path) != path:
+                    ambiguous.add(id)
+    return AssetIndex(roots, by_id, frozenset(ambiguous))
+
+
+def _is_asset_folder(folder: Path, files: list[str]) -> bool:
+    if any(name in files for name in _URDF_NAMES):
+        return True
+    return is_part_folder(folder, FOLDER_SUFFIXES)
+
+
+def _assets_in(root: Path) -> Iterable[Path]:
+    for where, below, files in os.walk(root):
+        below.sort()
+        folder = Path(where)
+        if _is_asset_folder(folder, files):
+            below.clear()
+            yield folder
+            continue
+        for name in sorted(files):
+            if Path(name).suffix.lower() in (*FOLDER_SUFFIXES, URDF_SUFFIX):
+                yield folder / name
+
+
+def _ids(root: Path, path: Path) -> set[str]:
+    inside = path.relative_to(root) if path != root else Path(path.name)
+    out = {path.name, inside.as_posix()}
+    if path.is_file():
+        out |= {path.stem, inside.with_suffix("").as_posix()}
+    if path.stem == _FOLDERS_MODEL and path.parent != root:
+        out |= {path.parent.name, inside.parent.as_posix()}
+        out -= {path.name, path.stem}  # what all are called, so that none stands for another
+    return {id.lower() for id in out}
+
+
+def asset_digest(path: Path) -> str:
+    """SHA-256 over an asset's files, the same for copies wherever they lie.
+
+    Raises:
+        InputFileError: where a file can't be read.
+    """
+    files = [path] if path.is_file() else sorted(p for p in path.rglob("*") if p.is_file())
+    whole = hashlib.sha256()
+    try:
+        for file in files:
+            name = file.name if file == path else file.relative_to(path).as_posix()
+            whole.update(f"{name}\0{file_sha256(file)}\n".encode())
+    except OSError as error:
+        raise InputFileError(path, f"can't be read: {error.strerror}") from error
+    return whole.hexdigest()
+
 
 MOST_PIECES = MOST_NAMED
 """Connected pieces up to which they pass for parts; beyond, they are screws and panels."""
@@ -241,3 +359,77 @@ def _unshifted(asset: Asset) -> Asset:
     if cloud is not None:
         cloud = replace(cloud, points=(cloud.points + shift).astype(np.float32))
     return replace(asset, mesh=mesh, cloud=cloud)
+
+
+FAR = 0.1
+"""A click further from the object than this share of its diagonal belongs to something else."""
+
+
+@dataclass(frozen=True, eq=False)
+class ObjectClicks:
+    """Clicks of a person on one object.
+
+    Attributes:
+        prompts: positions in metres, +z up; elements, where a click or a region names them, are the
+            object's own.
+        names: part → display name.
+        category: of the object, or None.
+        segmenter: registered name.
+        in_scene: whether positions are the scene's; else the asset's own, before its scale.
+    """
+
+    prompts: Prompts
+    names: Mapping[int, str] = field(default_factory=dict)
+    category: str | None = None
+    segmenter: str = "default"
+    in_scene: bool = True
+
+    def key(self) -> list[object]:
+        """Equal clicks have equal keys."""
+        return [self.prompts.key(), sorted(self.names.items()), self.category, self.segmenter]
+
+
+@dataclass(frozen=True, eq=False)
+class ClickedObject:
+    """Clicks, and where the object stands that was clicked on."""
+
+    clicks: ObjectClicks
+    world_from_object: FloatArray
+    anchor: Anchor
+
+
+def clicked_parts(path: Path, holder: SceneObject, clicks: ObjectClicks) -> AssetParts:
+    """Parts in the asset's own frame.
+
+    Args:
+        path: of the asset.
+        holder: where it stands, and at which size.
+
+    Raises:
+        PromptError: where a click is on something else, or no part but the base got anything.
+        InputFileError: where the asset can't be read.
+    """
+    asset = read_unshifted(path)
+    placed = holder.placed(bounds_of((Part("link_0", asset.mesh, asset.cloud),)))
+    turn, at = placed.world_from_asset[:3, :3], placed.world_from_asset[:3, 3]
+    items: list[Click | Region] = list(clicks.prompts.items)
+    where = np.array([c.position for c in clicks.prompts.clicks]).reshape(-1, 3)
+    local = (where - at) @ turn / placed.scale if clicks.in_scene else where
+    away = KDTree(asset.element_centers).query(local)[0] if len(local) else np.zeros(0)
+    if len(away) and away.max() > FAR * asset.diagonal:
+        worst = int(away.argmax())
+        raise PromptError(
+            f"clicks[{worst}] at {where[worst].tolist()} is {away[worst]:.3g} m away from it; "
+            f"give positions in {'the scene' if clicks.in_scene else 'its frame'}, metres, +z up"
+        )
+    moved = iter(local.tolist())
+    for i, item in enumerate(items):
+        if isinstance(item, Click):
+            x, y, z = next(moved)
+            items[i] = Click((x, y, z), item.part, item.positive, item.element)
+    session = load_segmenter(clicks.segmenter).encode(asset)
+    answer = session.segment(Prompts(tuple(items)))
+    parts = split(asset, answer.labels, clicks.names)
+    if len(parts) < 2:
+        raise PromptError("the clicks leave it in one part; click on its moving parts")
+    return AssetParts(parts, "clicks")

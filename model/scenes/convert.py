@@ -37,18 +37,30 @@ from model.io.urdf.files import MOBILITY
 from model.io.urdf.reader import read_urdf_model
 from model.prediction.registry import DEFAULT
 from model.scenes import jobs as job_module
-from model.scenes.assets import AssetIndex, asset_digest
-from model.scenes.clicked import ClickedObject, ObjectClicks
-from model.scenes.embedded import unpack
-from model.scenes.jobs import ASSETS, DONE, FAILED, MOVING, PLAIN, AssetJob, ConvertAsset, read_done
+from model.scenes.asset_parts import AssetIndex, ClickedObject, ObjectClicks, asset_digest
+from model.scenes.jobs import (
+    ASSETS,
+    DONE,
+    FAILED,
+    MOVING,
+    PLAIN,
+    AssetJob,
+    ConvertAsset,
+    ray_map,
+    read_done,
+)
 from model.scenes.language_finder import LanguageFinder
 from model.scenes.neighbours import Standing, shortened
-from model.scenes.outcome import Outcome
-from model.scenes.protocol import ArticulableFinder, ObjectDescription
-from model.scenes.ray_map import ray_map
-from model.scenes.results import write_results
-from model.scenes.scene import FloatArray, Scene, SceneObject, SceneObjectError
-from model.scenes.unpacking import Unpacked
+from model.scenes.results import Outcome, write_results
+from model.scenes.scene import (
+    ArticulableFinder,
+    FloatArray,
+    ObjectDescription,
+    Scene,
+    SceneObject,
+    SceneObjectError,
+)
+from model.scenes.unpacking import Unpacked, unpack
 
 WRITTEN = 4
 """Version of what a job writes: what an older one wrote is made anew."""

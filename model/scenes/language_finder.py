@@ -21,8 +21,8 @@ from typing import Any, Protocol
 from model.core.errors import ArtiworldError
 from model.core.files import write_json
 from model.core.progress import Progress, no_progress
-from model.scenes.finders import LexiconFinder
-from model.scenes.protocol import ArticulableFinder, Decision, ObjectDescription
+from model.scenes.articulable_finders import LexiconFinder
+from model.scenes.scene import ArticulableFinder, Decision, ObjectDescription
 
 SYSTEM = (
     "You know furniture, appliances, tools and how they move. You get rigid objects of a 3D scene "
@@ -133,7 +133,7 @@ class Usage:
 
 @dataclass(eq=False)
 class LanguageFinder:
-    """See :class:`~model.scenes.protocol.ArticulableFinder`.
+    """See :class:`~model.scenes.scene.ArticulableFinder`.
 
     Attributes:
         engine: runs the model.
@@ -154,7 +154,7 @@ class LanguageFinder:
         self._lock = Lock()
 
     def find(self, objects: Sequence[ObjectDescription]) -> list[Decision]:
-        """See :class:`~model.scenes.protocol.ArticulableFinder`.
+        """See :class:`~model.scenes.scene.ArticulableFinder`.
 
         Raises:
             FinderUnavailableError, ConfigurationError: as the engine's ``ask``.

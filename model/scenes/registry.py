@@ -11,8 +11,7 @@ from scipy.spatial import KDTree
 from model.core.errors import InputFileError
 from model.core.packages import Registry
 from model.io.formats.loaded import size_of
-from model.scenes.protocol import SceneReader
-from model.scenes.scene import Scene, SceneProblem
+from model.scenes.scene import Scene, SceneProblem, SceneReader
 
 FAR_APART = 30.0
 """Metres from most objects to their nearest neighbour; a room's stand within a few."""
@@ -24,15 +23,15 @@ SCENE_READERS = Registry[SceneReader](
     SceneReader,
     "name, description, recognises and read",
     {
-        "artiworld": "model.scenes.readers.own:OwnReader",
+        "artiworld": "model.scenes.native_format:OwnReader",
         "lisdf": "model.scenes.readers.lisdf:LisdfReader",
-        "holodeck": "model.scenes.readers.holodeck:HolodeckReader",
-        "mesatask": "model.scenes.readers.mesatask:MesaTaskReader",
-        "internscenes": "model.scenes.readers.internscenes:InternScenesReader",
-        "optiscene": "model.scenes.readers.optiscene:OptiSceneReader",
-        "physcene": "model.scenes.readers.physcene:PhySceneReader",
-        "gltf": "model.scenes.readers.gltf_scene:GltfSceneReader",
-        "usd": "model.scenes.readers.usd_stage:UsdStageReader",
+        "holodeck": "model.scenes.readers.houses:HolodeckReader",
+        "mesatask": "model.scenes.readers.layouts:MesaTaskReader",
+        "internscenes": "model.scenes.readers.layouts:InternScenesReader",
+        "optiscene": "model.scenes.readers.layouts:OptiSceneReader",
+        "physcene": "model.scenes.readers.houses:PhySceneReader",
+        "gltf": "model.scenes.readers.gltf_usd:GltfSceneReader",
+        "usd": "model.scenes.readers.gltf_usd:UsdStageReader",
         "scan": "model.scenes.readers.scan_room:ScanRoomReader",
     },
     group="artiworld.scene_readers",

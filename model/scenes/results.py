@@ -1,4 +1,7 @@
-"""Writing a converted scene: its own JSON, MJCF, the source with the URDFs' paths, a summary."""
+"""Writing a converted scene: its own JSON, MJCF, the source with the URDFs' paths, a summary.
+
+Each object has an outcome. Holding friction of joints keeps tilted objects closed under gravity.
+"""
 
 from __future__ import annotations
 
@@ -7,33 +10,146 @@ import json
 import math
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree as ET  # writes; reading is defusedxml's
+from xml.etree import ElementTree as ET
 
 import numpy as np
 
+from model.core.articulated_object import Inertial
 from model.core.files import draft_of, write_json
 from model.core.geometry import quaternion_wxyz
+from model.core.joint import JOINT_KINDS, JOINT_TYPES, Joint, JointType, Mimic
+from model.core.tree import KinematicTree
 from model.io.assets.reader import URDF
 from model.io.export.manifest import ABOUT, write_scene_about
 from model.io.export.mjcf import FILE
 from model.io.urdf.writer import number, xml_name
-from model.scenes.holding_friction import frictions
+from model.physics.simulation_values import resisting
 from model.scenes.jobs import ASSETS, MISSING, MJCF, MOVING
 from model.scenes.native_format import scene_to_json
-from model.scenes.outcome import Outcome
-from model.scenes.overlaps import at_rest
-from model.scenes.readers.gltf_scene import with_articulation
+from model.scenes.neighbours import at_rest
+from model.scenes.readers.gltf_usd import articulation_layer, with_articulation
+from model.scenes.readers.layouts import find_design
 from model.scenes.readers.lisdf import parse_xml
-from model.scenes.readers.optiscene import find_design
-from model.scenes.readers.usd_stage import articulation_layer
-from model.scenes.scene import Scene
-from model.scenes.scene_mjcf import Stand, write_scene_mjcf
-from model.scenes.scene_sdf import pose_text, write_scene_sdf
+from model.scenes.scene import Decision, FloatArray, Scene, SceneObject
 from model.scenes.scene_usd import write_scene_usd
+from model.scenes.scene_xml import Stand, pose_text, write_scene_mjcf, write_scene_sdf
 from model.scenes.values import read_json, read_text
+
+
+@dataclass(eq=False)
+class Outcome:
+    """The outcome of one object; filled in step by step.
+
+    Attributes:
+        obj: the object.
+        decision: of the finder.
+        path: its asset, or None.
+        truth: whether the asset is known to move; None where nobody knows.
+        key: of its asset's job, or None.
+        state, reason: what became of it.
+        report: of its asset's job.
+        changes: joints whose limits were shortened.
+        by, at: who decided on it, and when (ISO 8601, UTC); "" where nobody did.
+    """
+
+    obj: SceneObject
+    decision: Decision
+    path: Path | None = None
+    truth: bool | None = None
+    key: str | None = None
+    state: str = MISSING
+    reason: str = ""
+    report: dict[str, Any] = field(default_factory=dict)
+    changes: list[dict[str, Any]] = field(default_factory=list)
+    by: str = ""
+    at: str = ""
+
+
+UPRIGHT = 1e-3
+"""Share of a unit vector's length: less is no tilt, but rounding."""
+
+
+def frictions(
+    asset: Path, world_from_asset: FloatArray, limits: Mapping[str, Sequence[float]]
+) -> dict[str, float]:
+    """Joint → N or N m of friction with which it holds itself as it stands.
+
+    Args:
+        asset: MJCF of the asset, by :class:`~model.io.export.mjcf.MjcfExporter`, whose friction is
+            that of the upright asset.
+        world_from_asset: (4, 4) how it stands.
+        limits: joint → (lower, upper) where they were shortened.
+
+    Returns:
+        Empty where it stands upright: what the asset says holds.
+    """
+    up = world_from_asset[2, :3]
+    if np.linalg.norm(up - (0.0, 0.0, 1.0)) < UPRIGHT:
+        return {}
+    tree, inertials = _moving(parse_xml(asset), limits)
+    return {j.name: resisting(tree, inertials, j, up=up).friction for j in tree.joints if j.moves}
+
+
+def _moving(
+    root: ET.Element, limits: Mapping[str, Sequence[float]]
+) -> tuple[KinematicTree, dict[str, Inertial]]:
+    """Tree and masses of an asset; its bodies all have the asset's axes."""
+    mimics = {
+        e.get("joint1", ""): Mimic(e.get("joint2", ""), slope, offset)
+        for e in root.findall("equality/joint")
+        for offset, slope in [_numbers(e.get("polycoef"), (0.0, 1.0))[:2]]
+    }
+    links: list[str] = []
+    joints: list[Joint] = []
+    inertials: dict[str, Inertial] = {}
+
+    def take(body: ET.Element, parent: str | None, at: FloatArray) -> None:
+        link = body.get("name", "")
+        links.append(link)
+        at = at + _numbers(body.get("pos"), (0.0, 0.0, 0.0))
+        weighed = body.find("inertial")
+        if weighed is not None:
+            center = at + _numbers(weighed.get("pos"), (0.0, 0.0, 0.0))
+            inertials[link] = Inertial(float(weighed.get("mass", 0.0)), center, np.zeros((3, 3)))
+        if parent is not None:
+            joints.append(_joint(body.find("joint"), parent, link, at, limits, mimics))
+        for child in body.findall("body"):
+            take(child, link, at)
+
+    for body in root.findall("worldbody/body"):
+        take(body, None, np.zeros(3))
+    return KinematicTree(tuple(links), tuple(joints)), inertials
+
+
+def _joint(
+    made: ET.Element | None,
+    parent: str,
+    link: str,
+    at: FloatArray,
+    limits: Mapping[str, Sequence[float]],
+    mimics: Mapping[str, Mimic],
+) -> Joint:
+    if made is None:
+        return Joint(f"fixed_{link}", "fixed", parent, link)
+    name = made.get("name", "")
+    axis = tuple(_numbers(made.get("axis"), (0.0, 0.0, 1.0)))
+    ends = limits.get(name)
+    if ends is None and made.get("range") is not None:
+        ends = _numbers(made.get("range"), (0.0, 0.0))
+    tag = made.get("type", "hinge")
+    kind: JointType = next(k for k in JOINT_TYPES if JOINT_KINDS[k].mjcf == tag)
+    if ends is None and JOINT_KINDS[kind].rotates:
+        return Joint(name, "continuous", parent, link, axis, tuple(at), mimic=mimics.get(name))
+    low, high = (0.0, 0.0) if ends is None else (float(v) for v in ends)
+    return Joint(name, kind, parent, link, axis, tuple(at), low, high, mimics.get(name))
+
+
+def _numbers(text: str | None, otherwise: Sequence[float]) -> FloatArray:
+    return np.array(otherwise if text is None else [float(v) for v in text.split()], np.float64)
+
 
 SCENE_JSON, SCENE_MJCF, SUMMARY = "scene.json", "scene.xml", "summary.json"
 SCENE_SDF, SCENE_USD = "scene.sdf", "scene.usda"

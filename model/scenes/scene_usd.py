@@ -15,7 +15,7 @@ from model.io.export.usd import FILE, FRICTION, NAME_KEY, identifier
 from model.io.urdf.writer import rounded, xml_name
 from model.scenes.jobs import ASSETS
 from model.scenes.scene import FloatArray
-from model.scenes.scene_mjcf import Stand
+from model.scenes.scene_xml import Stand
 
 
 def write_scene_usd(name: str, stands: Sequence[Stand], out: Path, file: str) -> Path:

@@ -1,4 +1,4 @@
-"""Writes the geometry that a scene's file holds, each object as an asset of its own."""
+"""Scenes whose file holds geometry: each object is written as an asset of its own."""
 
 from __future__ import annotations
 
@@ -6,17 +6,21 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
 from model.core.errors import ArtiworldError
+from model.core.files import draft_of
 from model.core.geometry import affine, axis_scales
+from model.core.textures import one_reading
 from model.io.formats.loaded import Loaded, join
 from model.io.geometry_files import cleaned, is_solid, to_cloud, to_mesh
 from model.io.model_files import OBJECT_JSON
 from model.io.write import mesh_to_glb, write_cloud
-from model.scenes.asset_parts import MOST_PIECES
-from model.scenes.scene import FloatArray, SceneObjectError
+from model.scenes.asset_parts import MOST_PIECES, asset_digest
+from model.scenes.registry import load_reader
+from model.scenes.scene import FloatArray, Scene, SceneObjectError, SceneReader
 
 Pieces = Callable[[], Sequence[tuple[str | None, Loaded]]]
 _RIGID = 1e-6
@@ -117,3 +121,48 @@ class Unpacker:
     def result(self) -> Unpacked:
         """All of it."""
         return Unpacked(self.files, self.problems)
+
+
+@runtime_checkable
+class GeometryReader(SceneReader, Protocol):
+    """A reader of files that hold geometry."""
+
+    def unpack(self, scene: Scene, folder: Path) -> Unpacked:
+        """Write each object's geometry below ``folder`` in the frame of its asset: metres, +z up,
+        before ``scale``. The same file gives the same bytes.
+
+        Raises:
+            InputFileError: where the file as a whole can't be read any more.
+        """
+        ...
+
+
+@one_reading()
+def unpack(scene: Scene, folder: Path) -> Unpacked:
+    """The assets inside the scene's file; none for a scene that only names them.
+
+    Args:
+        folder: replaced where it differs.
+
+    Raises:
+        InputFileError: where the file can't be read any more, or the folder not written.
+    """
+    reader = _geometry_reader(scene)
+    if reader is None:
+        return Unpacked()
+    with draft_of(folder, lambda there: asset_digest(there) == asset_digest(draft)) as draft:
+        draft.mkdir()
+        found = reader.unpack(scene, draft)
+    places = {asset: folder / path.relative_to(draft) for asset, path in found.files.items()}
+    problems = {a: p.replace(str(draft), str(folder)) for a, p in found.problems.items()}
+    return Unpacked(places, problems)
+
+
+def holds_geometry(scene: Scene) -> bool:
+    """True if the scene's own file holds the assets."""
+    return _geometry_reader(scene) is not None
+
+
+def _geometry_reader(scene: Scene) -> GeometryReader | None:
+    reader = load_reader(scene.reader)
+    return reader if isinstance(reader, GeometryReader) else None

@@ -17,9 +17,8 @@ from scipy.sparse.linalg import splu
 from model.core.asset import Asset
 from model.core.progress import Progress, no_progress
 from model.segmentation.arrays import Bool, Float32, Int16
-from model.segmentation.encode.edge_strength import edge_strength, edge_weight
-from model.segmentation.encode.graph import Graph, adjacency, build_graph
-from model.segmentation.encode.nodes import Nodes, nodes_of_asset
+from model.segmentation.graph import Graph, adjacency, build_graph, edge_strength, edge_weight
+from model.segmentation.nodes import Nodes, nodes_of_asset
 from model.segmentation.prompt_steps import ClickStep, enforce, resolve
 from model.segmentation.prompts import BASE, PartSegmentation, Prompts
 
@@ -47,7 +46,7 @@ class _Session:
         """Compute what a subclass needs once."""
 
     def segment(self, prompts: Prompts) -> PartSegmentation:
-        """See :class:`~model.segmentation.protocol.SegmentationSession`."""
+        """See :class:`~model.segmentation.registry.SegmentationSession`."""
         begin = time.perf_counter()
         steps = resolve(self.asset, self._nodes, prompts)
         clicks = [s for s in steps if isinstance(s, ClickStep)]
@@ -154,14 +153,14 @@ class _WalkSession(_Session):
 
 
 class _Baseline:
-    """A :class:`~model.segmentation.protocol.Segmenter` around one of the sessions."""
+    """A :class:`~model.segmentation.registry.Segmenter` around one of the sessions."""
 
     def __init__(self, name: str, session: type[_Session]) -> None:
         self.name = name
         self._session = session
 
     def encode(self, asset: Asset, progress: Progress = no_progress) -> _Session:
-        """See :class:`~model.segmentation.protocol.Segmenter`."""
+        """See :class:`~model.segmentation.registry.Segmenter`."""
         return self._session(self.name, asset, progress)
 
 

@@ -18,17 +18,15 @@ from cachetools import LRUCache
 from model.core.asset import Asset
 from model.core.progress import Progress, no_progress
 from model.segmentation.arrays import Bool, Int16
-from model.segmentation.encode.edge_strength import shipped_edge_model
-from model.segmentation.encode.encoding import Encoding, encode
-from model.segmentation.finish.alternatives import ALTERNATIVES, look_alike, offered
-from model.segmentation.finish.labels import LabelFinisher
-from model.segmentation.finish.local_refinement import LocalRefinement
+from model.segmentation.encoding import Encoding, encode
+from model.segmentation.graph import shipped_edge_model
+from model.segmentation.labels import LabelFinisher
+from model.segmentation.local_refinement import LocalRefinement
 from model.segmentation.prompt_steps import ClickStep, Step, resolve, surface_steps
 from model.segmentation.prompts import Click, PartSegmentation, Prompts
-from model.segmentation.score.scorers import InputDomain, shipped_moving_scorers, shipped_scorers
+from model.segmentation.scores import InputDomain, shipped_moving_scorers, shipped_scorers
 from model.segmentation.session_state import SessionState, StateUpdates
-from model.segmentation.solver import PartSolver
-from model.segmentation.solvers import solver_of
+from model.segmentation.solver import ALTERNATIVES, PartSolver, look_alike, offered, solver_of
 
 STATES_CACHED, _CLICKS_CACHED = 64, 10_000
 """For undo and the next click; a state of 20,000 points takes 0.6 MB."""
@@ -39,7 +37,7 @@ _ALL = 0.99
 
 
 class DefaultSession:
-    """See :class:`~model.segmentation.protocol.SegmentationSession`.
+    """See :class:`~model.segmentation.registry.SegmentationSession`.
 
     Attributes:
         asset, encoding, solver: as given.
@@ -160,7 +158,7 @@ def _digest(step: Step) -> bytes:
 
 
 class DefaultSegmenter:
-    """See :class:`~model.segmentation.protocol.Segmenter`."""
+    """See :class:`~model.segmentation.registry.Segmenter`."""
 
     name = "default"
 

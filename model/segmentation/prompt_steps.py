@@ -10,7 +10,7 @@ import numpy as np
 from model.core.asset import Asset
 from model.core.errors import PromptError
 from model.segmentation.arrays import Bool, Float64, Int, Int16, Int32, Int64
-from model.segmentation.encode.nodes import Nodes
+from model.segmentation.nodes import Nodes
 from model.segmentation.prompts import BASE, UNASSIGNED, Click, Prompts, Region
 
 

@@ -11,15 +11,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from model.segmentation.arrays import Bool
-from model.segmentation.encode.encoding import Encoding
-from model.segmentation.finish.labels import LabelFinisher
-from model.segmentation.finish.local_refinement import RefinedPart
-from model.segmentation.part_state import PartState
+from model.segmentation.encoding import Encoding
+from model.segmentation.fronts import BAR_LENGTH
+from model.segmentation.labels import LabelFinisher
+from model.segmentation.local_refinement import RefinedPart
 from model.segmentation.prompt_steps import ClickStep, RegionStep, Step
 from model.segmentation.prompts import BASE
-from model.segmentation.propose.fronts import BAR_LENGTH
-from model.segmentation.score.moving_parts import ALONE_MARGIN
-from model.segmentation.score.penalties import NEARLY_ALL
+from model.segmentation.proposals import PartState
+from model.segmentation.scores import ALONE_MARGIN, NEARLY_ALL
 from model.segmentation.solver import PartSolver, ScoredProposals
 
 _TRIED = 12

@@ -1,35 +1,110 @@
 """Answer a click on one part: propose masks, describe them, score them, choose the best.
 
-Which sources propose, what describes and what penalises depends on the input domain; see
-:mod:`.solvers`.
+Which sources propose, what describes and what penalises depends on the input domain. To add a
+proposal source, write a class with the members of :class:`.ProposalSource` and list it in
+:func:`object_solver` or :func:`room_solver`. A person is offered a few other masks that cover what
+the click may mean.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
 import numpy.typing as npt
+from scipy.special import softmax
 
-from model.segmentation.arrays import Bool, Float, Int64
-from model.segmentation.describe.masks import FEATURE_NAMES, ClickContext, MaskDescriber
-from model.segmentation.encode.graph import components
-from model.segmentation.encode.hierarchy import Hierarchy
-from model.segmentation.encode.random_walk import RandomWalk
-from model.segmentation.encode.superpoints import Superpoints
-from model.segmentation.models.trees import Scorer
-from model.segmentation.part_state import PartState
-from model.segmentation.propose.proposals import (
+from model.segmentation.arrays import Bool, Float, Int, Int64, together
+from model.segmentation.boxes import Boxes, BoxRanker, RoomBoxes, Shells, shipped_box_model
+from model.segmentation.encoding import Encoding, Hierarchy, RandomWalk
+from model.segmentation.fronts import FrontRectangles, Fronts
+from model.segmentation.graph import components
+from model.segmentation.mask_features import (
+    FEATURE_NAMES,
+    ClickContext,
+    MaskDescriber,
+    RoomDescriber,
+)
+from model.segmentation.models import Scorer
+from model.segmentation.object_features import HISTORY_FEATURES, ObjectDescriber
+from model.segmentation.plane_boxes import BoxGrid
+from model.segmentation.proposals import (
+    PartState,
     Proposals,
     ProposalSource,
+    Regions,
+    Walks,
     concatenated,
     distinct_proposals,
 )
-from model.segmentation.propose.regions import Regions, Walks
-from model.segmentation.score.moving_parts import MovingPartScoring
-from model.segmentation.score.penalties import Penalties
+from model.segmentation.scores import MovingPartScoring, Penalties, Scorers
+from model.segmentation.superpoints import Superpoints
+
+ALTERNATIVES = 5
+_TEMPERATURE = 2.0
+"""Temperature of the softmax over scores, which are overconfident; chosen of one to five by the
+best mask offered."""
+_ALIKE = 0.9
+"""IoU above which two masks look the same."""
+
+
+def overlaps(masks: Bool, size: Float) -> tuple[Float, Float]:
+    """Intersection and IoU of every two masks.
+
+    Args:
+        masks: (H, C). size: (C,) weight of each superpoint.
+
+    Returns:
+        (H, H) each; the diagonal of the first holds the masks' sizes.
+    """
+    common = (masks * size.astype(np.float32)) @ masks.T.astype(np.float32)
+    area = np.diagonal(common)
+    return common, common / np.maximum(area[:, None] + area[None] - common, 1e-9)
+
+
+def look_alike(one: Bool, other: Bool, size: Float) -> bool:
+    """True if two masks (N,) overlap so far that a person can't distinguish them.
+
+    Args:
+        size: (N,) weight of each element.
+    """
+    return float(size @ (one & other)) >= _ALIKE * float(size @ (one | other))
+
+
+def offered(
+    masks: Bool, scores: Float, shown: Bool, size: Float, most: int = ALTERNATIVES
+) -> list[int]:
+    """Masks such that one of them, or the one shown, is expected to overlap most with the part.
+
+    The highest scores often go to one mask with small changes, but people press Tab for another
+    one. So each next mask is the one that adds most to the expected overlap of the best mask with
+    the true one, where every proposal is the true one with the probability that its score gives
+    (greedy for a submodular gain: Nemhauser, Wolsey and Fisher, 1978).
+
+    Args:
+        masks: (H, C) proposals. scores: (H,) their log-odds. shown: (C,) the mask on the screen.
+        size: (C,) weight of each superpoint.
+        most: largest number of masks.
+
+    Returns:
+        Rows of ``masks``, the most useful first.
+    """
+    _, overlap = overlaps(np.concatenate([shown[None], masks]), size)
+    likely = softmax(scores / _TEMPERATURE)
+    covered, overlap = overlap[0, 1:], overlap[1:, 1:]
+    free = covered <= _ALIKE
+    out: list[int] = []
+    while len(out) < most and free.any():
+        gain = likely @ np.maximum(overlap - covered[:, None], 0)
+        best = int(np.where(free, gain, -1.0).argmax())
+        out.append(best)
+        covered = np.maximum(covered, overlap[:, best])
+        free &= overlap[best] <= _ALIKE
+    return out
+
 
 _OVERLAP_BEFORE, _BORDER, _LIFE, _AGREEMENT = (
     FEATURE_NAMES.index(n) for n in ("overlap_before", "border", "life_relative", "agreement")
@@ -239,3 +314,92 @@ class PartSolver:
     def moved(self, state: PartState, superpoint: int, positive: bool, mask: Bool) -> PartState:
         """``state`` after a click that made the part ``mask``."""
         return state.with_correction(superpoint, positive, mask, self.superpoints.size)
+
+
+def solver_of(
+    encoding: Encoding,
+    first: Scorer | None,
+    later: Scorer | None,
+    moving: Scorers = (None, None),
+    *,
+    with_fronts: bool = False,
+) -> PartSolver:
+    """The solver of an encoded object or room.
+
+    Args:
+        first, later: scorers of clicks that may mean the base, too.
+        moving: scorers of clicks that mean a moving part.
+        with_fronts: lay out fronts on meshes, too. For clicks, their faces and shells separate
+            parts better.
+    """
+    superpoints, hierarchy, walk = encoding.superpoints, encoding.hierarchy, encoding.walk
+    if encoding.room is not None:
+        describe = RoomDescriber(superpoints, hierarchy, encoding.room)
+        regions = Regions(superpoints, hierarchy)
+        return PartSolver(
+            superpoints, hierarchy, walk, first, later, describe=describe, regions=regions,
+            sources=(RoomBoxes(superpoints, encoding.room, regions),),
+            penalties=Penalties.for_room(),
+        )  # fmt: skip
+    nodes, graph, strength = encoding.nodes, encoding.graph, encoding.strength
+    shell = None
+    if nodes.of_mesh:
+        shell = np.zeros(len(superpoints), np.int32)
+        shell[superpoints.of_node] = nodes.shell
+
+    def fronts_along(axes: Float) -> Fronts:
+        return Fronts(nodes, graph, strength, superpoints, axes)
+
+    return object_solver(
+        superpoints, hierarchy, walk, first, later, shell=shell, of_mesh=nodes.of_mesh,
+        fronts_along=fronts_along if with_fronts or not nodes.of_mesh else None, moving=moving,
+    )  # fmt: skip
+
+
+def object_solver(
+    superpoints: Superpoints,
+    hierarchy: Hierarchy,
+    walk: RandomWalk,
+    first: Scorer | None,
+    later: Scorer | None,
+    *,
+    shell: Int | None = None,
+    axes: Float | None = None,
+    of_mesh: bool = False,
+    fronts_along: Callable[[Float], Fronts] | None = None,
+    moving: Scorers = (None, None),
+) -> PartSolver:
+    """The solver of superpoints of an object.
+
+    Args:
+        shell: (C,) the shell of each superpoint of a mesh; None also for a part of one.
+        axes: (3, 3) main directions, if known.
+        of_mesh: whether the superpoints lie on faces.
+        fronts_along: lays out fronts for given main directions.
+        moving: scorers of moving parts, used with fronts.
+    """
+    grid = BoxGrid(superpoints, axes)
+    planes, describe = together(
+        lambda: grid.between_planes(superpoints),
+        lambda: ObjectDescriber(superpoints, hierarchy, grid),
+    )
+    describe.with_history = later is None or not set(HISTORY_FEATURES).isdisjoint(later.names)
+    regions = Regions(superpoints, hierarchy)
+    shells = None
+    if shell is not None and len(np.unique(shell)) > 1:
+        shells = Shells(shell, superpoints.size)
+    # On meshes faces separate parts better: there the network made later clicks worse.
+    model = shipped_box_model() if shell is None else None
+    ranker = BoxRanker(planes, grid.place, grid.facing, grid.step, model)
+    sources: list[ProposalSource] = [Boxes(grid, ranker, regions, shells, shell is not None)]
+    moving_parts = None
+    if fronts_along is not None:
+        fronts = fronts_along(grid.axes)
+        sources.append(FrontRectangles(fronts, grid, shells))
+        moving_parts = MovingPartScoring(fronts, superpoints, grid.axes, *moving)
+    local = len(superpoints) >= superpoints.size.sum()
+    return PartSolver(
+        superpoints, hierarchy, walk, first, later, describe=describe, regions=regions,
+        sources=tuple(sources), moving_parts=moving_parts, axes=grid.axes,
+        penalties=Penalties.for_object(of_mesh=of_mesh or shell is not None, local=local),
+    )  # fmt: skip

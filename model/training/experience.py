@@ -16,13 +16,13 @@ from model.core.articulated_object import ArticulatedObject, Prediction, Segment
 from model.core.errors import ArtiworldError, ConfigurationError
 from model.core.files import draft_of, write_json, written_to
 from model.core.progress import Progress, no_progress
-from model.evaluation.calibration import calibrate
 from model.evaluation.joint_metrics import ObjectScore, score_object
 from model.evaluation.pool import robust_map
+from model.evaluation.summary import calibrate
 from model.io.assets.reader import load_object
 from model.prediction.arti4urdf.predictor import learned_hybrid
 from model.prediction.arti4urdf.structure import read_structure
-from model.prediction.confidence import EXPERIENCE
+from model.prediction.builder import EXPERIENCE
 from model.prediction.experience import (
     CURRENT,
     FILE,

@@ -32,11 +32,16 @@ from model.core.articulated_object import Part, SegmentedObject
 from model.core.errors import ArtiworldError, ConfigurationError
 from model.core.geometry import Mesh
 from model.core.progress import Cancelled
+from model.prediction import TOKEN_VARIABLE
 from model.prediction.geometric.predictor import GeometricPredictor
 from model.prediction.registry import load_predictor
-from model.prediction.remote import TOKEN_VARIABLE
-from model.prediction.remote.http_predictor import BackendError, BackendRefused, HttpPredictor
-from model.prediction.remote.wire import CONTENT_TYPE, encode_request
+from model.prediction.remote_backend import (
+    CONTENT_TYPE,
+    BackendError,
+    BackendRefused,
+    HttpPredictor,
+    encode_request,
+)
 from tests.app import backend_plugin
 from tests.app.run_cli import PROGRAM, artiworld, assert_users_mistake, cupboard
 from tests.builders import wait_until

@@ -21,7 +21,7 @@ from model.core.joint import Joint
 from model.io.assets.reader import load_object
 from model.io.export.registry import exporter_names
 from model.io.geometry_files import SUFFIXES
-from model.prediction.protocol import Predictor
+from model.prediction.registry import Predictor
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = ROOT / "static_assets" / "examples"

@@ -16,13 +16,12 @@ import pytest
 from model.core.articulated_object import Part, SegmentedObject
 from model.core.errors import ArtiworldError, ConfigurationError
 from model.core.geometry import Mesh
-from model.prediction.remote import http_predictor
-from model.prediction.remote.http_predictor import BackendError, HttpPredictor
-from model.scenes import bounded_http
-from model.scenes.finder_options import FinderOptions
-from model.scenes.finder_registry import load_finder
+from model.prediction import remote_backend
+from model.prediction.remote_backend import BackendError, HttpPredictor
+from model.scenes import engines
+from model.scenes.articulable_finders import FinderOptions, load_finder
 from model.scenes.language_finder import FinderUnavailableError
-from model.scenes.protocol import ObjectDescription
+from model.scenes.scene import ObjectDescription
 from tests.model.scenes.chat_server import chat_server, decisions, said
 
 TRIANGLE = Mesh(np.eye(3), np.array([[0, 1, 2]]))
@@ -97,8 +96,8 @@ def test_a_backends_answer_is_refused_clearly(answer: bytes) -> None:
 
 
 def test_an_answer_without_end_ends(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(http_predictor, "MOST_LINES", 5000)
-    monkeypatch.setattr(http_predictor, "MAX_LINE", 1 << 20)
+    monkeypatch.setattr(remote_backend, "MOST_LINES", 5000)
+    monkeypatch.setattr(remote_backend, "MAX_LINE", 1 << 20)
     with backend(endless) as predictor, pytest.raises(BackendError, match="come to an end"):
         predictor.predict(OBJECT)
     line = b"x" * (1 << 16)
@@ -162,7 +161,7 @@ def test_an_envelope_of_anything_is_no_answer(body: bytes) -> None:
 
 
 def test_answers_beyond_limits_are_cut_off(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(bounded_http, "MOST_BYTES", 100_000)
+    monkeypatch.setattr(engines, "MOST_BYTES", 100_000)
     for headers, body in (({}, b"x" * 200_000), ({"content-encoding": "gzip"}, b"\x1f\x8b")):
         with (
             finder(lambda *_, h=headers, b=body: (200, h, b)) as asked,

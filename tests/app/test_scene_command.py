@@ -21,7 +21,7 @@ from model.io.assets.asset_folder import load_object
 from model.io.open_asset import open_asset, read_part_files
 from model.io.urdf.writer import read_urdf
 from model.io.write import write_cloud, write_mesh
-from model.scenes.assets import asset_digest
+from model.scenes.asset_parts import asset_digest
 from model.scenes.registry import read_scene
 from tests.builders import wait_until
 from tests.model.scenes import scenes_made as made

@@ -10,8 +10,7 @@ import pytest
 from app.server import part_tasks, scene_tasks, tasks
 from model.core.shapes import Primitive
 from model.io.open_asset import open_asset
-from model.scenes.protocol import Decision
-from model.scenes.scene import SceneObject
+from model.scenes.scene import Decision, SceneObject
 from tests.model.scenes.test_asset_parts import cupboard, robot
 
 __all__ = ["cupboard"]

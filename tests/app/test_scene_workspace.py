@@ -34,7 +34,7 @@ from model.core.joint import Joint
 from model.core.tree import KinematicTree
 from model.io.assets.reader import load_object
 from model.io.open_asset import open_asset
-from model.scenes.assets import asset_digest
+from model.scenes.asset_parts import asset_digest
 from model.validation.report import Finding, JointReport, Severity, ValidationReport
 from sessions import commands as cmd
 from sessions.document import Document, PartInfo

@@ -24,9 +24,9 @@ from app.server.network import url
 from app.server.server import paths_to_open
 from model.core.errors import ArtiworldError
 from model.core.files import static_assets
-from model.scenes.assets import index_assets
+from model.scenes.articulable_finders import LexiconFinder
+from model.scenes.asset_parts import index_assets
 from model.scenes.convert import descriptions
-from model.scenes.finders import LexiconFinder
 from model.scenes.registry import read_scene
 from sessions.store import Store
 from tests.app.run_cli import PROGRAM, artiworld, assert_users_mistake, box

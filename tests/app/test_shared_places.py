@@ -33,10 +33,9 @@ from model.io.assets.reader import reload_check
 from model.physics.collision.store import load_arrays, save_arrays
 from model.prediction.experience import Experience, in_use, record_of
 from model.scenes.convert import alone
-from model.scenes.embedded import unpack
-from model.scenes.protocol import Decision
 from model.scenes.registry import read_scene
-from model.scenes.scene import SceneObject
+from model.scenes.scene import Decision, SceneObject
+from model.scenes.unpacking import unpack
 from model.training import experience
 from sessions.document import SavedRecord
 from sessions.release_files import import_release, write_release

@@ -17,7 +17,7 @@ from app.viewer.words.review import FIXES
 from model.geometry.crop import largest_component
 from model.geometry.picking import Picker
 from model.io.open_asset import open_asset
-from model.segmentation.simulated_clicks import iou, next_click
+from model.segmentation.prompts import iou, next_click
 from model.validation.report import Severity
 from tests.browser.browsing import SceneTab, wait_until
 from tests.model.scenes.saved import points_in_place

@@ -31,15 +31,14 @@ from model.core.articulated_object import ArticulatedObject
 from model.core.asset import Asset
 from model.core.files import static_assets
 from model.core.geometry import Material, Mesh, PointCloud
-from model.data.bundled import Bundled
-from model.data.partnet_mobility import PartNetMobility
-from model.data.protocol import Dataset
-from model.data.simulated.reconstruction import ReconstructionSettings, reconstruct_scan
+from model.data.datasets import Dataset
+from model.data.folders import Bundled, PartNetMobility
+from model.data.simulated.depth_camera import ReconstructionSettings, reconstruct_scan
 from model.evaluation.scans import joints_right, part_numbers
-from model.evaluation.segmentation.bench_data import dataset_objects
-from model.evaluation.segmentation.visible_clicks import (
+from model.evaluation.segmentation_clicks import (
     LEAST_PIXELS,
     Picture,
+    dataset_objects,
     largest_component,
     middle_of,
     picture_from,

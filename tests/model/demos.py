@@ -11,7 +11,7 @@ import numpy as np
 
 from model.core.articulated_object import ArticulatedObject
 from model.core.files import static_assets
-from model.data.bundled import Bundled
+from model.data.folders import Bundled
 from model.io.open_asset import open_asset
 from model.segmentation.default import DefaultSegmenter, DefaultSession
 

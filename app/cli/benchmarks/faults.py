@@ -26,8 +26,8 @@ from model.core.memory import limit_process
 from model.core.progress import Progress
 from model.io.model_files import find_assets
 from model.io.open_asset import open_asset
-from model.scenes.embedded import unpack
 from model.scenes.registry import read_scene
+from model.scenes.unpacking import unpack
 
 FILES = 2000
 """By default."""

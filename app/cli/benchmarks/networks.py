@@ -33,12 +33,11 @@ from model.core.asset import Asset
 from model.core.errors import ConfigurationError
 from model.core.progress import Progress, no_progress
 from model.geometry.sampling import sample_surface
+from model.prediction.arti4urdf.checkpoints import write_random_qwen3, write_random_ulip2
 from model.prediction.arti4urdf.full_model import Example, FullModel, make_full_model
-from model.prediction.arti4urdf.full_predictor import load_full_predictor
+from model.prediction.arti4urdf.full_predictor import load_full_predictor, make_example
 from model.prediction.arti4urdf.language_model import QWEN3, Decoder, DecoderConfig
 from model.prediction.arti4urdf.point_bert import ULIP2, PointBertConfig
-from model.prediction.arti4urdf.random_weights import write_random_qwen3, write_random_ulip2
-from model.prediction.arti4urdf.text_prompt import make_example
 from model.segmentation.adapters.point_sam import PointSamSegmenter
 from model.segmentation.adapters.point_sam_network import PointSamConfig, PointSamNetwork
 from model.segmentation.prompts import Click, Prompts

@@ -28,8 +28,7 @@ from model.core.progress import Progress, no_progress
 from model.prediction.arti4urdf.decoding import decode
 from model.prediction.arti4urdf.predictor import Arti4UrdfPredictor, make_prompt
 from model.prediction.arti4urdf.structure import read_structure
-from model.prediction.protocol import Predictor
-from model.prediction.registry import load_predictor
+from model.prediction.registry import Predictor, load_predictor
 
 PART_COUNTS = (2, 4, 9, 16, 32)
 REPEATS = 3

@@ -11,7 +11,7 @@ from app.cli.printing import Result
 from app.cli.research_commands import BenchCommand
 from model.core.errors import ConfigurationError
 from model.core.progress import Progress
-from model.evaluation.segmentation.bench import BenchConfig, DataSet, run
+from model.evaluation.segmentation import BenchConfig, DataSet, run
 
 
 def bench(options: BenchCommand, progress: Progress) -> Result:

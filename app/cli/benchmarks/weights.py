@@ -10,8 +10,8 @@ from __future__ import annotations
 from app.cli.printing import Result, print_records
 from app.cli.research_commands import BenchCommand
 from model.core.progress import Progress
-from model.prediction.arti4urdf.weights import load_weights
-from model.training.arti4urdf.probes import (
+from model.prediction.arti4urdf.network import load_weights
+from model.training.arti4urdf.small_trainer import (
     both,
     foreign_wholes,
     probe,

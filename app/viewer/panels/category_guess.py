@@ -12,7 +12,7 @@ from app.viewer.picture.palette import CATEGORIES
 from app.viewer.tab import Tab
 from app.viewer.words import annotate as words
 from model.core.motion_lexicon import CATEGORY_ALIASES
-from model.scenes.finders import read_lexicon
+from model.scenes.articulable_finders import read_lexicon
 from sessions.database import ObjectRecord
 from sessions.project_settings import Project
 

@@ -11,7 +11,7 @@ from app.viewer.panels.widgets import put
 from app.viewer.tab import Tab
 from app.viewer.words.annotate import quick_names
 from app.viewer.words.common import CHOSEN
-from model.scenes.finders import read_lexicon
+from model.scenes.articulable_finders import read_lexicon
 
 SHOWN, ROW = 6, 3
 """Names with a button, and buttons in a row."""

@@ -1,1 +1,1 @@
-"""Articulated objects made by rules, one file per family."""
+"""Articulated objects made by rules: modules, families made of them, composites, corruption."""

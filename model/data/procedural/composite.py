@@ -13,7 +13,6 @@ from model.data.procedural import controls
 from model.data.procedural import modules as m
 from model.data.procedural import shapes as s
 from model.data.procedural.grammar import Body, Builder, ProceduralObject
-from model.data.procedural.legs import LegStyle, legs
 from model.data.procedural.materials import (
     Palette,
     appliance_palette,
@@ -23,6 +22,7 @@ from model.data.procedural.materials import (
     rubber,
     wood,
 )
+from model.data.procedural.modules import LegStyle, legs
 
 HANDLES: tuple[m.HandleStyle, ...] = ("bar", "bow", "flat", "knob", "cup", "ball", "lip")
 

@@ -21,12 +21,11 @@ import numpy.typing as npt
 from model.core.articulated_object import ArticulatedObject
 from model.core.geometry import Mesh
 from model.data.procedural.families import (
-    cooling,
     decor,
-    electronics,
+    devices,
+    furniture,
     kitchen,
     seating,
-    storage,
     vessels,
     washing,
 )
@@ -37,9 +36,8 @@ from model.data.simulated.depth_camera import ScanSettings, View, simulate_scan,
 from model.geometry.sampling import sample_surface
 from model.io.open_asset import open_asset
 from model.io.write import mesh_to_glb, write_cloud
-from model.segmentation.prompts import Click, Prompts
+from model.segmentation.prompts import Click, Prompts, next_part_click
 from model.segmentation.registry import load_segmenter
-from model.segmentation.simulated_clicks import next_part_click
 
 FORMAT = 1
 
@@ -57,26 +55,26 @@ def cabinet(rng: np.random.Generator) -> ProceduralObject:
     w, h, leg = 1.28, 0.62, 0.15
     x = w / 2
     third = 0.21
-    cells = [storage.Cell("door", Opening(-x, -third, leg, leg + h))]
+    cells = [furniture.Cell("door", Opening(-x, -third, leg, leg + h))]
     cuts = np.linspace(leg, leg + h, 4)
     cells += [
-        storage.Cell("drawer", Opening(-third, third, float(a), float(b)))
+        furniture.Cell("drawer", Opening(-third, third, float(a), float(b)))
         for a, b in itertools.pairwise(cuts)
     ]
-    left = storage.Cupboard(
-        (w, 0.44, h), (*cells, storage.Cell("door", Opening(third, x, leg, leg + h))), wall=0.019,
+    left = furniture.Cupboard(
+        (w, 0.44, h), (*cells, furniture.Cell("door", Opening(third, x, leg, leg + h))), wall=0.019,
         gap=0.003, leg="taper", leg_height=leg, front="shaker", handle="bar", handle_length=0.13,
         shelves=1, overhang=0.03, swing=1.92,
     )  # fmt: skip
     dark = plain("shadow", (52, 44, 38))
     palette = Palette(wood("walnut"), wood("oak"), metal("brass"), metal("steel"), dark)
-    return storage.cupboard(left, palette, rng, mirrored=True)
+    return furniture.cupboard(left, palette, rng, mirrored=True)
 
 
 def laptop(rng: np.random.Generator) -> ProceduralObject:
     """A laptop, opened by 110 degrees."""
     shell = plain("alloy", (176, 179, 185))
-    return electronics.build_laptop((0.325, 0.228, 0.0145), rng, shell, open_angle=1.92, screen=1)
+    return devices.build_laptop((0.325, 0.228, 0.0145), rng, shell, open_angle=1.92, screen=1)
 
 
 def oven(rng: np.random.Generator) -> ProceduralObject:
@@ -94,7 +92,7 @@ def refrigerator(rng: np.random.Generator) -> ProceduralObject:
     """French doors over a freezer drawer."""
     steel = plain("steel_paint", (172, 178, 186))
     palette = Palette(steel, steel, metal("dark"), metal("steel"), plain("panel", (36, 37, 40)))
-    return cooling.build_refrigerator("french", (0.9, 0.62, 1.74), palette, rng, gap=0.009)
+    return kitchen.build_refrigerator("french", (0.9, 0.62, 1.74), palette, rng, gap=0.009)
 
 
 EXAMPLES: Mapping[str, Example] = {

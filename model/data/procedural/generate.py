@@ -1,8 +1,9 @@
-"""Write procedural objects as PartNet-Mobility folders (``artiworld generate``).
+"""Procedural objects on the fly from a seed, or as folders that ``artiworld generate`` writes.
 
-A folder holds ``mobility.urdf``, ``textured_objs/*.obj``, ``semantics.txt``, ``mobility_v2.json``,
-``result.json`` and ``meta.json``, as SAPIEN's data set has them: OBJ files are Y up with the front
-to +z, and the URDF's base joint turns them to +z up with the front to -x.
+A folder has PartNet-Mobility's form and is read as such: ``mobility.urdf``,
+``textured_objs/*.obj``, ``semantics.txt``, ``mobility_v2.json``, ``result.json`` and ``meta.json``,
+as SAPIEN's data set has them: OBJ files are Y up with the front to +z, and the URDF's base joint
+turns them to +z up with the front to -x.
 """
 
 from __future__ import annotations
@@ -18,14 +19,16 @@ from xml.etree import ElementTree
 import numpy as np
 import numpy.typing as npt
 
-from model.core.errors import ConfigurationError
-from model.core.geometry import Mesh
+from model.core.errors import ConfigurationError, InputFileError
+from model.core.geometry import Mesh, affine, rotation_from_rpy
 from model.core.joint import Joint
 from model.core.progress import Progress, no_progress
 from model.core.tree import KinematicTree
+from model.data.datasets import GroundTruth
 from model.data.procedural.composite import random_composite
+from model.data.procedural.corruption import FAULTS, corrupted
 from model.data.procedural.families import FAMILIES, Family
-from model.data.procedural.grammar import ProceduralObject
+from model.data.procedural.grammar import ProceduralObject, transformed
 from model.io.write import write_mesh
 
 OBJ_FROM_OBJECT = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
@@ -293,3 +296,65 @@ def _result(
         "children": children,
     }
     return ids, [root]
+
+
+SEEDS = 10**9
+
+
+@dataclass(frozen=True)
+class ProceduralSet:
+    """``n`` objects of each family; the same seed gives the same objects.
+
+    Attributes:
+        seed: random seed; ids are ``<family>_<seed>_<index>``, as ``generate`` names folders.
+        n: objects a family.
+        families: names of families; all of them where empty.
+        fault: one of :data:`~model.data.procedural.corruption.FAULTS`, "" for clean meshes.
+    """
+
+    seed: int = 0
+    n: int = 1
+    families: tuple[str, ...] = ()
+    name: str = "procedural"
+    fault: str = ""
+
+    def __post_init__(self) -> None:
+        if self.n < 1:
+            raise ConfigurationError(f"n must be 1 or more, got {self.n}")
+        if not 0 <= self.seed < SEEDS:
+            raise ConfigurationError(f"the seed must be 0..{SEEDS - 1}, got {self.seed}")
+        unknown = sorted(set(self.families) - set(family_names()))
+        if unknown:
+            known = ", ".join(family_names())
+            raise ConfigurationError(f"no family {unknown[0]!r}; there are {known}")
+        if self.fault and self.fault not in FAULTS:
+            raise ConfigurationError(f"no fault {self.fault!r}; there are {', '.join(FAULTS)}")
+
+    def ids(self) -> tuple[str, ...]:
+        """All of them, sorted by family."""
+        names = sorted(self.families or family_names())
+        return tuple(f"{f}_{self.seed}_{i}" for f in names for i in range(self.n))
+
+    def category(self, object_id: str) -> str | None:
+        """The family."""
+        return object_id.rsplit("_", 2)[0]
+
+    def load(self, object_id: str) -> GroundTruth:
+        """Make one object, its front to -x as PartNet-Mobility's objects stand.
+
+        Raises:
+            InputFileError: where ``object_id`` isn't ``<family>_<seed>_<index>``.
+        """
+        try:
+            family, seed, index = object_id.rsplit("_", 2)
+            made = make(family, int(seed), int(index))
+        except ValueError:
+            raise InputFileError(
+                object_id, "names no procedural object", "write <family>_<seed>_<index>"
+            ) from None
+        turn = affine(rotation_from_rpy((np.pi / 2, 0, -np.pi / 2)) @ OBJ_FROM_OBJECT)
+        made = replace(made, object=transformed(made.object, turn))
+        if self.fault:
+            rng = np.random.default_rng([int(seed), int(index), 11])
+            return corrupted(made, FAULTS[self.fault], rng, name=object_id)
+        return GroundTruth(object_id, made.object)

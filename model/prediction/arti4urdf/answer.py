@@ -23,11 +23,17 @@ from model.io.tree_json import tree_json_problems, tree_to_json
 from model.io.urdf.reader import read_urdf_model
 from model.io.urdf.writer import to_urdf_text, vector
 from model.prediction.arti4urdf import vocabulary as v
-from model.prediction.arti4urdf.grammar import FREE, Decision
 from model.prediction.arti4urdf.structure import Structure
-from model.prediction.geometric.context import Assembly, PartContext
-from model.prediction.geometric.edge_limits import from_zero
-from model.prediction.geometric.proposal import JointProposal, joints_of, snapped, unit
+from model.prediction.arti4urdf.vocabulary import FREE, Decision
+from model.prediction.geometric.context import (
+    Assembly,
+    JointProposal,
+    PartContext,
+    joints_of,
+    snapped,
+    unit,
+)
+from model.prediction.geometric.limits import from_zero
 
 Array = npt.NDArray[np.float64]
 

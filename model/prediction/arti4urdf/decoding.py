@@ -19,9 +19,9 @@ from torch import Tensor
 
 from model.core.progress import chosen_by_person
 from model.prediction.arti4urdf import vocabulary as v
-from model.prediction.arti4urdf.grammar import Choice, Decision, Grammar, Lock, Token
 from model.prediction.arti4urdf.network import ArtiModel, Encoded, Prompt, token_tensors
 from model.prediction.arti4urdf.structure import CANDIDATE_SCALARS, SLOTS
+from model.prediction.arti4urdf.vocabulary import Choice, Decision, Grammar, Lock, Token
 
 Array = npt.NDArray[np.float64]
 

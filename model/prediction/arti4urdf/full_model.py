@@ -22,19 +22,21 @@ from torch.nn import functional
 from model.core.checkpoints import strict_load
 from model.core.errors import ConfigurationError, InputFileError
 from model.core.packages import require
-from model.prediction.arti4urdf.checkpoints import from_config, load_checkpoint, save_checkpoint
+from model.prediction.arti4urdf.checkpoints import (
+    TOKENIZER_FILE,
+    from_config,
+    load_checkpoint,
+    load_point_bert,
+    load_tokenizer,
+    read_qwen3_config,
+    save_checkpoint,
+)
 from model.prediction.arti4urdf.point_bert import (
     Groups,
     PointBert,
     PointBertConfig,
     Projector,
     group_points,
-)
-from model.prediction.arti4urdf.published_weights import (
-    TOKENIZER_FILE,
-    load_point_bert,
-    load_tokenizer,
-    read_qwen3_config,
 )
 
 GLOBAL, PART = "<g>", "<p>"

@@ -1,14 +1,17 @@
-"""The small Arti4URDF: Point-BERT, two adapters, a Qwen3 decoder, and pointers to parts.
+"""The small Arti4URDF: Point-BERT, two adapters, a Qwen3 decoder, pointers to parts, its weights.
 
 The order of the input is the paper's (Arti4URDF, input format): the global token between
 ``<g_start>`` and ``<g_end>``, the parts between ``<p_start>`` and ``<p_end>``, each as a shape
-token and a structure token, then the answer.
+token and a structure token, then the answer. A checkpoint folder holds weights, configuration,
+vocabulary and record.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,8 +19,12 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from model.core.checkpoints import strict_load
+from model.core.errors import InputFileError
+from model.core.files import static_assets
+from model.prediction.arti4urdf import vocabulary
 from model.prediction.arti4urdf import vocabulary as v
-from model.prediction.arti4urdf.grammar import Token
+from model.prediction.arti4urdf.checkpoints import from_config, load_checkpoint, save_checkpoint
 from model.prediction.arti4urdf.language_model import Decoder, DecoderConfig, KeyValueCache
 from model.prediction.arti4urdf.point_bert import (
     NANO,
@@ -36,6 +43,7 @@ from model.prediction.arti4urdf.structure import (
     VECTORS,
     StructureArrays,
 )
+from model.prediction.arti4urdf.vocabulary import Token
 
 CODE = 32
 """Width of the code that identifies a part; it stands for the file name link_i."""
@@ -368,3 +376,48 @@ def token_tensors(
         torch.tensor([[f.word for f in tokens]], device=device),
         torch.tensor([[f.part for f in tokens]], device=device),
     )
+
+
+SHIPPED = static_assets() / "arti4urdf"
+"""The weights that come with the repository."""
+
+
+def vocabulary_hash() -> str:
+    """Fingerprint of the vocabulary that weights depend on."""
+    return hashlib.sha256("\n".join(vocabulary.TOKENS).encode()).hexdigest()[:16]
+
+
+def save_weights(
+    model: ArtiModel, folder: Path, *, version: str, record: Mapping[str, Any] | None = None
+) -> None:
+    """Write the folder: matrices in bfloat16, and ``record`` (training, scores).
+
+    Raises:
+        InputFileError: if the folder can't be written.
+    """
+    config = {
+        "version": version,
+        "vocabulary": vocabulary_hash(),
+        "model": asdict(model.config),
+        "record": dict(record or {}),
+    }
+    save_checkpoint(folder, config, model.state_dict())
+
+
+def load_weights(folder: Path = SHIPPED) -> tuple[ArtiModel, str]:
+    """The model in evaluation mode, and its version.
+
+    Raises:
+        InputFileError: if a file is absent or damaged, or has another vocabulary.
+    """
+    found = load_checkpoint(folder)
+    path = folder / "config.json"
+    if found.config.get("vocabulary") != vocabulary_hash():
+        raise InputFileError(
+            path,
+            "the weights were trained with another vocabulary",
+            "train again with this version, or use the version that made them",
+        )
+    model = ArtiModel(from_config(ModelConfig, found.config.get("model"), path))
+    strict_load(model, found.state, path)
+    return model.float().eval(), str(found.config.get("version", ""))

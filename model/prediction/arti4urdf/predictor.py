@@ -1,4 +1,8 @@
-"""Arti4URDF as a predictor: the small network, alone or together with geometry."""
+"""Arti4URDF as a predictor: the small network, alone or together with geometry.
+
+Geometry and names give prior probabilities of the answer's words; network and rules give the
+evidence for the confidence of a joint.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+from scipy.special import softmax
 
 from model.core.articulated_object import Prediction, SegmentedObject
 from model.core.joint import Joint, same_motion
@@ -16,28 +21,147 @@ from model.core.motion_lexicon import MECHANISM_TABLE
 from model.core.progress import Progress, no_progress
 from model.prediction.arti4urdf import vocabulary as v
 from model.prediction.arti4urdf.answer import joints_of_decision, write_answer
-from model.prediction.arti4urdf.decoding import Answer, decode
+from model.prediction.arti4urdf.decoding import Answer, ChoiceRecord, decode
 from model.prediction.arti4urdf.decoding import same_motion as same_motions
-from model.prediction.arti4urdf.evidence import joint_evidence
-from model.prediction.arti4urdf.geometric_prior import geometric_prior
-from model.prediction.arti4urdf.grammar import Lock
-from model.prediction.arti4urdf.motion_ranker import load_motion_ranker, other_motions
-from model.prediction.arti4urdf.network import ArtiModel, Prompt
-from model.prediction.arti4urdf.recall import follows, recall, with_known_range
+from model.prediction.arti4urdf.motion_ranker import (
+    follows,
+    load_motion_ranker,
+    other_motions,
+    recall,
+    with_known_range,
+)
+from model.prediction.arti4urdf.network import SHIPPED, ArtiModel, Prompt, load_weights
 from model.prediction.arti4urdf.structure import (
     MECHANISMS,
     RANKS,
+    SLOTS,
     Structure,
     read_structure,
     structure_arrays,
 )
-from model.prediction.arti4urdf.weights import SHIPPED, load_weights
-from model.prediction.builder import PredictionBuilder, unknown_link
-from model.prediction.confidence import EXPERIENCE, Evidence, load_confidence
+from model.prediction.arti4urdf.vocabulary import Lock
+from model.prediction.builder import (
+    COLLISION_FREE,
+    EXPERIENCE,
+    FREE_AXIS,
+    MAX_LOG_ODDS,
+    Evidence,
+    PredictionBuilder,
+    as_on,
+    explain,
+    load_confidence,
+    log_odds,
+    unknown_link,
+)
 from model.prediction.experience import FILE, Experience, Recalled, load_experience
-from model.prediction.explanation import COLLISION_FREE, FREE_AXIS, as_on, explain
+from model.prediction.geometric.context import PartContext, part_evidence
 from model.prediction.geometric.mechanisms import SWEPT_LIMITS
+from model.prediction.geometric.roles import NAMED, mechanism_scores, named_mechanism
 from model.prediction.geometric.tree import rooted_tree
+
+Array = npt.NDArray[np.float64]
+
+FLOOR = 0.002
+"""Probability of words that the rules exclude."""
+
+
+def geometric_prior(structure: Structure) -> Array:
+    """(P, SIZE) log-probabilities of joint types and candidates; 0 for all other words."""
+    known = {i: k for i, k in enumerate(structure.features) if k is not None}
+    out = np.zeros((len(structure.sampled), v.SIZE))
+    for i, context in enumerate(structure.contexts):
+        if i not in known:
+            continue
+        named, fixed = named_mechanism(context), FLOOR
+        scores = mechanism_scores(context, known[i], known)
+        mechanisms = softmax(1.5 * np.array([scores.get(m, -2.0) for m in MECHANISMS]))
+        if named is not None:  # a name may be wrong: what it leaves open is the shape's
+            mechanisms *= 1 - NAMED
+            if named == "fixed":
+                fixed = NAMED
+            else:
+                mechanisms[MECHANISMS.index(named)] += NAMED
+        out[i] = _word_odds(structure, i, mechanisms, fixed)
+    return out
+
+
+def _word_odds(structure: Structure, part: int, mechanisms: Array, fixed: float) -> Array:
+    """(SIZE,) log-probabilities from those of the mechanisms."""
+    slots, types = np.zeros(SLOTS), np.full(len(v.TYPES), FLOOR)
+    types[v.TYPES.index("fixed")] = fixed
+    for k, mechanism in enumerate(MECHANISMS):
+        found = structure.slots[part][k * RANKS : (k + 1) * RANKS]
+        scores = np.array([p.score for p in found if p is not None])
+        if not len(scores):
+            continue
+        slots[k * RANKS : k * RANKS + len(scores)] = mechanisms[k] * softmax(2.0 * scores)
+        best = found[0]
+        assert best is not None
+        kind = "screw" if best.travel is not None or mechanism == "screw" else best.type
+        types[v.TYPES.index(kind)] += mechanisms[k]
+    out = np.zeros(v.SIZE)
+    out[v.TYPE_IDS] = np.log(types / types.sum())
+    out[v.SLOT_IDS] = np.log(np.maximum(slots, FLOOR / SLOTS))
+    out[v.ID["<free>"]] = np.log(FLOOR)
+    return out
+
+
+def joint_evidence(
+    structure: Structure, answer: Answer, part: int, rules: Array, same: npt.NDArray[np.bool_]
+) -> Evidence:
+    """Evidence for the joint of one part.
+
+    Args:
+        structure, answer: of the object. part: its index.
+        rules: (P, SIZE) log-probabilities from geometry and names alone.
+        same: (P, SLOTS, SLOTS) candidates with the same motion.
+    """
+    decision = answer.decisions[part]
+    out = {"parent": log_odds(_parent_probability(answer, part))}
+    for kind, chosen in (("type", decision.type), ("slot", decision.slot)):
+        record = answer.record(part, kind)
+        for expert in ("network", "rules"):
+            out[f"{kind} {expert}"] = MAX_LOG_ODDS
+            if record is not None:
+                share = _share(record, rules[part], chosen, same[part], expert)
+                out[f"{kind} {expert}"] = log_odds(share)
+    slot = decision.slot
+    mechanism = MECHANISMS[slot // RANKS] if 0 <= slot < SLOTS else None
+    context = structure.contexts[part]
+    if context.parent != decision.parent:
+        parent = list(structure.assembly.parent)
+        parent[part] = decision.parent
+        context = PartContext(replace(structure.assembly, parent=parent), part)
+    return out | part_evidence(context, mechanism)
+
+
+def _parent_probability(answer: Answer, part: int) -> float:
+    """Probability of a part's parent, or of the root."""
+    if part == answer.root:
+        record = answer.record(-1, "root")
+        return record.probability if record is not None else 1.0
+    parent = answer.decisions[part].parent
+    found = 1.0
+    for r in answer.records:
+        if r.kind == "child" and r.part == parent and r.pointed == part:
+            siblings = [k for k, d in enumerate(answer.decisions) if d.parent == parent]
+            found = min(found, float(r.parts[siblings].sum()))
+    return found
+
+
+def _share(
+    record: ChoiceRecord, rules: Array, chosen: int, same: npt.NDArray[np.bool_], expert: str
+) -> float:
+    """Probability, 0..1, that one of the two experts alone gives to the answer."""
+    values = record.plain
+    if expert == "rules":
+        values = np.where(np.isfinite(record.plain), rules, -np.inf)
+    weights = softmax(values)
+    if record.kind == "type":
+        return float(weights[v.TYPE_IDS[chosen]])
+    slots = weights[v.SLOT_IDS]
+    return float(weights[v.ID["<free>"]] if chosen >= len(slots) else (same @ slots)[chosen])
+
 
 ALTERNATIVES = 2
 """Other motions of a joint that are offered."""
@@ -90,7 +214,7 @@ class Arti4UrdfPredictor:
         seed: int = 0,
         progress: Progress = no_progress,
     ) -> Prediction:
-        """See :class:`model.prediction.protocol.Predictor`."""
+        """See :class:`model.prediction.registry.Predictor`."""
         return self.predict_with_evidence(segmented, locked=locked, seed=seed, progress=progress)[0]
 
     def predict_with_evidence(

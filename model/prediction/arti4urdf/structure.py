@@ -21,11 +21,14 @@ from model.core.motion_lexicon import MECHANISMS as ALL_MECHANISMS
 from model.core.motion_lexicon import Mechanism
 from model.core.names import mechanism_of
 from model.core.progress import Progress, no_progress
-from model.prediction.geometric.context import Assembly, PartContext
+from model.prediction.geometric.context import (
+    Assembly,
+    JointProposal,
+    PartContext,
+    distinct_motions,
+)
 from model.prediction.geometric.mechanisms import SWEPT_LIMITS, face_front, proposals_for
-from model.prediction.geometric.motion_scores import motion_scores
-from model.prediction.geometric.part_features import PartFeatures, measure_features
-from model.prediction.geometric.proposal import JointProposal, distinct_motions
+from model.prediction.geometric.motion_scores import PartFeatures, measure_features, motion_scores
 from model.prediction.geometric.roles import guess_mechanisms
 from model.prediction.geometric.sampled_object import SAMPLE_BUDGET, SampledObject, sample_object
 from model.prediction.geometric.shape import rotation

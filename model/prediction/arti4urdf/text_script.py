@@ -1,7 +1,7 @@
 """The answer as text in steps: forced text, and small choices.
 
 The steps follow :func:`model.prediction.arti4urdf.answer.write_answer` to the letter, and
-:class:`model.prediction.arti4urdf.grammar.Grammar` decides which part may come next. So every
+:class:`model.prediction.arti4urdf.vocabulary.Grammar` decides which part may come next. So every
 sequence of choices gives one tree with every part once and a URDF that parses, with nonzero axes
 and limits in order.
 """
@@ -26,8 +26,8 @@ from model.prediction.arti4urdf.answer import (
     URDF_START,
     write_answer,
 )
-from model.prediction.arti4urdf.grammar import Choice, Grammar, Lock
 from model.prediction.arti4urdf.structure import SLOTS
+from model.prediction.arti4urdf.vocabulary import Choice, Grammar, Lock
 
 WHOLE_DIGITS = 3
 

@@ -9,13 +9,12 @@ import numpy.typing as npt
 
 from model.core.motion_lexicon import Mechanism
 from model.kinematics.snapping import barrel_line
-from model.prediction.explanation import Reason
-from model.prediction.geometric.context import PartContext
-from model.prediction.geometric.edge_limits import CATEGORY_OPENING, OPENING
-from model.prediction.geometric.proposal import UP, JointProposal, snapped, unit
+from model.prediction.builder import Reason
+from model.prediction.geometric.context import UP, JointProposal, PartContext, snapped, unit
+from model.prediction.geometric.limits import CATEGORY_OPENING, OPENING
 from model.prediction.geometric.sampled_object import CONTACT_GAP
-from model.prediction.geometric.serial_chains import SLENDER, chain_plane, is_slender
 from model.prediction.geometric.shape import fit_panel
+from model.prediction.geometric.tree import SLENDER, chain_plane, is_slender
 
 Array = npt.NDArray[np.float64]
 

@@ -10,26 +10,27 @@ import numpy.typing as npt
 
 from model.core.motion_lexicon import Mechanism
 from model.core.progress import attempt
-from model.prediction.explanation import Reason
-from model.prediction.geometric.context import Assembly, PartContext
+from model.prediction.builder import Reason
+from model.prediction.geometric.context import Assembly, JointProposal, PartContext, unit
 from model.prediction.geometric.edge_hinges import edge_proposals
-from model.prediction.geometric.edge_limits import with_swept_limits
-from model.prediction.geometric.pins import (
-    lever_proposals,
-    pivot_proposals,
-    swing_proposals,
-    tilt_proposals,
-    toggle_proposals,
-    within_reach,
-)
+from model.prediction.geometric.limits import with_swept_limits
 from model.prediction.geometric.prismatic import (
     lift_proposals,
     press_proposals,
     slide_along_proposals,
     slide_out_proposals,
 )
-from model.prediction.geometric.proposal import JointProposal, unit
-from model.prediction.geometric.revolute import screw_proposals, spin_proposals, swivel_proposals
+from model.prediction.geometric.revolute import (
+    lever_proposals,
+    pivot_proposals,
+    screw_proposals,
+    spin_proposals,
+    swing_proposals,
+    swivel_proposals,
+    tilt_proposals,
+    toggle_proposals,
+    within_reach,
+)
 
 Array = npt.NDArray[np.float64]
 

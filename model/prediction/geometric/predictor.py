@@ -8,19 +8,26 @@ from model.core.articulated_object import Prediction, SegmentedObject
 from model.core.joint import Joint
 from model.core.motion_lexicon import MECHANISM_TABLE
 from model.core.progress import Progress, no_progress
-from model.prediction.builder import PredictionBuilder, unknown_link
-from model.prediction.confidence import MAX_LOG_ODDS, Evidence, load_confidence, log_odds
-from model.prediction.explanation import explain
-from model.prediction.geometric.context import Assembly, PartContext
-from model.prediction.geometric.edge_limits import from_zero
-from model.prediction.geometric.evidence import part_evidence
-from model.prediction.geometric.mechanisms import face_front, propose
-from model.prediction.geometric.proposal import (
+from model.prediction.builder import (
+    MAX_LOG_ODDS,
+    Evidence,
+    PredictionBuilder,
+    explain,
+    load_confidence,
+    log_odds,
+    unknown_link,
+)
+from model.prediction.geometric.context import (
+    Assembly,
     JointProposal,
+    PartContext,
     best_share,
     distinct_motions,
     joints_of,
+    part_evidence,
 )
+from model.prediction.geometric.limits import from_zero
+from model.prediction.geometric.mechanisms import face_front, propose
 from model.prediction.geometric.roles import MechanismGuess, guess_mechanisms
 from model.prediction.geometric.sampled_object import CONTACT_GAP, SampledObject, sample_object
 from model.prediction.geometric.tree import rooted_tree
@@ -41,7 +48,7 @@ class GeometricPredictor:
         seed: int = 0,
         progress: Progress = no_progress,
     ) -> Prediction:
-        """See :class:`model.prediction.protocol.Predictor`."""
+        """See :class:`model.prediction.registry.Predictor`."""
         return self.predict_with_evidence(segmented, locked=locked, seed=seed, progress=progress)[0]
 
     def predict_with_evidence(

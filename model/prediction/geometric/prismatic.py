@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from model.prediction.explanation import Reason
-from model.prediction.geometric.context import PartContext
-from model.prediction.geometric.proposal import JointProposal, unit
+from model.prediction.builder import Reason
+from model.prediction.geometric.context import JointProposal, PartContext, unit
+from model.prediction.geometric.limits import TOLERANCE, free_range
 from model.prediction.geometric.shape import fit_panel
-from model.prediction.geometric.sweep import TOLERANCE, free_range
 
 Array = npt.NDArray[np.float64]
 

@@ -1,19 +1,285 @@
-"""Revolute proposals about an axis through the part: wheels, knobs, caps, spouts, turntables."""
+"""Revolute proposals: pins beside a part, and axes through it.
+
+Pins are of scissors, bails, levers, rockers, tilting heads; axes through the part of wheels, knobs,
+caps, spouts, turntables.
+"""
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
-from model.prediction.explanation import Reason
-from model.prediction.geometric.context import PartContext
-from model.prediction.geometric.pins import crossing_point
-from model.prediction.geometric.proposal import UP, JointProposal, unit
-from model.prediction.geometric.shape import PartShape, Roundness, blades, roundness
+from model.kinematics.sweep import TOLERANCE as SWEPT
+from model.prediction.builder import Reason
+from model.prediction.geometric.context import UP, JointProposal, PartContext, unit
+from model.prediction.geometric.limits import TOLERANCE, free_turn
+from model.prediction.geometric.shape import PartShape, Roundness, blades, roundness, same_extents
+from model.prediction.geometric.tree import LEAF, chain_plane
 
 Array = npt.NDArray[np.float64]
+
+MIN_RANGE = 0.2
+"""Collision-free range (rad) below which the pin is misplaced, so that its range is meaningless."""
+SPINDLE = 1.0
+"""Score of a lever's axis across the leaf that holds it; chosen by us, not tuned."""
+
+
+def pivot_proposals(context: PartContext) -> list[JointProposal]:
+    """About the common thin direction, where the two parts cross or where their ends meet."""
+    shape, base = context.shape, context.parent_shape
+    both = np.concatenate([shape.points, base.points])
+    some = (both - both.mean(0))[:: max(1, len(both) // 2000)]
+    _, _, rows = np.linalg.svd(some, full_matrices=len(some) < 3)  # always three rows
+    thin = shape.box.axes[:, shape.order[0]]
+    common = rows[2]
+    axis = thin if abs(thin @ common) > 0.8 or shape.thinness < 0.35 else common
+    cross = crossing_point(shape, base, axis)
+    contact = context.contact_center
+    found = []
+    if cross is not None:
+        inside = _inside_both(cross, shape, base, axis)
+        found.append(_pin(axis, cross, 1.5 * inside, Reason.CROSSED_PARTS))
+    found.append(_pin(axis, contact, 0.6, Reason.CONTACT))
+    if same_extents(shape, base):
+        # Two equal parts cross; neither holds the other at its end.
+        found = [dataclasses.replace(p, score=p.score + 1.0) for p in found]
+    found += _end_pivots(context, axis) + _crossed_frames(context)
+    return [_pivot_limits(context, p) for p in found]
+
+
+def _pin(axis: Array, origin: Array, score: float, reason: Reason) -> JointProposal:
+    return JointProposal("revolute", axis, origin, score=score, reasons=(reason,))
+
+
+def _crossed_frames(context: PartContext) -> list[JointProposal]:
+    """Flat frames that cross, as the legs of a folding chair, turn about their common line."""
+    shape, base = context.shape, context.parent_shape
+    if shape.slenderness < 0.3 or shape.thinness > 0.5:
+        return []
+    a = shape.box.axes[:, shape.order[0]]
+    b = base.principal[:, 2]
+    axis = np.cross(a, b)
+    if np.linalg.norm(axis) < np.sin(np.deg2rad(15)):
+        return []
+    return [_pin(unit(axis), context.contact_center, 2.2, Reason.CROSSED_FRAMES)]
+
+
+def crossing_point(shape: PartShape, base: PartShape, axis: Array) -> Array | None:
+    """(3,) where the long axes cross, seen along ``axis``; None if they are nearly parallel."""
+    a, b = shape.principal[:, 0], base.principal[:, 0]
+    u = unit(a - (a @ axis) * axis)
+    v = unit(b - (b @ axis) * axis)
+    sine = float(np.cross(u, v) @ axis)
+    if abs(sine) < np.sin(np.deg2rad(12)):
+        return None
+    step = base.points.mean(0) - shape.points.mean(0)
+    t = float(np.cross(step, v) @ axis) / sine
+    at = shape.points.mean(0) + t * u
+    middle = 0.5 * (shape.center + base.center)
+    return at + axis * float((middle - at) @ axis)
+
+
+def _inside_both(point: Array, shape: PartShape, base: PartShape, axis: Array) -> float:
+    """0..1: 1 if both parts have surface around the point, seen along the axis."""
+    out = 1.0
+    for s in (shape, base):
+        d = s.points - point
+        r = np.linalg.norm(d - np.outer(d @ axis, axis), axis=1)
+        out = min(out, float(np.exp(-max(0.0, float(r.min()) - 0.02) / 0.05)))
+    return out
+
+
+def _end_pivots(context: PartContext, axis: Array) -> list[JointProposal]:
+    """A pin near each end of the part."""
+    shape = context.shape
+    long = unit(shape.principal[:, 0] - (shape.principal[:, 0] @ axis) * axis)
+    along = shape.points @ long
+    low, high = np.quantile(along, [0.02, 0.98])
+    width = max(0.08 * (high - low), 0.01)
+    found = []
+    for end, inward in ((low, 1.0), (high, -1.0)):
+        band = np.abs(along - (end + inward * width)) < width
+        if band.sum() < 4:
+            continue
+        spot = shape.points[band].mean(0)
+        near = float(np.median(context.distance[band]))
+        rest = float(np.median(context.distance))
+        score = 0.5 + 1.2 * float(np.clip((rest - near) / 0.1, -1, 1))
+        # A folding blade is held at the end that lies deeper inside the handle.
+        score += 0.8 * _inside(spot, context.parent_shape)
+        found.append(_pin(axis, spot, score, Reason.ONE_END))
+    return found
+
+
+def _inside(point: Array, base: PartShape) -> float:
+    """0..1: 1 well inside the parent's box, 0 outside.
+
+    The place along the parent doesn't count: a folded blade is pinned near the handle's end.
+    """
+    local = np.abs(base.box.axes.T @ (point - base.center)) / np.maximum(base.box.half, 1e-6)
+    long = base.order[2]
+    if local[long] < 1:
+        local[long] = 0
+    return float(np.clip(1.2 - local.max(), 0, 1))
+
+
+def _pivot_limits(context: PartContext, h: JointProposal) -> JointProposal:
+    scissors = context.category in ("scissors", "pliers")
+    # For sheets that turn in their common plane only sense and size of the range can be judged.
+    arm = context.shape.points.mean(0) - h.origin
+    base_arm = context.parent_shape.points.mean(0) - h.origin
+    closing = float(np.cross(arm, base_arm) @ h.axis)
+    axis = h.axis if closing <= 0 else -h.axis
+    if scissors:
+        a, b = context.shape.principal[:, 0], context.parent_shape.principal[:, 0]
+        angle = float(np.arccos(np.clip(abs(a @ b), 0, 1)))
+        return dataclasses.replace(h, axis=axis, lower=-angle, upper=max(0.2, 0.9 - angle))
+    return dataclasses.replace(h, axis=axis, lower=0.0, upper=2.9)
+
+
+def within_reach(context: PartContext, h: JointProposal) -> JointProposal:
+    """The proposal with its collision-free range, to the tolerance of validation.
+
+    Only for parts that cross, as a blade that folds into its handle grazes it all the way, and
+    not below :data:`MIN_RANGE`.
+    """
+    if not {Reason.CROSSED_PARTS, Reason.CROSSED_FRAMES} & set(h.reasons):
+        return h
+
+    def free(stop: float) -> float:
+        return free_turn(context, h.axis, h.origin, stop, SWEPT)
+
+    lower, upper = free(h.lower), free(h.upper)
+    if upper - lower < MIN_RANGE:
+        return h
+    return dataclasses.replace(h, lower=lower, upper=upper)
+
+
+def swing_proposals(context: PartContext) -> list[JointProposal]:
+    """A bail turns about the line through its two supports."""
+    shape = context.shape
+    contact = context.contact
+    up = float(shape.center[2] - contact[:, 2].mean()) >= 0
+    found = []
+    for k in range(3):
+        axis = shape.box.axes[:, k]
+        if abs(axis[2]) > 0.5:
+            continue
+        along = (contact - contact.mean(0)) @ axis
+        reach = 2 * shape.box.reach(axis)
+        spread = float(np.ptp(np.quantile(along, [0.05, 0.95]))) / max(reach, 1e-6)
+        score = 2.0 * spread + 0.6 * float(shape.box.half[k] / shape.box.half.max())
+        low, high = contact[along < 0], contact[along >= 0]
+        origin = contact.mean(0)
+        if len(low) and len(high):
+            origin = 0.5 * (low.mean(0) + high.mean(0))
+        found.append(
+            JointProposal(
+                "revolute",
+                axis,
+                origin,
+                -1.5 if up else -0.8,
+                1.5 if up else 2.4,
+                score,
+                reasons=(Reason.BOTH_ENDS,),
+            )
+        )
+    if found:
+        return found
+    axis = shape.box.axes[:, shape.order[1]]
+    reasons = (Reason.ONE_END,)
+    return [
+        JointProposal("revolute", axis, context.contact_center, 0.0, 1.57, 0.0, reasons=reasons)
+    ]
+
+
+def lever_proposals(context: PartContext) -> list[JointProposal]:
+    """A lever turns about its stem; positive q turns it to the front."""
+    shape = context.shape
+    covers = context.covers
+    long = shape.order[2]
+    arm = shape.points.mean(0) - context.contact_center
+    found = []
+    along = shape.box.axes[:, long]
+    # The spindle of a door's lever goes through the leaf.
+    base = context.parent_shape
+    normal, leaf = base.box.axes[:, base.panel.normal], base.thinness < LEAF
+    choices = list(zip(context.directions, covers, np.roll(covers, 3), strict=True))
+    if shape.thinness > 0.7:
+        # The box of a rod is arbitrary about its length: add the object's directions.
+        e = np.concatenate([np.eye(3), -np.eye(3)])
+        there = [context.sampled.cover(context.part, d, (context.parent,)) for d in e]
+        choices += list(zip(e, there, np.roll(there, 3), strict=True))
+    for direction, ahead, behind in choices:
+        through = leaf * abs(float(direction @ normal))
+        if abs(direction @ along) > 0.5 and shape.slenderness < 0.6 and through < 0.9:
+            continue
+        score = 1.2 * behind - 0.8 * ahead + 0.1 * float(np.abs(direction).max() > 0.999)
+        score += SPINDLE * through
+        score += 0.9 * float(direction @ unit(shape.center - context.parent_shape.center))
+        score += 0.8 * float(direction @ unit(arm))
+        origin = context.contact_center
+        r = roundness(
+            shape.points[context.distance <= np.quantile(context.distance, 0.25)], direction, True
+        )
+        if r is not None and r.spread < 0.12:
+            origin = r.center
+        axis = direction
+        tip = shape.points.mean(0) - origin
+        tip = tip - (tip @ axis) * axis
+        if float(np.cross(axis, tip) @ context.assembly.front) < -1e-3:
+            axis = -axis
+        found.append(
+            JointProposal("revolute", axis, origin, 0.0, 1.571, score, reasons=(Reason.STEM,))
+        )
+    return found
+
+
+def toggle_proposals(context: PartContext) -> list[JointProposal]:
+    """A rocker tilts about an axis within its plate, through its centre."""
+    shape = context.shape
+    outward = context.outward
+    found = []
+    for k in range(3):
+        axis = shape.box.axes[:, k]
+        if abs(axis @ outward) > 0.5:
+            continue
+        rest = [j for j in range(3) if j != k]
+        across = max(
+            float(shape.box.half[j]) for j in rest if abs(shape.box.axes[:, j] @ outward) < 0.5
+        )
+        score = across / max(float(shape.box.half.max()), 1e-9)
+        score += 0.4 * (1 - abs(float(axis @ UP)))
+        origin = shape.center - outward * 0.6 * shape.box.reach(outward)
+        found.append(
+            JointProposal("revolute", axis, origin, -0.28, 0.28, score, reasons=(Reason.MIDDLE,))
+        )
+    return found
+
+
+def tilt_proposals(context: PartContext) -> list[JointProposal]:
+    """A screen or head tilts about a horizontal axis through its mount."""
+    shape = context.shape
+    found = []
+    origin = context.contact_center
+    level = [k for k in range(3) if abs(shape.box.axes[2, k]) <= 0.5]
+    longest = max(float(shape.box.half.max()), 1e-9)
+    choices = [(shape.box.axes[:, k], float(shape.box.half[k]) / longest) for k in level]
+    plane = chain_plane(context.assembly, context.part)
+    if plane is not None and abs(float(plane.normal[2])) < 0.5:
+        # The head of a lamp turns as the members of its chain.
+        choices.append((plane.normal, 1.2 + 1.5 * plane.certainty))
+    for axis, score in choices:
+        down = -free_turn(context, axis, origin, -0.6, TOLERANCE)
+        up = free_turn(context, axis, origin, 0.6, TOLERANCE)
+        low, high = -max(down, 0.15), max(up, 0.15)
+        found.append(
+            JointProposal("revolute", axis, origin, low, high, score, reasons=(Reason.MOUNT,))
+        )
+    return found
 
 
 def spin_proposals(context: PartContext) -> list[JointProposal]:

@@ -1,1 +1,1 @@
-"""One file a scene format; :mod:`model.scenes.registry` lists them."""
+"""Readers of scene formats; :mod:`model.scenes.registry` lists them."""

@@ -64,11 +64,11 @@ class LisdfReader:
     description = "LISDF and SDF worlds"
 
     def recognises(self, path: Path, head: bytes) -> bool:
-        """See :class:`~model.scenes.protocol.SceneReader`."""
+        """See :class:`~model.scenes.scene.SceneReader`."""
         return path.suffix.lower() in (".lisdf", ".sdf", ".world") or b"<sdf" in head[:2048]
 
     def read(self, path: Path) -> Scene:
-        """See :class:`~model.scenes.protocol.SceneReader`."""
+        """See :class:`~model.scenes.scene.SceneReader`."""
         root = parse_xml(path)
         world = root.find("world") if root.tag == "sdf" else None
         if world is None:

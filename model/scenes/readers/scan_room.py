@@ -31,15 +31,16 @@ from model.core.errors import InputFileError
 from model.io.formats.loaded import Loaded
 from model.io.formats.ply import read_ply_columns
 from model.io.geometry_files import MIN_POINTS
-from model.scenes.poses import about_z, pose
 from model.scenes.scene import Scene, SceneObject, SceneObjectError, SceneProblem
 from model.scenes.unpacking import Unpacked, Unpacker
 from model.scenes.values import (
     MAX_BYTES,
     Place,
+    about_z,
     collect,
     maybe_text,
     numbers,
+    pose,
     read_json,
     shown,
     text,
@@ -88,7 +89,7 @@ class ScanRoomReader:
     description = "scanned rooms (PLY with instance labels or boxes)"
 
     def recognises(self, path: Path, head: bytes) -> bool:
-        """See :class:`~model.scenes.protocol.SceneReader`."""
+        """See :class:`~model.scenes.scene.SceneReader`."""
         if path.suffix.lower() != ".ply" or not head.startswith(b"ply"):
             return False
         header = head.split(b"end_header")[0].decode("latin-1").lower()
@@ -96,7 +97,7 @@ class ScanRoomReader:
         return inside is not None or _beside(path) is not None
 
     def read(self, path: Path) -> Scene:
-        """See :class:`~model.scenes.protocol.SceneReader`."""
+        """See :class:`~model.scenes.scene.SceneReader`."""
         loaded, columns = read_ply_columns(path, PROPERTIES)
         found, problems = _instances(path, loaded, columns)
         every = [*found, *_rest(loaded, found)]
@@ -106,7 +107,7 @@ class ScanRoomReader:
         return Scene(path.stem, path, self.name, objects, (*problems, *broken))
 
     def unpack(self, scene: Scene, folder: Path) -> Unpacked:
-        """See :class:`~model.scenes.embedded.GeometryReader`."""
+        """See :class:`~model.scenes.unpacking.GeometryReader`."""
         loaded, columns = read_ply_columns(scene.path, PROPERTIES)
         found, _ = _instances(scene.path, loaded, columns)
         by_id = {i.id: i for i in [*found, *_rest(loaded, found)]}

@@ -9,7 +9,7 @@ in your package's ``pyproject.toml``::
 
 ``artiworld serve --segmenter balls`` then answers clicks with it, in the worker process, and
 ``artiworld bench segment --segmenter balls`` measures it. The contract of segmenters is
-:mod:`model.segmentation.protocol`; ``tests/model/segmentation/test_contract.py`` checks it. Two
+:mod:`model.segmentation.registry`; ``tests/model/segmentation/test_contract.py`` checks it. Two
 functions do the hard part: :func:`~model.segmentation.prompt_steps.resolve` ties prompts to
 elements, :func:`~model.segmentation.prompt_steps.enforce` makes labels agree with them exactly.
 """
@@ -23,7 +23,7 @@ import numpy.typing as npt
 
 from model.core.asset import Asset
 from model.core.progress import Progress, no_progress
-from model.segmentation.encode.nodes import nodes_of_asset
+from model.segmentation.nodes import nodes_of_asset
 from model.segmentation.prompt_steps import ClickStep, enforce, resolve
 from model.segmentation.prompts import BASE, PartSegmentation, Prompts
 
@@ -58,11 +58,11 @@ class BallSession:
 
 
 class BallSegmenter:
-    """See :class:`~model.segmentation.protocol.Segmenter`."""
+    """See :class:`~model.segmentation.registry.Segmenter`."""
 
     name = "balls"
 
     def encode(self, asset: Asset, progress: Progress = no_progress) -> BallSession:
-        """See :class:`~model.segmentation.protocol.Segmenter`."""
+        """See :class:`~model.segmentation.registry.Segmenter`."""
         progress(0.0, "sampling")
         return BallSession(asset)

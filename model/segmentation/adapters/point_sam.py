@@ -25,7 +25,7 @@ from model.core.checkpoints import read_safetensors, strict_load
 from model.core.errors import ConfigurationError, InputFileError
 from model.core.progress import Progress, no_progress
 from model.segmentation.arrays import Bool, Float32, Float64
-from model.segmentation.encode.nodes import Nodes, nodes_of_asset
+from model.segmentation.nodes import Nodes, nodes_of_asset
 from model.segmentation.prompt_steps import ClickStep, enforce, resolve
 from model.segmentation.prompts import BASE, PartSegmentation, Prompts
 
@@ -48,7 +48,7 @@ Key = tuple[tuple[int, bool], ...]
 
 
 class PointSamSegmenter:
-    """See :class:`~model.segmentation.protocol.Segmenter`.
+    """See :class:`~model.segmentation.registry.Segmenter`.
 
     Args:
         checkpoint: a ``.safetensors`` file, or the state dict of a ``.pt`` or ``.pth`` file.
@@ -149,7 +149,7 @@ def _config_of(state: dict[str, Any], path: Path) -> PointSamConfig:
 
 
 class PointSamSession:
-    """See :class:`~model.segmentation.protocol.SegmentationSession`."""
+    """See :class:`~model.segmentation.registry.SegmentationSession`."""
 
     def __init__(self, asset: Asset, network: Any) -> None:
         import torch

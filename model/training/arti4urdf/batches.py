@@ -17,12 +17,11 @@ from torch.nn import functional
 
 from model.prediction.arti4urdf import vocabulary as v
 from model.prediction.arti4urdf.answer import LINE_REACH
-from model.prediction.arti4urdf.grammar import FREE, Choice, Grammar, Token
 from model.prediction.arti4urdf.network import ArtiModel, Prompt
 from model.prediction.arti4urdf.structure import FIRST_FEATURE, FIRST_NAME_SCALAR, StructureArrays
+from model.prediction.arti4urdf.vocabulary import FREE, Choice, Grammar, Token
 from model.prediction.geometric.shape import rotation
-from model.training.arti4urdf.labels import Labels
-from model.training.arti4urdf.samples import Sample
+from model.training.arti4urdf.samples import Labels, Sample
 
 Bools = npt.NDArray[np.bool_]
 

@@ -20,12 +20,12 @@ from model.core.articulated_object import ArticulatedObject, Part, SegmentedObje
 from model.core.errors import ArtiworldError
 from model.core.files import draft_of
 from model.core.tree import KinematicTree
-from model.data.protocol import Dataset, GroundTruth
+from model.data.datasets import Dataset, GroundTruth
 from model.prediction.arti4urdf.answer import rounded, write_answer
 from model.prediction.arti4urdf.full_model import Example
-from model.prediction.arti4urdf.text_prompt import make_example
+from model.prediction.arti4urdf.full_predictor import make_example
 from model.prediction.arti4urdf.text_script import as_written
-from model.prediction.remote.wire import decode_request, encode_request
+from model.prediction.remote_backend import decode_request, encode_request
 from model.training.arti4urdf.config import FullConfig
 from model.training.arti4urdf.samples import MOST_PARTS, draw_truth, family_of
 

@@ -24,16 +24,18 @@ from model.core.errors import ConfigurationError
 from model.core.files import write_json
 from model.core.progress import Progress, no_progress
 from model.prediction.arti4urdf.full_model import FullModel, LoraSettings, make_full_model
-from model.training.arti4urdf.config import FullConfig, check_size, require_extras
-from model.training.arti4urdf.full_data import TOO_LONG, Drawn, Draws, ObjectSet, positions
-from model.training.arti4urdf.loop import (
+from model.training.arti4urdf.config import (
     CONFIG,
+    FullConfig,
     append_entry,
+    check_size,
     rate,
+    require_extras,
     run_steps,
     same_config,
     set_rate,
 )
+from model.training.arti4urdf.full_data import TOO_LONG, Drawn, Draws, ObjectSet, positions
 
 STATE = "state.json"
 LEFT_OUT = "left_out.jsonl"
@@ -133,7 +135,7 @@ def load_model(config: FullConfig, point_encoder: Path, language_model: Path) ->
 
 
 class _FullTrainer:
-    """One process of a run; see :class:`model.training.arti4urdf.loop.Trainer`."""
+    """One process of a run; see :class:`model.training.arti4urdf.config.Trainer`."""
 
     def __init__(self, config: FullConfig, sources: Sources, out: Path) -> None:
         from accelerate import Accelerator

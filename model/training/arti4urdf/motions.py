@@ -25,7 +25,6 @@ from model.data.registry import DatasetOptions, open_dataset
 from model.evaluation.pool import robust_map
 from model.prediction.arti4urdf import vocabulary as v
 from model.prediction.arti4urdf.decoding import same_motion
-from model.prediction.arti4urdf.geometric_prior import geometric_prior
 from model.prediction.arti4urdf.motion_ranker import (
     NAMES,
     SHIPPED,
@@ -33,18 +32,19 @@ from model.prediction.arti4urdf.motion_ranker import (
     motion_features,
     network_odds,
 )
-from model.prediction.arti4urdf.predictor import hybrid, make_prompt
+from model.prediction.arti4urdf.predictor import geometric_prior, hybrid, make_prompt
 from model.prediction.arti4urdf.structure import read_structure
-from model.segmentation.models.trees import Trees, save_trees
-from model.training.arti4urdf.labels import TYPES, label
+from model.segmentation.models import Trees, save_trees
 from model.training.arti4urdf.samples import (
     BUDGET,
     MOST_PARTS,
+    TYPES,
     draw_truth,
     family_of,
+    label,
     training_families,
 )
-from model.training.segmentation.fit import plain_trees
+from model.training.segmentation.rows import plain_trees
 
 Floats = npt.NDArray[np.float32]
 FIXED = TYPES.index("fixed")

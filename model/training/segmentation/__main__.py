@@ -12,14 +12,27 @@ from typing import Annotated
 import tyro
 
 from model.core.files import static_assets
-from model.training.segmentation.boxes import BoxTraining, train_boxes
-from model.training.segmentation.clicks import ClickTraining, train_room_scorers, train_scorers
-from model.training.segmentation.clouds import CloudTraining, train_clouds
-from model.training.segmentation.corrective_clicks import CorrectiveClickTraining, train_corrective
-from model.training.segmentation.edges import EdgeTraining, train_edges
-from model.training.segmentation.first_clicks import train_moving
-from model.training.segmentation.part_masks import PartMaskTraining, train_part_masks
-from model.training.segmentation.visible_objects import MovingPartTraining
+from model.training.segmentation.clicks import (
+    ClickTraining,
+    CloudTraining,
+    train_clouds,
+    train_room_scorers,
+    train_scorers,
+)
+from model.training.segmentation.networks import (
+    BoxTraining,
+    EdgeTraining,
+    PartMaskTraining,
+    train_boxes,
+    train_edges,
+    train_part_masks,
+)
+from model.training.segmentation.visible_objects import (
+    CorrectiveClickTraining,
+    MovingPartTraining,
+    train_corrective,
+    train_moving,
+)
 
 
 @dataclass(frozen=True)

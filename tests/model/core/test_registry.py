@@ -11,10 +11,10 @@ import pytest
 from model.core.errors import ConfigurationError
 from model.io.export import registry as exporters
 from model.io.export.glb import GlbExporter
-from model.scenes import finder_registry as finders
+from model.scenes import articulable_finders as finders
 from model.scenes import registry as scene_readers
-from model.scenes.finders import LexiconFinder
-from model.scenes.readers.own import OwnReader
+from model.scenes.articulable_finders import LexiconFinder
+from model.scenes.native_format import OwnReader
 from model.segmentation import registry as segmenters
 from model.segmentation.default import DefaultSegmenter
 

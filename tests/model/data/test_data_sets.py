@@ -11,9 +11,8 @@ import pytest
 import trimesh
 
 from model.core.errors import ConfigurationError, InputFileError
-from model.data.protocol import Dataset
+from model.data.datasets import Dataset, in_test, is_held_out, select
 from model.data.registry import DatasetOptions, dataset_names, open_dataset
-from model.data.splits import in_test, is_held_out, select
 
 
 def obj_file(path: Path, size: tuple[float, ...], at: tuple[float, ...]) -> None:

@@ -12,9 +12,8 @@ from PIL import Image
 
 from model.core.errors import InputFileError
 from model.core.tree import KinematicTree
-from model.data.part_export import export_parts
-from model.data.partnet_mobility import PartNetMobility, read_partnet_mobility
-from model.data.protocol import Dataset
+from model.data.datasets import Dataset
+from model.data.folders import PartNetMobility, export_parts, read_partnet_mobility
 from model.io.merging import rigid_groups
 from model.io.urdf.reader import read_urdf_model
 

@@ -7,7 +7,7 @@ import pytest
 
 from model.core.errors import ConfigurationError
 from model.data.procedural.corruption import FAULTS
-from model.data.procedural_set import ProceduralSet
+from model.data.procedural.generate import ProceduralSet
 
 
 @pytest.mark.parametrize("fault", FAULTS)

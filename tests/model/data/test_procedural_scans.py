@@ -12,7 +12,7 @@ import pytest
 from app.server.prompt_file import read_prompts
 from model.core.errors import ConfigurationError
 from model.core.files import static_assets
-from model.data.partnet_mobility import PartNetMobility
+from model.data.folders import PartNetMobility
 from model.data.procedural.corruption import MIXED, Corruption, corrupted, sometimes
 from model.data.procedural.examples import EXAMPLES, write_examples
 from model.data.procedural.generate import GenerateSettings, generate, make

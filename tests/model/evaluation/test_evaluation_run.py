@@ -17,10 +17,15 @@ from model.core.articulated_object import Prediction
 from model.core.errors import ConfigurationError, InputFileError
 from model.core.joint import motion
 from model.data.registry import DatasetOptions
-from model.evaluation.corruption import Corruption, corrupt, visible
-from model.evaluation.markdown import write_markdown
-from model.evaluation.report import COLUMNS, PAPER_ROWS, read_report, score_from_json, score_to_json
-from model.evaluation.run import EvaluationConfig, evaluate
+from model.evaluation.report import (
+    COLUMNS,
+    PAPER_ROWS,
+    read_report,
+    score_from_json,
+    score_to_json,
+    write_markdown,
+)
+from model.evaluation.run import Corruption, EvaluationConfig, corrupt, evaluate, visible
 from model.prediction import registry as predictors
 
 URDF = """<robot name="made"><link name="base"/>
@@ -172,7 +177,7 @@ def test_reports(root: Path, tmp_path: Path) -> None:
 
 
 def test_a_turned_object_is_the_same_object(root: Path) -> None:
-    from model.data.partnet_mobility import PartNetMobility
+    from model.data.folders import PartNetMobility
 
     truth = PartNetMobility(root).load("0")
     turned = corrupt(truth, Corruption(yaw=0.7), np.random.default_rng(0))
@@ -189,7 +194,7 @@ def test_a_turned_object_is_the_same_object(root: Path) -> None:
 
 
 def test_a_scan_sees_one_side(root: Path) -> None:
-    from model.data.partnet_mobility import PartNetMobility
+    from model.data.folders import PartNetMobility
 
     truth = PartNetMobility(root).load("0")
     seen = corrupt(truth, Corruption(scan=True, noise=0.0, view=math.pi), np.random.default_rng(0))

@@ -15,7 +15,7 @@ from model.core.errors import ConfigurationError
 from model.core.joint import Joint
 from model.core.tree import KinematicTree
 from model.data.registry import DatasetOptions
-from model.evaluation.alignment import ROTATIONS, Frame, Similarity
+from model.evaluation.predictions import ROTATIONS, Frame, Similarity
 from model.evaluation.report import Report
 from model.evaluation.run import EvaluationConfig, evaluate
 from model.evaluation.summary import METRICS
@@ -237,7 +237,7 @@ def test_an_over_segmented_door_is_one_door(data: Path, tmp_path: Path) -> None:
 
 def test_real_objects_through_our_exporter_and_back(shared_data: Path, tmp_path: Path) -> None:
     """Ground truth of real objects, written and read again, is its own best prediction."""
-    from model.data.partnet_mobility import PartNetMobility
+    from model.data.folders import PartNetMobility
 
     dataset = PartNetMobility(shared_data / "partnet_mobility")
     chosen = [i for i in dataset.ids() if dataset.category(i) in ("Scissors", "Bottle")][:3]

@@ -13,16 +13,12 @@ import pytest
 from model.core.errors import ConfigurationError, InputFileError
 from model.data.registry import DatasetOptions
 from model.evaluation import render
-from model.evaluation.calibration import calibrate
 from model.evaluation.compare import compare
-from model.evaluation.executability import Execution
 from model.evaluation.html_report import worst_objects, write_html
-from model.evaluation.joint_metrics import JointScore, ObjectScore
-from model.evaluation.markdown import to_markdown
-from model.evaluation.report import Report, read_report
+from model.evaluation.joint_metrics import Execution, JointScore, ObjectScore, tree_edits
+from model.evaluation.report import Report, read_report, to_markdown
 from model.evaluation.run import EvaluationConfig, evaluate
-from model.evaluation.summary import METRICS, bootstrap, summarise
-from model.evaluation.tree_metrics import tree_edits
+from model.evaluation.summary import METRICS, bootstrap, calibrate, summarise
 
 HOSTILE = '<script>alert("x")</script> | [a](javascript:b) `c`\n# d'
 

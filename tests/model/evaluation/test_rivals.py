@@ -15,7 +15,7 @@ from model.core.articulated_object import ArticulatedObject, SegmentedObject
 from model.core.errors import ConfigurationError, InputFileError
 from model.core.geometry import Material
 from model.evaluation import rivals
-from model.evaluation.longest_edge import longest_edge
+from model.evaluation.predictions import longest_edge
 from tests.model.evaluation.test_predictions import cabinet, changed, write
 
 

@@ -14,6 +14,7 @@ from model.core.errors import InputFileError
 from model.data.registry import DatasetOptions
 from model.evaluation.gripper import DEEP, GripperBench, Try
 from model.evaluation.robot import (
+    Film,
     JointScore,
     RobotConfig,
     RobotScore,
@@ -24,7 +25,6 @@ from model.evaluation.robot import (
     row,
     run,
 )
-from model.evaluation.robot_pictures import Film
 from model.io.export.mjcf import MjcfExporter
 from model.physics.affordances import REACHED
 from model.physics.simulation_values import physics_of

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from model.evaluation.segmentation.bench import BenchConfig, run
-from model.evaluation.segmentation.visible_clicks import (
+from model.evaluation.segmentation import BenchConfig, run
+from model.evaluation.segmentation_clicks import (
     Picture,
     largest_component,
     middle_of,

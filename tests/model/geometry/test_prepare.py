@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from model.core.asset import Asset
 from model.core.errors import ConfigurationError
 from model.core.geometry import PointCloud
-from model.data.simulated.reconstruction import (
+from model.data.simulated.depth_camera import (
     Reconstruction,
     ReconstructionSettings,
     reconstruct_scan,

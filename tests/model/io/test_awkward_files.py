@@ -17,7 +17,7 @@ from model.core.asset import Asset
 from model.core.errors import InputFileError
 from model.core.geometry import Mesh
 from model.io.open_asset import open_asset
-from model.scenes.assets import index_assets
+from model.scenes.asset_parts import index_assets
 from model.scenes.registry import read_scene
 
 FILES = Path(__file__).parent / "awkward"

@@ -31,7 +31,7 @@ from model.io.assets.reader import load_object
 from model.io.export.registry import export, losses_of
 from model.io.open_asset import open_asset
 from model.scenes.jobs import ASSETS, MJCF
-from model.scenes.scene_mjcf import Stand, write_scene_mjcf
+from model.scenes.scene_xml import Stand, write_scene_mjcf
 
 FORMATS = ("urdf", "ros", "sdf", "glb", "usd", "mjcf")
 GLOW = (1.0, 0.5, 0.25)

@@ -23,7 +23,7 @@ from model.core.geometry import Material, Mesh, PointCloud
 from model.core.joint import Joint, Mimic
 from model.core.shapes import Primitive, Solid
 from model.core.tree import KinematicTree
-from model.data.mjcf import read_mjcf
+from model.data.folders import read_mjcf
 from model.io.assets.asset_folder import write_asset
 from model.io.assets.reader import load_object, mujoco_problems, object_from_links, reading_notes
 from model.io.export import registry

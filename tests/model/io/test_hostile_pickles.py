@@ -12,9 +12,9 @@ import pytest
 
 from model.core.errors import ArtiworldError
 from model.io.open_asset import open_asset
-from model.prediction.arti4urdf.weights import load_weights
+from model.prediction.arti4urdf.network import load_weights
 from model.segmentation.adapters.point_sam import load_network
-from model.segmentation.models.mlp import load_mlp
+from model.segmentation.models import load_mlp
 from model.training.arti4urdf.samples import read_shard
 
 

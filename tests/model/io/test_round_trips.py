@@ -16,7 +16,7 @@ import pytest
 from model.core.articulated_object import ArticulatedObject
 from model.core.composite_joints import Composite, composite_of, with_composite
 from model.core.tree import KinematicTree
-from model.data.bundled import Bundled
+from model.data.folders import Bundled
 from model.io.assets.reader import load_object, random_q
 from model.io.export.registry import load_exporter, write_object
 from model.io.readback import read_back

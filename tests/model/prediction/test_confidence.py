@@ -9,13 +9,7 @@ import numpy as np
 import pytest
 
 from model.core.errors import InputFileError
-from model.prediction.confidence import (
-    MAX_CONFIDENCE,
-    fit,
-    least_certain,
-    load_confidence,
-    log_odds,
-)
+from model.prediction.builder import MAX_CONFIDENCE, fit, least_certain, load_confidence, log_odds
 from model.prediction.registry import PREDICTORS
 
 

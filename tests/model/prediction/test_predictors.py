@@ -10,7 +10,7 @@ from app.cli.main import main
 from model.core.errors import ConfigurationError
 from model.prediction import registry as predictors
 from model.prediction.geometric.predictor import GeometricPredictor
-from model.prediction.protocol import Predictor
+from model.prediction.registry import Predictor
 
 
 def test_every_name_loads_and_fits_the_port() -> None:

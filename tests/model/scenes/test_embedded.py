@@ -14,10 +14,9 @@ from scipy.spatial import KDTree
 from model.core.errors import InputFileError
 from model.io.open_asset import open_asset, read_part_files
 from model.scenes.asset_parts import known_parts
-from model.scenes.embedded import unpack
 from model.scenes.registry import read_scene, recognised
 from model.scenes.scene import Scene, SceneObjectError
-from model.scenes.unpacking import Unpacked, placed_frame
+from model.scenes.unpacking import Unpacked, placed_frame, unpack
 from tests.model.scenes import scenes_made as made
 
 

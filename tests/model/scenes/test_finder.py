@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from model.scenes.finders import LexiconFinder, read_lexicon
-from model.scenes.protocol import ArticulableFinder, ObjectDescription
+from model.scenes.articulable_finders import LexiconFinder, read_lexicon
+from model.scenes.scene import ArticulableFinder, ObjectDescription
 
 
 @pytest.fixture(scope="module")

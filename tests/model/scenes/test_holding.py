@@ -18,14 +18,10 @@ from model.io.export.sdf import SdfExporter
 from model.io.export.urdf import UrdfExporter
 from model.io.urdf.writer import read_urdf_model
 from model.physics.simulation_values import PhysicsSettings, holding_load, physics_of
-from model.scenes.holding_friction import frictions
 from model.scenes.jobs import ASSETS, MJCF, PREDICTED
-from model.scenes.outcome import Outcome
-from model.scenes.protocol import Decision
-from model.scenes.results import standing_urdf
-from model.scenes.scene import SceneObject
-from model.scenes.scene_mjcf import Stand, write_scene_mjcf
-from model.scenes.scene_sdf import write_scene_sdf
+from model.scenes.results import Outcome, frictions, standing_urdf
+from model.scenes.scene import Decision, SceneObject
+from model.scenes.scene_xml import Stand, write_scene_mjcf, write_scene_sdf
 from tests.model.scenes.scenes_made import cabinet_parts
 
 DRAWER = Joint("slide", "prismatic", "link_0", "drawer", (1, 0, 0), (0.3, 0, -0.2), 0.0, 0.4)

@@ -11,16 +11,14 @@ import pytest
 
 from app.cli.main import main
 from model.core.errors import ConfigurationError
-from model.scenes.finder_options import FinderOptions
-from model.scenes.finder_registry import load_finder
-from model.scenes.finders import LexiconFinder
+from model.scenes.articulable_finders import FinderOptions, LexiconFinder, load_finder
 from model.scenes.language_finder import (
     FinderUnavailableError,
     LanguageFinder,
     parse_answer,
     question,
 )
-from model.scenes.protocol import ArticulableFinder, ObjectDescription
+from model.scenes.scene import ArticulableFinder, ObjectDescription
 from tests.model.prediction.arti4urdf.tiny_qwen3 import write_tiny_qwen3
 from tests.model.scenes import scenes_made as made
 from tests.model.scenes.chat_server import ChatServer, chat_server, decisions, fault, said
@@ -238,7 +236,7 @@ def test_counting_the_questions_needs_no_key(
 def test_a_local_qwen3_always_writes_valid_json(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from model.prediction.arti4urdf.json_writer import JsonWriter, load_json_writer
+    from model.prediction.arti4urdf.text_writing import JsonWriter, load_json_writer
     from model.scenes.language_finder import SYSTEM
 
     choose = JsonWriter.choose

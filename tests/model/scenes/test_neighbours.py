@@ -11,8 +11,7 @@ import pytest
 from model.scenes import convert
 from model.scenes.jobs import PREDICTED
 from model.scenes.neighbours import Standing
-from model.scenes.protocol import Decision
-from model.scenes.scene import SceneObject
+from model.scenes.scene import Decision, SceneObject
 
 
 def test_of_many_objects_the_near_ones_are_found_at_once(

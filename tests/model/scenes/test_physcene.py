@@ -13,14 +13,14 @@ import pytest
 
 from app.cli.main import main
 from model.core.errors import InputFileError
-from model.data.partnet_mobility import read_partnet_mobility
+from model.data.folders import read_partnet_mobility
 from model.io.geometry_files import load_geometry
 from model.io.open_asset import open_asset
 from model.io.urdf.writer import read_urdf
-from model.scenes.assets import index_assets
-from model.scenes.embedded import unpack
-from model.scenes.poses import rotation_from_quaternion
+from model.scenes.asset_parts import index_assets
 from model.scenes.registry import read_scene
+from model.scenes.unpacking import unpack
+from model.scenes.values import rotation_from_quaternion
 from tests.model.scenes import scenes_made as made
 
 WEDGE = np.array(

@@ -12,10 +12,10 @@ import trimesh
 
 from model.core.errors import ConfigurationError, InputFileError
 from model.io.open_asset import open_asset
-from model.scenes.embedded import unpack
 from model.scenes.native_format import scene_to_json
-from model.scenes.readers.house import THICKNESS
+from model.scenes.readers.houses import THICKNESS
 from model.scenes.registry import SCENE_READERS, load_reader, read_scene
+from model.scenes.unpacking import unpack
 from tests.model.scenes import scenes_made as made
 
 CABINET_BOUNDS = np.array([[-0.3, -0.25, -0.4], [0.32, 0.25, 0.4]])

@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from model.segmentation.finish.alternatives import offered
+from model.segmentation.solver import offered
 
 SIZE = np.ones(100)
 

@@ -11,12 +11,12 @@ from model.core.asset import Asset
 from model.core.geometry import Mesh
 from model.data.simulated.primitives import block
 from model.geometry.topology import connected_shells
+from model.segmentation.all_parts import propose_parts
 from model.segmentation.default import DefaultSegmenter, DefaultSession
-from model.segmentation.finish.attached_shells import find_attached_shells
-from model.segmentation.finish.contacts import contacts_of
+from model.segmentation.facets import contacts_of
+from model.segmentation.labels import find_attached_shells
+from model.segmentation.mask_tools import hover
 from model.segmentation.prompts import Click, Prompts, Region
-from model.segmentation.tools.all_parts import propose_parts
-from model.segmentation.tools.connected import hover
 from tests.builders import blocks, mesh_of, subdivide
 from tests.model.demos import EXAMPLES, demo_truth, encoded_demo
 

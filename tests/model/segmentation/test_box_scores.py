@@ -6,11 +6,7 @@ import numpy as np
 import pytest
 
 from model.core.asset import Asset
-from model.segmentation.encode.edge_strength import shipped_edge_model
-from model.segmentation.encode.encoding import encode_superpoints
-from model.segmentation.models.mlp import load_mlp
-from model.segmentation.propose.box_grid import BoxGrid
-from model.segmentation.propose.box_ranking import (
+from model.segmentation.boxes import (
     BOX_SCORE_FEATURES,
     BoxDescriber,
     BoxRanker,
@@ -18,8 +14,11 @@ from model.segmentation.propose.box_ranking import (
     shipped_box_model,
     volume_overlap,
 )
-from model.segmentation.propose.plane_boxes import SIDE_FEATURES, PlaneBoxes
-from model.training.segmentation.boxes import BoxTraining, rows_of, train_boxes
+from model.segmentation.encoding import encode_superpoints
+from model.segmentation.graph import shipped_edge_model
+from model.segmentation.models import load_mlp
+from model.segmentation.plane_boxes import SIDE_FEATURES, BoxGrid, PlaneBoxes
+from model.training.segmentation.networks import BoxTraining, rows_of, train_boxes
 from tests.builders import cabinet_cloud
 
 

@@ -11,14 +11,12 @@ from scipy.spatial.transform import Rotation
 from model.core.asset import Asset
 from model.core.geometry import Mesh
 from model.geometry.sampling import sample_surface
-from model.segmentation.describe.masks import ClickContext
-from model.segmentation.encode.edge_strength import shipped_edge_model
-from model.segmentation.encode.encoding import encode
-from model.segmentation.part_state import CorrectiveClick, PartState
-from model.segmentation.propose.box_grid import BoxGrid, main_directions
-from model.segmentation.propose.proposals import Proposals
-from model.segmentation.solver import PartSolver
-from model.segmentation.solvers import object_solver, solver_of
+from model.segmentation.encoding import encode
+from model.segmentation.graph import shipped_edge_model
+from model.segmentation.mask_features import ClickContext
+from model.segmentation.plane_boxes import BoxGrid, main_directions
+from model.segmentation.proposals import CorrectiveClick, PartState, Proposals
+from model.segmentation.solver import PartSolver, object_solver, solver_of
 from tests.builders import blocks
 
 DRAWER = 2
@@ -124,7 +122,7 @@ def test_on_a_mesh_boxes_give_whole_shells() -> None:
 def test_the_network_that_ranks_boxes_is_for_clouds(monkeypatch) -> None:
     """On meshes, of one shell too, it made later clicks worse."""
     asked: list[None] = []
-    monkeypatch.setattr("model.segmentation.solvers.shipped_box_model", lambda: asked.append(None))
+    monkeypatch.setattr("model.segmentation.solver.shipped_box_model", lambda: asked.append(None))
     one, _ = blocks(((0.0, 0.0, 0.0), (0.4, 0.5, 0.6)))
     cloud, _ = sample_surface(one, 3000, np.random.default_rng(0))
     solver_of(encode(Asset("block", mesh=one), None), None, None)

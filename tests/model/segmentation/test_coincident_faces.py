@@ -13,10 +13,10 @@ from model.core.files import static_assets
 from model.core.geometry import Mesh
 from model.geometry.topology import coincident_faces
 from model.io.open_asset import open_asset
+from model.segmentation.all_parts import propose_parts
 from model.segmentation.default import DefaultSegmenter, DefaultSession
-from model.segmentation.encode.nodes import nodes_of_asset
+from model.segmentation.nodes import nodes_of_asset
 from model.segmentation.prompts import Click, Prompts, Region
-from model.segmentation.tools.all_parts import propose_parts
 from tests.builders import blocks
 
 EXAMPLES = static_assets() / "examples"

@@ -14,8 +14,12 @@ from model.core.errors import ConfigurationError, PromptError
 from model.core.geometry import PointCloud
 from model.segmentation.adapters.example import BallSegmenter
 from model.segmentation.prompts import BASE, Click, Prompts, Region
-from model.segmentation.protocol import SegmentationSession, Segmenter
-from model.segmentation.registry import load_segmenter, segmenter_names
+from model.segmentation.registry import (
+    SegmentationSession,
+    Segmenter,
+    load_segmenter,
+    segmenter_names,
+)
 from tests.builders import Labelled, cabinet_cloud, cabinet_mesh
 
 NAMES = [*segmenter_names(), "point-sam", "balls"]

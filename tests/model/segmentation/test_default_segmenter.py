@@ -13,18 +13,23 @@ from model.core.asset import Asset
 from model.core.geometry import Mesh
 from model.data.procedural.examples import joined
 from model.data.procedural.generate import make
-from model.segmentation import default
+from model.segmentation import default, front_rectangles
 from model.segmentation.default import DefaultSegmenter, DefaultSession
-from model.segmentation.describe.masks import FEATURE_NAMES
-from model.segmentation.describe.repeats import Repeats
-from model.segmentation.models.mlp import Mlp
-from model.segmentation.part_state import PartState
-from model.segmentation.prompts import Click, Prompts, Region
-from model.segmentation.propose import front_rectangles
-from model.segmentation.score.scorers import shipped_moving_scorers, shipped_scorers
-from model.segmentation.simulated_clicks import central, deepest, iou, next_click, next_part_click
-from model.segmentation.solver import PartSolver
-from model.segmentation.solvers import solver_of
+from model.segmentation.mask_features import FEATURE_NAMES, Repeats
+from model.segmentation.models import Mlp
+from model.segmentation.prompts import (
+    Click,
+    Prompts,
+    Region,
+    central,
+    deepest,
+    iou,
+    next_click,
+    next_part_click,
+)
+from model.segmentation.proposals import PartState
+from model.segmentation.scores import shipped_moving_scorers, shipped_scorers
+from model.segmentation.solver import PartSolver, solver_of
 from tests.builders import blocks
 from tests.model.demos import EXAMPLES, demo_truth, encoded_demo
 

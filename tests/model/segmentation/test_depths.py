@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from model.segmentation.describe.depths import Depths
-from model.segmentation.describe.masks import bits_of
-from model.segmentation.simulated_clicks import central, deepest
+from model.segmentation.mask_features import bits_of
+from model.segmentation.object_features import Depths
+from model.segmentation.prompts import central, deepest
 
 
 @pytest.fixture(scope="module")

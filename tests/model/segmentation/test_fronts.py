@@ -10,19 +10,20 @@ import pytest
 from model.core.asset import Asset
 from model.core.geometry import PointCloud
 from model.segmentation.default import DefaultSegmenter
-from model.segmentation.describe.fronts import FRONT_FEATURES, front_features
-from model.segmentation.describe.objects import MOVING_FEATURE_NAMES, OBJECT_FEATURE_NAMES
-from model.segmentation.encode.edge_strength import shipped_edge_model
-from model.segmentation.encode.encoding import encode
-from model.segmentation.part_state import PartState
-from model.segmentation.prompts import Click, Prompts
-from model.segmentation.propose.front_rectangles import support
-from model.segmentation.propose.fronts import Fronts
-from model.segmentation.propose.proposals import SOURCES
-from model.segmentation.score.scorers import shipped_moving_scorers, shipped_scorers
-from model.segmentation.simulated_clicks import iou
-from model.segmentation.solver import ScoredProposals
-from model.segmentation.solvers import solver_of
+from model.segmentation.encoding import encode
+from model.segmentation.front_rectangles import support
+from model.segmentation.fronts import Fronts
+from model.segmentation.graph import shipped_edge_model
+from model.segmentation.object_features import (
+    FRONT_FEATURES,
+    MOVING_FEATURE_NAMES,
+    OBJECT_FEATURE_NAMES,
+    front_features,
+)
+from model.segmentation.prompts import Click, Prompts, iou
+from model.segmentation.proposals import SOURCES, PartState
+from model.segmentation.scores import shipped_moving_scorers, shipped_scorers
+from model.segmentation.solver import ScoredProposals, solver_of
 from tests.model.demos import demo_truth, encoded_demo
 
 WIDE, HIGH, DEEP = 1.2, 0.8, 0.4

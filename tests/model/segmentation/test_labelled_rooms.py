@@ -9,7 +9,7 @@ import pytest
 
 from model.core.errors import InputFileError
 from model.core.geometry import PointCloud
-from model.evaluation.segmentation.bench_data import room_objects
+from model.evaluation.segmentation_clicks import room_objects
 from model.io.write import write_cloud
 
 

@@ -10,11 +10,10 @@ import pytest
 from model.core.asset import Asset
 from model.core.geometry import PointCloud
 from model.data.simulated.scans import build, scan
-from model.evaluation.segmentation.bench_data import partnet_objects
+from model.evaluation.segmentation_clicks import partnet_objects
 from model.segmentation.default import DefaultSegmenter, DefaultSession
-from model.segmentation.finish.local_refinement import SMALL
-from model.segmentation.prompts import Click, Prompts, Region
-from model.segmentation.simulated_clicks import deepest, iou, next_click
+from model.segmentation.local_refinement import SMALL
+from model.segmentation.prompts import Click, Prompts, Region, deepest, iou, next_click
 
 BUTTONS = np.array([(x, y) for y in (-0.05, 0.0, 0.05) for x in (-0.15, -0.05, 0.05, 0.15)])
 RADIUS = 0.006

@@ -8,7 +8,7 @@ import pytest
 from model.core.asset import Asset
 from model.core.geometry import PointCloud
 from model.segmentation.default import DefaultSegmenter
-from model.segmentation.encode.nodes import nodes_of_asset
+from model.segmentation.nodes import nodes_of_asset
 from model.segmentation.prompt_steps import ClickStep, resolve, surface_steps
 from model.segmentation.prompts import BASE, Click, Prompts
 

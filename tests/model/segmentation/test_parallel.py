@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from model.segmentation.parallel import mapped, together
+from model.segmentation.arrays import mapped, together
 
 
 def test_answers_come_in_the_order_of_the_items() -> None:

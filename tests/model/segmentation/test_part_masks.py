@@ -7,19 +7,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from model.segmentation.default import DefaultSession
-from model.segmentation.describe.objects import HISTORY_FEATURES
-from model.segmentation.finish.alternatives import overlaps
-from model.segmentation.models.mlp import load_mlp
-from model.segmentation.tools import all_parts
-from model.segmentation.tools.mask_votes import (
+from model.segmentation import all_parts
+from model.segmentation.all_parts import (
     PART_FEATURE_NAMES,
     PART_SCORER,
     exclusive_parts,
     shipped_part_scorer,
     vote_for_masks,
 )
-from model.training.segmentation.part_masks import PartMaskTraining, play_masks, train_part_masks
+from model.segmentation.default import DefaultSession
+from model.segmentation.models import load_mlp
+from model.segmentation.object_features import HISTORY_FEATURES
+from model.segmentation.solver import overlaps
+from model.training.segmentation.networks import PartMaskTraining, play_masks, train_part_masks
 from model.training.segmentation.visible_objects import MovingPartTraining
 
 SMALL = PartMaskTraining(asked=6, spread=40, networks=1, held_out=2, workers=1)

@@ -14,7 +14,7 @@ import pytest
 from model.core.asset import Asset
 from model.segmentation.default import DefaultSegmenter
 from model.segmentation.prompts import Click, Prompts
-from model.segmentation.propose.proposals import Proposals
+from model.segmentation.proposals import Proposals
 from model.segmentation.solver import ScoredProposals
 from tests.model.segmentation.test_fronts import flush_fronts
 

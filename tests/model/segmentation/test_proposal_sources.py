@@ -7,16 +7,12 @@ import pytest
 
 from model.core.asset import Asset
 from model.data.simulated.rooms import scanned_room
-from model.segmentation.encode.edge_strength import shipped_edge_model
-from model.segmentation.encode.encoding import encode
-from model.segmentation.part_state import PartState
-from model.segmentation.propose.boxes import Boxes
-from model.segmentation.propose.fronts import FrontRectangles
-from model.segmentation.propose.proposals import BOX_SOURCE, Proposals
-from model.segmentation.propose.regions import Regions
-from model.segmentation.propose.room_boxes import RoomBoxes
-from model.segmentation.solver import PartSolver
-from model.segmentation.solvers import solver_of
+from model.segmentation.boxes import Boxes, RoomBoxes
+from model.segmentation.encoding import encode
+from model.segmentation.fronts import FrontRectangles
+from model.segmentation.graph import shipped_edge_model
+from model.segmentation.proposals import BOX_SOURCE, PartState, Proposals, Regions
+from model.segmentation.solver import PartSolver, solver_of
 
 
 @pytest.fixture(scope="module")

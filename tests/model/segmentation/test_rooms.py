@@ -10,9 +10,8 @@ from model.core.geometry import PointCloud
 from model.data.simulated.rooms import NOTHING, scanned_room
 from model.data.simulated.scans import LabelledCloud, family_shape, scan
 from model.segmentation.default import DefaultSegmenter, DefaultSession
-from model.segmentation.prompts import Click, Prompts
-from model.segmentation.score.scorers import read_scorers
-from model.segmentation.simulated_clicks import deepest, iou, next_click
+from model.segmentation.prompts import Click, Prompts, deepest, iou, next_click
+from model.segmentation.scores import read_scorers
 from model.training.segmentation.clicks import ClickTraining, train_room_scorers
 
 SEED = 90_001

@@ -10,24 +10,29 @@ import pytest
 from model.core.asset import Asset
 from model.core.errors import InputFileError
 from model.core.geometry import PointCloud
+from model.data.folders import UrdfFolders
 from model.data.procedural.families import HELD_OUT
 from model.data.procedural.generate import GenerateSettings, generate
 from model.data.simulated.scans import SMALL_PARTED, build, random_scan, scan
-from model.data.urdf_folders import UrdfFolders
-from model.evaluation.segmentation.bench import (
+from model.evaluation.segmentation import (
     BenchConfig,
     BenchRow,
     all_competing,
     one_against_the_rest,
     run,
 )
-from model.evaluation.segmentation.bench_data import BenchObject, dataset_objects
-from model.segmentation.models.mlp import Mlp, load_mlp, save_mlp
-from model.segmentation.prompts import PartSegmentation, Prompts
-from model.segmentation.score.scorers import read_scorers
-from model.segmentation.simulated_clicks import deepest, next_click, next_part_click
+from model.evaluation.segmentation_clicks import BenchObject, dataset_objects
+from model.segmentation.models import Mlp, load_mlp, save_mlp
+from model.segmentation.prompts import (
+    PartSegmentation,
+    Prompts,
+    deepest,
+    next_click,
+    next_part_click,
+)
+from model.segmentation.scores import read_scorers
 from model.training.segmentation.clicks import ClickTraining, train_scorers
-from model.training.segmentation.fit import area_under_curve, averaged, fit_ranker
+from model.training.segmentation.rows import area_under_curve, averaged, fit_ranker
 
 LINE = np.c_[np.arange(20.0), np.zeros(20), np.zeros(20)]
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from model.segmentation.default import DefaultSession
+from model.segmentation.mask_tools import hover
 from model.segmentation.prompts import Click, Prompts, Region
-from model.segmentation.tools.connected import hover
 from tests.model.demos import demo_truth, encoded_demo
 
 DOOR = 1

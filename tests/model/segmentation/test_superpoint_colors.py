@@ -5,10 +5,9 @@ import pytest
 
 from model.core.asset import Asset
 from model.core.geometry import PointCloud
-from model.segmentation.encode.edge_features import lab_colors
-from model.segmentation.encode.edge_strength import shipped_edge_model
-from model.segmentation.encode.encoding import encode_superpoints
-from model.segmentation.encode.superpoint_colors import split_by_color
+from model.segmentation.encoding import encode_superpoints
+from model.segmentation.graph import lab_colors, shipped_edge_model
+from model.segmentation.superpoints import split_by_color
 
 RED, BLUE = (180, 40, 40), (40, 60, 170)
 
@@ -46,7 +45,7 @@ def test_noisy_colours_part_no_cells(monkeypatch: pytest.MonkeyPatch) -> None:
     cloud, _ = _layers(noise=3)
     asset = Asset("layers", cloud=cloud)
     superpoints = encode_superpoints(asset, shipped_edge_model())[3]
-    monkeypatch.setattr("model.segmentation.encode.superpoints.has_flat_colors", lambda *_: False)
+    monkeypatch.setattr("model.segmentation.superpoints.has_flat_colors", lambda *_: False)
     np.testing.assert_array_equal(
         superpoints.of_node, encode_superpoints(asset, shipped_edge_model())[3].of_node
     )

@@ -11,13 +11,18 @@ from model.core.errors import GeometryError, PromptError
 from model.core.geometry import Mesh, PointCloud
 from model.data.simulated.primitives import block
 from model.geometry.crop import crop, floor_and_walls, largest_component, outliers
+from model.segmentation.all_parts import absorb_small_components, propose_parts
 from model.segmentation.default import DefaultSegmenter
-from model.segmentation.simulated_clicks import iou
-from model.segmentation.tools.all_parts import absorb_small_components, propose_parts
-from model.segmentation.tools.connected import connected, grow, hover
-from model.segmentation.tools.cuts import connected_components, line_cut
-from model.segmentation.tools.rectangles import rectangle_cut
-from model.segmentation.tools.similar import mirrored, same_shape
+from model.segmentation.mask_tools import (
+    connected,
+    connected_components,
+    grow,
+    hover,
+    line_cut,
+    rectangle_cut,
+)
+from model.segmentation.prompts import iou
+from model.segmentation.similar import mirrored, same_shape
 
 
 @pytest.fixture

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from model.core.errors import InputFileError
-from model.segmentation.models.mlp import Mlp, save_mlp
-from model.segmentation.models.trees import Trees, load_scorer, load_trees, save_trees
-from model.training.segmentation.fit import Boosting, fit_mlp, fit_trees, plain_trees
+from model.segmentation.models import Mlp, Trees, load_scorer, load_trees, save_mlp, save_trees
+from model.training.segmentation.rows import Boosting, fit_mlp, fit_trees, plain_trees
 
 NAMES = ("size", "border", "depth")
 

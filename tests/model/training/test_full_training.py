@@ -16,13 +16,13 @@ for _name in ("transformers", "accelerate"):
 
 from app.cli.main import main  # noqa: E402
 from model.core.errors import ConfigurationError, InputFileError  # noqa: E402
+from model.data.datasets import training_ids  # noqa: E402
 from model.data.procedural.generate import GenerateSettings, generate  # noqa: E402
 from model.data.registry import recognised  # noqa: E402
-from model.data.splits import training_ids  # noqa: E402
 from model.prediction.arti4urdf.answer import JSON_END, parse_answer, write_answer  # noqa: E402
+from model.prediction.arti4urdf.checkpoints import ENCODER_PREFIX, load_tokenizer  # noqa: E402
 from model.prediction.arti4urdf.full_model import SPECIAL_TOKENS  # noqa: E402
 from model.prediction.arti4urdf.point_bert import ULIP2, PointBert  # noqa: E402
-from model.prediction.arti4urdf.published_weights import ENCODER_PREFIX, load_tokenizer  # noqa: E402
 from model.prediction.arti4urdf.text_script import AnswerScript  # noqa: E402
 from model.prediction.registry import load_predictor  # noqa: E402
 from model.training.arti4urdf.config import (  # noqa: E402

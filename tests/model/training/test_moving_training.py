@@ -7,21 +7,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from model.data.simulated.ornaments import ornamented
-from model.data.simulated.scans import build
-from model.segmentation.describe.objects import MOVING_FEATURE_NAMES, OBJECT_FEATURE_NAMES
-from model.segmentation.models.trees import load_scorer
-from model.segmentation.score.scorers import MOVING_SCORERS, SCORERS
-from model.training.segmentation.clicks import ClickTraining
-from model.training.segmentation.clouds import CloudTraining, train_clouds
-from model.training.segmentation.corrective_clicks import (
+from model.data.simulated.scans import build, ornamented
+from model.segmentation.models import load_scorer
+from model.segmentation.object_features import MOVING_FEATURE_NAMES, OBJECT_FEATURE_NAMES
+from model.segmentation.scores import MOVING_SCORERS, SCORERS
+from model.training.segmentation.clicks import ClickTraining, CloudTraining, train_clouds
+from model.training.segmentation.rows import Boosting
+from model.training.segmentation.visible_objects import (
     CorrectiveClickTraining,
+    MovingPartTraining,
+    play,
     play_sessions,
     train_corrective,
+    train_moving,
 )
-from model.training.segmentation.first_clicks import play, train_moving
-from model.training.segmentation.fit import Boosting
-from model.training.segmentation.visible_objects import MovingPartTraining
 
 FEW = Boosting(trees=8, leaves=4, least=5, forests=2)
 SMALL = MovingPartTraining(

@@ -15,16 +15,13 @@ from model.core.errors import ArtiworldError, ConfigurationError
 from model.data.procedural.generate import family_names
 from model.evaluation.joint_metrics import score_object
 from model.prediction.arti4urdf.answer import joints_of_decision
-from model.prediction.arti4urdf.grammar import Grammar
 from model.prediction.arti4urdf.language_model import DecoderConfig
-from model.prediction.arti4urdf.network import ArtiModel, ModelConfig
+from model.prediction.arti4urdf.network import ArtiModel, ModelConfig, load_weights
 from model.prediction.arti4urdf.point_bert import PointBertConfig
 from model.prediction.arti4urdf.predictor import make_prompt
 from model.prediction.arti4urdf.structure import read_structure, structure_arrays
-from model.prediction.arti4urdf.vocabulary import SIZE, TYPES
-from model.prediction.arti4urdf.weights import load_weights
-from model.prediction.builder import PredictionBuilder
-from model.prediction.confidence import load_confidence
+from model.prediction.arti4urdf.vocabulary import SIZE, TYPES, Grammar
+from model.prediction.builder import PredictionBuilder, load_confidence
 from model.training.arti4urdf import batches, confidence
 from model.training.arti4urdf.batches import (
     Augmentation,
@@ -33,14 +30,13 @@ from model.training.arti4urdf.batches import (
     collate,
     teacher_forced,
 )
-from model.training.arti4urdf.config import TrainingConfig
-from model.training.arti4urdf.labels import label
-from model.training.arti4urdf.loop import LOG, rate
+from model.training.arti4urdf.config import LOG, TrainingConfig, rate
 from model.training.arti4urdf.samples import (
     HELD_OUT,
     Sample,
     draw_truth,
     generate_samples,
+    label,
     read_shard,
     training_families,
     write_shard,

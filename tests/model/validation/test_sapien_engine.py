@@ -12,8 +12,7 @@ from model.core.articulated_object import ArticulatedObject
 from model.core.errors import ConfigurationError
 from model.core.joint import Joint, Mimic
 from model.core.tree import KinematicTree
-from model.evaluation.executability import execute
-from model.evaluation.joint_metrics import ObjectScore
+from model.evaluation.joint_metrics import ObjectScore, execute
 from model.evaluation.report import score_from_json, score_to_json
 from model.evaluation.summary import summarise
 from model.io.assets.asset_folder import write_asset

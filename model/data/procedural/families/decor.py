@@ -7,7 +7,7 @@ import numpy as np
 from model.data.procedural import controls
 from model.data.procedural import shapes as s
 from model.data.procedural.grammar import Body, Builder, ProceduralObject
-from model.data.procedural.materials import PLASTICS, Surface, metal, picture, plain, wood
+from model.data.procedural.materials import PLASTICS, Surface, metal, pictured, plain, wood
 
 
 def _color(rng: np.random.Generator) -> Surface:
@@ -240,7 +240,7 @@ def globe(rng: np.random.Generator) -> ProceduralObject:
             _bar_between(tip, center + sign * axis * (ring_r + 0.012), 0.004), metal("brass"), "pin"
         )
     ball = b.spin("sphere", arc_body, axis, center)
-    surface = picture("globe", int(rng.integers(3)))
+    surface = pictured("globe", int(rng.integers(3)))
     ball.add(s.sphere(r, 36).turned((0, 1, 0), tilt).moved(center), surface, "sphere")
     return b.build()
 
@@ -270,7 +270,7 @@ def clock(rng: np.random.Generator) -> ProceduralObject:
     body.add(s.along(rim, 1).moved((0, 0, cz)), skin, "rim")
     body.add(
         s.along(s.cylinder(0.97 * r, 0.008, segments=40), 1).moved((0, deep / 2 - 0.016, cz)),
-        picture("clock"),
+        pictured("clock"),
         "face",
     )
     front = deep / 2 - 0.0205

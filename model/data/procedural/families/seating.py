@@ -7,7 +7,6 @@ import numpy as np
 from model.data.procedural import controls
 from model.data.procedural import shapes as s
 from model.data.procedural.grammar import Body, Builder, ProceduralObject
-from model.data.procedural.legs import legs
 from model.data.procedural.materials import (
     PLASTICS,
     Surface,
@@ -18,6 +17,7 @@ from model.data.procedural.materials import (
     rubber,
     wood,
 )
+from model.data.procedural.modules import legs
 
 
 def office_chair(

@@ -14,16 +14,20 @@ from model.core.geometry import PointCloud
 from model.core.joint import Joint
 from model.core.progress import BY_DEFAULT, NAMES, with_threads
 from model.data.procedural.generate import make
-from model.evaluation.tree_metrics import parents
+from model.evaluation.joint_metrics import parents
 from model.prediction.arti4urdf import decoding
 from model.prediction.arti4urdf import vocabulary as v
 from model.prediction.arti4urdf.answer import parse_answer
 from model.prediction.arti4urdf.decoding import decode
-from model.prediction.arti4urdf.geometric_prior import geometric_prior
 from model.prediction.arti4urdf.network import ArtiModel, token_tensors
-from model.prediction.arti4urdf.predictor import Arti4UrdfPredictor, HybridSettings, make_prompt
+from model.prediction.arti4urdf.predictor import (
+    Arti4UrdfPredictor,
+    HybridSettings,
+    geometric_prior,
+    make_prompt,
+)
 from model.prediction.arti4urdf.structure import MECHANISMS, RANKS, read_structure
-from model.prediction.confidence import load_confidence
+from model.prediction.builder import load_confidence
 from model.prediction.geometric.predictor import GeometricPredictor
 from tests.model.prediction.geometric.archetypes import cooktop
 

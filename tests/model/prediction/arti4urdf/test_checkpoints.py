@@ -19,10 +19,16 @@ from safetensors.torch import load_file, save_file  # noqa: E402
 
 from model.core.checkpoints import strict_load  # noqa: E402
 from model.core.errors import InputFileError  # noqa: E402
-from model.prediction.arti4urdf.checkpoints import from_config, load_checkpoint, save_checkpoint  # noqa: E402
+from model.prediction.arti4urdf.checkpoints import (  # noqa: E402  # noqa: E402
+    ENCODER_PREFIX,
+    from_config,
+    load_checkpoint,
+    load_point_bert,
+    load_qwen3,
+    save_checkpoint,
+)
 from model.prediction.arti4urdf.language_model import Decoder, DecoderConfig  # noqa: E402
 from model.prediction.arti4urdf.point_bert import ULIP2, PointBert, group_points  # noqa: E402
-from model.prediction.arti4urdf.published_weights import ENCODER_PREFIX, load_point_bert, load_qwen3  # noqa: E402
 from tests.model.prediction.arti4urdf.tiny_qwen3 import write_tiny_qwen3  # noqa: E402
 
 SMALL = DecoderConfig(97, 64, 160, 2, 4, 2, head_dim=32)

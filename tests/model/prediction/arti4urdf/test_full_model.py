@@ -12,6 +12,7 @@ torch = pytest.importorskip("torch", reason="needs the extra network")
 pytest.importorskip("transformers", reason="needs the extra network")
 
 from model.core.errors import ConfigurationError, InputFileError  # noqa: E402
+from model.prediction.arti4urdf.checkpoints import ENCODER_PREFIX, load_qwen3  # noqa: E402
 from model.prediction.arti4urdf.full_model import (  # noqa: E402
     SPECIAL_TOKENS,
     Example,
@@ -21,7 +22,6 @@ from model.prediction.arti4urdf.full_model import (  # noqa: E402
     make_full_model,
 )
 from model.prediction.arti4urdf.point_bert import ULIP2, PointBert  # noqa: E402
-from model.prediction.arti4urdf.published_weights import ENCODER_PREFIX, load_qwen3  # noqa: E402
 from tests.model.prediction.arti4urdf.tiny_qwen3 import write_tiny_qwen3  # noqa: E402
 
 ANSWER = '<json_start>{"part": "link_0"}<json_end><urdf_start><robot/><urdf_end>'

@@ -15,21 +15,22 @@ pytest.importorskip("transformers", reason="needs the extra network")
 
 from model.core.articulated_object import Part, SegmentedObject  # noqa: E402
 from model.core.errors import ArtiworldError, ConfigurationError  # noqa: E402
-from model.core.geometry import (  # noqa: E402
-    Mesh,
-    PointCloud,
-)
+from model.core.geometry import Mesh, PointCloud  # noqa: E402
 from model.core.joint import Joint  # noqa: E402
 from model.core.progress import Cancelled  # noqa: E402
 from model.core.tree import KinematicTree  # noqa: E402
 from model.prediction.arti4urdf.answer import write_answer  # noqa: E402
+from model.prediction.arti4urdf.checkpoints import ENCODER_PREFIX, load_qwen3  # noqa: E402
 from model.prediction.arti4urdf.full_model import load_full_model, make_full_model  # noqa: E402
-from model.prediction.arti4urdf.full_predictor import FullPredictor  # noqa: E402
+from model.prediction.arti4urdf.full_predictor import (  # noqa: E402
+    FullPredictor,
+    make_example,
+    plain,
+    prompt_text,
+)
 from model.prediction.arti4urdf.point_bert import ULIP2, PointBert  # noqa: E402
-from model.prediction.arti4urdf.published_weights import ENCODER_PREFIX, load_qwen3  # noqa: E402
-from model.prediction.arti4urdf.text_engine import Generated, LocalEngine, VllmEngine  # noqa: E402
-from model.prediction.arti4urdf.text_prompt import make_example, plain, prompt_text  # noqa: E402
 from model.prediction.arti4urdf.text_script import AnswerScript  # noqa: E402
+from model.prediction.arti4urdf.text_writing import Generated, LocalEngine, VllmEngine  # noqa: E402
 from model.prediction.registry import load_predictor  # noqa: E402
 from tests.model.prediction.arti4urdf.tiny_qwen3 import write_tiny_qwen3  # noqa: E402
 

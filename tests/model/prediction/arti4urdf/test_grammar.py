@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 pytest.importorskip("torch", reason="torch is not installed")
 
 from model.prediction.arti4urdf import vocabulary as v
-from model.prediction.arti4urdf.grammar import FREE, Grammar, Lock
 from model.prediction.arti4urdf.structure import SLOTS
+from model.prediction.arti4urdf.vocabulary import FREE, Grammar, Lock
 
 
 def _random_answer(rng: np.random.Generator, grammar: Grammar) -> int:

@@ -14,7 +14,6 @@ from model.core.joint import same_motion
 from model.data.procedural.generate import make
 from model.prediction.arti4urdf import vocabulary as v
 from model.prediction.arti4urdf.decoding import same_motion as same_motions
-from model.prediction.arti4urdf.geometric_prior import geometric_prior
 from model.prediction.arti4urdf.motion_ranker import (
     NAMES,
     MotionRanker,
@@ -24,9 +23,14 @@ from model.prediction.arti4urdf.motion_ranker import (
     other_motions,
 )
 from model.prediction.arti4urdf.network import ArtiModel
-from model.prediction.arti4urdf.predictor import Arti4UrdfPredictor, HybridSettings, make_prompt
+from model.prediction.arti4urdf.predictor import (
+    Arti4UrdfPredictor,
+    HybridSettings,
+    geometric_prior,
+    make_prompt,
+)
 from model.prediction.arti4urdf.structure import RANKS, read_structure
-from model.segmentation.models.trees import Trees
+from model.segmentation.models import Trees
 from model.training.arti4urdf import motions
 from model.training.arti4urdf.motions import Part
 

@@ -9,9 +9,9 @@ import pytest
 pytest.importorskip("torch", reason="torch is not installed")
 
 from model.core.errors import InputFileError
+from model.prediction.arti4urdf.network import SHIPPED, load_weights, vocabulary_hash
 from model.prediction.arti4urdf.vocabulary import SIZE, TOKENS
-from model.prediction.arti4urdf.weights import SHIPPED, load_weights, vocabulary_hash
-from model.training.arti4urdf.probes import (
+from model.training.arti4urdf.small_trainer import (
     both,
     foreign_wholes,
     probe,

@@ -14,14 +14,13 @@ from model.core.geometry import Mesh, PointCloud
 from model.core.joint import Joint
 from model.core.progress import Cancelled
 from model.core.tree import KinematicTree
+from model.data.datasets import GroundTruth
 from model.data.procedural.generate import make
-from model.data.protocol import GroundTruth
-from model.evaluation.corruption import Corruption, corrupt
 from model.evaluation.joint_metrics import axis_angle
+from model.evaluation.run import Corruption, corrupt
 from model.prediction.geometric.mechanisms import BUILDERS
 from model.prediction.geometric.predictor import GeometricPredictor
-from model.prediction.protocol import Predictor
-from model.prediction.registry import load_predictor
+from model.prediction.registry import Predictor, load_predictor
 from tests.builders import box, part
 from tests.model.prediction.geometric.archetypes import THINGS, cabinet
 from tests.model.validation.cabinets import cabinet as wooden_cabinet

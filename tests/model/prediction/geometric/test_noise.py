@@ -8,9 +8,9 @@ from scipy.spatial import KDTree
 
 from model.core.articulated_object import Part
 from model.core.geometry import PointCloud
-from model.data.procedural_set import ProceduralSet
+from model.data.procedural.generate import ProceduralSet
 from model.prediction.geometric.predictor import GeometricPredictor
-from model.prediction.geometric.surface import (
+from model.prediction.geometric.sampled_object import (
     Noise,
     cloud_normals,
     denoised,

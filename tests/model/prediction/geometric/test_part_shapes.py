@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from model.core.articulated_object import SegmentedObject
+from model.prediction.geometric.limits import free_range
 from model.prediction.geometric.sampled_object import sample_object
 from model.prediction.geometric.shape import fit_box, rotation, roundness
-from model.prediction.geometric.sweep import free_range
 from tests.builders import part
 from tests.model.prediction.geometric.archetypes import box, join, rod
 

@@ -11,7 +11,7 @@ import pytest
 from model.core.articulated_object import SegmentedObject
 from model.core.joint import Joint, Mimic
 from model.core.tree import KinematicTree
-from model.prediction.geometric.type_change import change_joint_type
+from model.prediction.geometric.roles import change_joint_type
 from tests.model.prediction.geometric.archetypes import (
     THINGS,
     Thing,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from model.core.articulated_object import SegmentedObject
-from model.prediction.geometric.proposal import JointProposal, joints_of, usual_stop
+from model.prediction.geometric.context import JointProposal, joints_of, usual_stop
 from model.prediction.geometric.sampled_object import sample_object
 from tests.model.validation.cabinets import box, part
 

@@ -19,7 +19,7 @@ from model.core.errors import ArtiworldError
 from model.core.geometry import Material, Mesh, PointCloud
 from model.core.joint import Joint, Mimic
 from model.core.tree import KinematicTree
-from model.prediction.remote.wire import (
+from model.prediction.remote_backend import (
     RequestError,
     decode_answer,
     decode_request,

@@ -1,1 +1,0 @@
-"""Segmenters scored by simulated clicks."""

@@ -1,1 +1,0 @@
-"""Describe proposed masks by features: border, shape, colour, fit to the clicks."""

@@ -1,1 +1,0 @@
-"""Encode an asset once: nodes, their graph, superpoints, merge trees and random walks."""

@@ -1,1 +1,0 @@
-"""Finish labels: whole facets and shells, attached shells, small components, small parts."""

@@ -1,1 +1,0 @@
-"""Small trained models in plain numpy, and the files that hold them."""

@@ -1,1 +1,0 @@
-"""Propose masks for a click: nested regions, boxes, rectangles on flat fronts."""

@@ -1,0 +1,246 @@
+"""Parts like another one: the same shape elsewhere, across a plane, or on a similar object.
+
+Parts are carried over from an example that is laid over an object; see
+:mod:`model.geometry.like_object`. Each part is the segmenter's own proposal that covers best what
+the example has there, so borders lie where this object has them. Where none fits, superpoints take
+the part most of them lie on.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from model.core.errors import PromptError
+from model.geometry.levelling import box_yaw
+from model.geometry.like_object import Match
+from model.segmentation.arrays import Bool, Float64, Int16
+from model.segmentation.default import DefaultSession
+from model.segmentation.mask_tools import to_elements, to_nodes
+from model.segmentation.prompts import BASE
+
+_AGREES = 0.7
+"""Overlap (IoU) from which a proposal is taken for a carried part."""
+
+
+@dataclass(frozen=True, eq=False)
+class CarriedParts:
+    """Parts of an object that an example suggests.
+
+    Attributes:
+        labels: (E,) int16, 0 is the base.
+        links: part → link of the example.
+        agreement: 0..1, mean overlap of the example's parts with what the segmenter would answer
+            to a click on each: whether they are parts here, too.
+    """
+
+    labels: Int16
+    links: dict[int, str]
+    agreement: float
+
+
+def carry_over(session: DefaultSession, match: Match) -> CarriedParts:
+    """Take over the parts of ``match`` but its root, which is the base."""
+    nodes, superpoints = session.encoding.nodes, session.encoding.superpoints
+    example = match.example
+    nearest = example.part[example.tree.query(match.to_example(nodes.points))[1]]
+    of_superpoint = np.full(len(superpoints), BASE, np.int16)
+    links: dict[int, str] = {}
+    overlaps: list[float] = []
+    wanted = np.bincount(example.part, minlength=len(example.links)) / len(example.part)
+    moving = [k for k, link in enumerate(example.links) if link != example.root]
+    # The large ones first: what lies on them is theirs only where no smaller one has it.
+    for k in sorted(moving, key=lambda k: -wanted[k]):
+        share = np.bincount(superpoints.of_node, nearest == k, len(superpoints)) / superpoints.size
+        if not (share > 0.5).any():
+            continue
+        mask, overlap = _proposal(session, share)
+        part = len(links) + 1
+        of_superpoint[mask] = part
+        links[part] = example.links[k]
+        overlaps.append(overlap)
+    labels = session.finisher.without_prompts(of_superpoint)
+    kept = [part for part in links if (labels == part).any()]
+    numbers = np.zeros(len(links) + 1, np.int16)
+    numbers[kept] = np.arange(1, len(kept) + 1)
+    return CarriedParts(
+        np.where(labels > BASE, numbers[np.maximum(labels, 0)], labels).astype(np.int16),
+        {int(numbers[part]): links[part] for part in kept},
+        float(np.mean(overlaps)) if overlaps else 0.0,
+    )
+
+
+def _proposal(session: DefaultSession, share: Float64) -> tuple[Bool, float]:
+    """The superpoints of a part of which ``share`` (C,) of each belongs to it, and its overlap with
+    the first answer to a click on it.
+    """
+    superpoints = session.encoding.superpoints
+    size, own = superpoints.size, share > 0.5
+    middle = np.average(superpoints.center[own], axis=0, weights=size[own])
+    apart = np.linalg.norm(superpoints.center - middle, axis=1)
+    seed = int(np.flatnonzero(own)[apart[own].argmin()])
+    found = session.solver.first_answer(seed, moving=True)
+    masks = found.proposals.masks
+    common = masks @ (size * share)
+    union = masks @ size + (size * share).sum() - common
+    overlap = common / np.maximum(union, 1e-9)
+    best, first = int(overlap.argmax()), float(overlap[found.order[0]])
+    return (masks[best] if overlap[best] >= _AGREES else own), first
+
+
+_SAMPLE = 3000
+_SYMMETRIC = 0.025
+_REACH = 0.006
+
+
+def mirrored(session: DefaultSession, mask: Bool) -> Bool:
+    """(E,) the mask's counterpart across the object's plane of symmetry.
+
+    Raises:
+        PromptError: if the object has no such plane, or the mask lies on both sides of it.
+    """
+    inside = to_nodes(session, mask)
+    points = session.encoding.nodes.points.astype(float)
+    if not inside.any():
+        return np.zeros(session.asset.element_count, bool)
+    normal, offset = symmetry_plane(session, points[inside])
+    image = points[inside]
+    image = image - 2 * (image @ normal - offset)[:, None] * normal
+    reach = max(2.0 * session.encoding.graph.spacing, _REACH * session.asset.diagonal)
+    far, _ = KDTree(image).query(points, distance_upper_bound=reach, workers=2)
+    # Whole superpoints: the border follows the gaps and creases of that side.
+    superpoints = session.encoding.superpoints
+    share = (
+        np.bincount(superpoints.of_node, np.isfinite(far) & ~inside, len(superpoints))
+        / superpoints.size
+    )
+    return to_elements(session, (share > 0.5)[superpoints.of_node]) & ~mask
+
+
+def symmetry_plane(session: DefaultSession, part: Float64) -> tuple[Float64, float]:
+    """The vertical plane that maps the object onto itself and ``part`` elsewhere.
+
+    Planes perpendicular to the sides of the tightest upright box are tried, near its middle.
+
+    Args:
+        part: (K, 3) points of the part to mirror, metres.
+
+    Returns:
+        Unit normal (3,) and offset: x lies on the plane where normal · x = offset.
+
+    Raises:
+        PromptError: if no plane fits.
+    """
+    points = session.encoding.nodes.points.astype(float)
+    some = points[:: max(1, len(points) // _SAMPLE)]
+    tree, diagonal = session.encoding.nodes.tree, max(session.asset.diagonal, 1e-9)
+    best, answer = _SYMMETRIC * diagonal, None
+    for normal in _side_normals(points):
+        along = some @ normal
+        low, high = np.percentile(along, [0.5, 99.5])
+        for shift in np.linspace(-0.04, 0.04, 17):
+            offset = (low + high) / 2 + shift * (high - low)
+            here = part @ normal - offset
+            if min((here > 0).mean(), (here < 0).mean()) > 0.1:
+                continue  # the part would be its own counterpart
+            image = some - 2 * (along - offset)[:, None] * normal
+            far, _ = tree.query(image, distance_upper_bound=0.05 * diagonal)
+            cost = float(np.minimum(far, 0.05 * diagonal).mean())
+            if cost < best:
+                best, answer = cost, (normal, float(offset))
+    if answer is None:
+        raise PromptError(f"{session.asset.name}: no plane of symmetry with this part on one side")
+    return answer
+
+
+def _side_normals(points: Float64) -> list[Float64]:
+    """The two horizontal directions of the smallest upright box around the points."""
+    best = box_yaw(points[:: max(1, len(points) // _SAMPLE), :2], 0.98)
+    c, s = np.cos(best), np.sin(best)
+    return [np.array([c, s, 0.0]), np.array([-s, c, 0.0])]
+
+
+def same_shape(session: DefaultSession, mask: Bool, limit: int = 50) -> list[Bool]:
+    """Other parts like this one (the other knobs, the other handles), best first.
+
+    Regions of the merge trees with about the same size, extents and normals are matched with the
+    mask: unchanged, mirrored, or turned by quarters about the vertical axis. No two results
+    overlap, and none overlaps the mask.
+    """
+    inside = to_nodes(session, mask)
+    superpoints = session.encoding.superpoints
+    share = np.bincount(superpoints.of_node, inside, len(superpoints)) / superpoints.size
+    model = share > 0.5
+    if not model.any():
+        model = share == share.max()
+    want = _shape(session, model)
+    found: list[tuple[float, Bool]] = []
+    for candidate in _regions_of_size(session, float(superpoints.size[model].sum())):
+        if (candidate & model).any():
+            continue
+        shape = _shape(session, candidate)
+        if np.abs(np.log((shape + 1e-6) / (want + 1e-6))).max() > 0.35:
+            continue
+        fit = _fit(session, model, candidate)
+        if fit < 0.25:
+            found.append((fit, candidate))
+    found.sort(key=lambda pair: pair[0])
+    taken = model.copy()
+    out: list[Bool] = []
+    for _, candidate in found:
+        if (candidate & taken).any():
+            continue
+        taken |= candidate
+        out.append(to_elements(session, candidate[superpoints.of_node]))
+        if len(out) == limit:
+            break
+    return out
+
+
+def _regions_of_size(session: DefaultSession, size: float) -> list[Bool]:
+    """Different regions of all trees with 0.7 to 1.4 times ``size`` nodes."""
+    hierarchy, superpoints = session.encoding.hierarchy, session.encoding.superpoints
+    seen: set[bytes] = set()
+    out = []
+    for labels in hierarchy.labels:
+        sizes = np.bincount(labels, superpoints.size)
+        for region in np.nonzero((sizes > 0.7 * size) & (sizes < 1.4 * size))[0]:
+            mask = labels == region
+            key = np.packbits(mask).tobytes()
+            if key not in seen:
+                seen.add(key)
+                out.append(mask)
+    return out
+
+
+def _shape(session: DefaultSession, mask: Bool) -> Float64:
+    """(4,) sorted extents and length of the mean normal, which rotations don't change."""
+    superpoints = session.encoding.superpoints
+    x, w = superpoints.center[mask], superpoints.size[mask] / superpoints.size[mask].sum()
+    x = x - w @ x
+    values = np.linalg.eigvalsh((x * w[:, None]).T @ x)
+    spread = np.sqrt(np.maximum(values, 0)) + 0.5 * session.encoding.graph.spacing
+    scale = spread[2]
+    return np.array([*spread, scale * (0.3 + np.linalg.norm(w @ superpoints.normal[mask]))])
+
+
+def _fit(session: DefaultSession, model: Bool, other: Bool) -> float:
+    """Mean distance between two matched regions, relative to their radius."""
+    center, weight = session.encoding.superpoints.center, session.encoding.superpoints.size
+    a = center[model] - np.average(center[model], axis=0, weights=weight[model])
+    b = center[other] - np.average(center[other], axis=0, weights=weight[other])
+    radius = float(np.sqrt((a**2).sum(1).mean())) + session.encoding.graph.spacing
+    tree = KDTree(a)
+    best = np.inf
+    for mirror in (1.0, -1.0):
+        for quarter in range(4):
+            c, s = [(1, 0), (0, 1), (-1, 0), (0, -1)][quarter]
+            turned = np.stack(
+                [mirror * (c * b[:, 0] - s * b[:, 1]), s * b[:, 0] + c * b[:, 1], b[:, 2]], axis=1
+            )
+            there, _ = tree.query(turned)
+            back, _ = KDTree(turned).query(a)
+            best = min(best, float(there.mean() + back.mean()) / 2)
+    return best / radius

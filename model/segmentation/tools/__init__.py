@@ -1,1 +1,0 @@
-"""Masks that a person asks for by other means than clicks."""
