@@ -26,8 +26,11 @@ def serve_backend(options: BackendCommand) -> int:
     _check(options)
     name = options.predictor
     try:
-        from app.server.backend_server import Backend, BackendSettings  # imports an extra
-        from app.server.http_limits import limited_server
+        from app.server.backend_server import (  # imports an extra
+            Backend,
+            BackendSettings,
+            limited_server,
+        )
     except ImportError as error:
         raise ConfigurationError(
             f"a backend needs {error.name}: {install_command('artiworld[backend]')}"

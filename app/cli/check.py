@@ -9,11 +9,17 @@ from typing import Any
 
 from rich.text import Text
 
-from app.cli import printing
-from app.cli.batch import asset_names, error_text, find_assets, run_all
+from app.cli import output
 from app.cli.commands import CheckCommand
-from app.cli.export import named_formats
-from app.cli.physics_settings import physics_settings, shape_store
+from app.cli.export import (
+    asset_names,
+    error_text,
+    find_assets,
+    named_formats,
+    physics_settings,
+    run_all,
+    shape_store,
+)
 from app.cli.predict import predicted_confidence
 from model.core.articulated_object import ArticulatedObject, inertial_problems
 from model.core.errors import ConfigurationError
@@ -71,7 +77,7 @@ def check(options: CheckCommand) -> int:
         for asset, name in zip(assets, asset_names(assets), strict=True)
     ]
     rows: dict[int, dict[str, Any]] = {}
-    with printing.session(options.json) as show:
+    with output.session(options.json) as show:
         show.progress(0.0, f"checking {len(tasks)} assets")
         for i, answer in run_all(check_one, tasks, options.jobs):
             rows[i] = answer if isinstance(answer, dict) else _failed(tasks[i], answer)
@@ -238,10 +244,10 @@ def _print(report: dict[str, Any]) -> None:
         "asset", "read back", "shapes", "free kept", "one hull", "rest mm", "range mm",
         "validation", "errors",
     )  # fmt: skip
-    out = printing.console()
-    out.print(printing.table_of(None, columns, map(_cells, report["assets"])))
+    out = output.console()
+    out.print(output.table_of(None, columns, map(_cells, report["assets"])))
     for row in report["assets"]:
-        printing.print_notes(f"{row['name']}: {note}" for note in row.get("notes", ()))
+        output.print_notes(f"{row['name']}: {note}" for note in row.get("notes", ()))
         warnings = _joints_with(row.get("gate"), "look")
         lines = warnings[:MOST_WARNINGS]
         if len(warnings) > MOST_WARNINGS:

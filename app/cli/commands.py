@@ -12,27 +12,39 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar, Literal
 
-from app.cli.command import Command, argument, flag, group, option, repeated, required
 from app.cli.options import (
     ENGINE_HELP,
     MASKS_HELP,
     SEGMENTER_HELP,
+    Command,
     OidcOptions,
     PhysicsOptions,
     PredictorOptions,
     ReadingOptions,
     Vector,
+    argument,
     direction,
+    flag,
+    group,
     json_flag,
     measured,
+    option,
     positive_count,
     positive_number,
+    repeated,
+    required,
     seed_option,
     segmenter_option,
 )
 from app.cli.research_commands import BenchCommand, EvaluateCommand, GenerateCommand, TrainCommand
-from app.cli.team_commands import ProjectCommand, ReleaseCommand, RepeatCommand, StatsCommand
-from app.cli.user_commands import AuditCommand, UserCommand
+from app.cli.team_commands import (
+    AuditCommand,
+    ProjectCommand,
+    ReleaseCommand,
+    RepeatCommand,
+    StatsCommand,
+    UserCommand,
+)
 from app.server.config import TOKEN_VARIABLE
 from app.server.ending import EndSignals
 from model.core.packages import at_place
@@ -118,8 +130,8 @@ class PrepareCommand(Command):
 
     def run(self) -> int:
         """Write the prepared object and say how it was turned."""
-        from app.cli import printing
-        from app.cli.prepare import prepare_files
+        from app.cli import output
+        from app.cli.segment import prepare_files
         from model.geometry.prepare import PrepareSettings
 
         settings = PrepareSettings(
@@ -129,9 +141,9 @@ class PrepareCommand(Command):
             self.unit_scale,
             self.keep_support,
         )
-        with printing.session(self.json) as show:
+        with output.session(self.json) as show:
             report = prepare_files(self.scan, self.out, settings, show.progress)
-        show.result(report, lambda: printing.print_prepared(report, self.out))
+        show.result(report, lambda: output.print_prepared(report, self.out))
         return 0
 
 
@@ -149,15 +161,15 @@ class SegmentCommand(Command):
 
     def run(self) -> int:
         """Write the parts and list them."""
-        from app.cli import printing, segment
+        from app.cli import output, segment
 
-        with printing.session(self.json) as show:
+        with output.session(self.json) as show:
             report = segment.segment(
                 self.scan, self.prompts, self.out, masks=self.masks, segmenter=self.segmenter,
                 up_axis=self.reading.up_axis, unit_scale=self.reading.unit_scale,
                 progress=show.progress,
             )  # fmt: skip
-        show.result(report, lambda: printing.print_parts(report, self.out))
+        show.result(report, lambda: output.print_parts(report, self.out))
         return 0
 
 
@@ -192,17 +204,17 @@ class PredictCommand(Command):
 
     def run(self) -> int:
         """Write the articulated object and list its joints."""
-        from app.cli import predict, printing
-        from app.cli.backend_client import chosen_predictor
+        from app.cli import output, predict
+        from app.cli.predict import chosen_predictor
 
-        with printing.session(self.json) as show:
+        with output.session(self.json) as show:
             report = predict.predict(
                 self.folder, self.out, predictor=chosen_predictor(self.prediction),
                 category=self.category, seed=self.seed, up_axis=self.reading.up_axis,
                 unit_scale=self.reading.unit_scale, collision=self.collision,
                 complete=self.complete, progress=show.progress,
             )  # fmt: skip
-        show.result(report, lambda: printing.print_joints(report, self.out))
+        show.result(report, lambda: output.print_joints(report, self.out))
         return 0
 
 
@@ -404,11 +416,11 @@ class DoctorCommand(Command):
 
     def run(self) -> int:
         """Examine everything; 1 where something is wrong."""
-        from app.cli import doctor, printing
+        from app.cli import doctor, output
 
-        with printing.session(self.json) as show:
+        with output.session(self.json) as show:
             checks = doctor.examine(self.workspace, self.database, self.port)
-        show.result(doctor.to_json(checks), lambda: printing.print_checks(checks))
+        show.result(doctor.to_json(checks), lambda: output.print_checks(checks))
         return 1 if any(check.status == "wrong" for check in checks) else 0
 
 

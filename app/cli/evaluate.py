@@ -1,34 +1,136 @@
-"""``artiworld evaluate``: score predictors and predictions from files."""
+"""``artiworld evaluate``: score predictors and predictions from files, and report on the simulated
+annotator, by predictor.
+"""
 
 from __future__ import annotations
 
-from dataclasses import replace
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from app.cli import printing
-from app.cli.annotator_report import COLUMNS, annotate_all
+from app.cli import output
 from app.cli.benchmarks.segment import bench_segment
-from app.cli.output import check_output
-from app.cli.printing import Result
+from app.cli.output import Result, check_output
 from app.cli.research_commands import EvaluateCommand
-from app.cli.simulated_annotator import AnnotatorConfig
+from app.cli.simulated_annotator import BY_HAND, AnnotatorConfig, AnnotatorScore, annotate
 from model.core.errors import ConfigurationError
 from model.core.files import write_json
-from model.core.progress import Progress, scaled_progress
+from model.core.progress import Progress, no_progress, scaled_progress
 from model.data.folders import export_parts
 from model.data.registry import DatasetOptions, open_dataset
 from model.evaluation.compare import compare, print_comparison, print_reports, print_table
 from model.evaluation.html_report import write_html
+from model.evaluation.pool import robust_map
 from model.evaluation.predictions import Frame
-from model.evaluation.report import Report, read_report, write_markdown
+from model.evaluation.report import Report, escaped, read_report, table, write_markdown
 from model.evaluation.run import TRUTH, Corruption, EvaluationConfig, chosen_ids, require_predictor
 from model.evaluation.run import evaluate as evaluate_method
 from model.io.model_files import safe_link
 from model.prediction.registry import DEFAULT
 from model.segmentation.registry import load_segmenter
 from model.validation.engines import MUJOCO, require_engines
+
+COLUMNS = (
+    "predictor", "objects", "right %", "clicks", "part IoU", "wrong joints %", "corrections",
+    "commands", "saved %",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class AnnotatorReport:
+    """Scores of all objects with each predictor, and by hand."""
+
+    config: AnnotatorConfig
+    scores: tuple[AnnotatorScore, ...]
+
+    def rows(self) -> list[tuple[str, ...]]:
+        """A row for each predictor: means over the objects that were correct in the end.
+
+        ``saved`` is the share of the corrections by hand that the predictor saved, over objects
+        that are correct in both.
+        """
+        return [self._row(name) for name in (*self.config.predictors, BY_HAND)]
+
+    def _row(self, name: str) -> tuple[str, ...]:
+        scores = [s for s in self.scores if s.predictor == name]
+        right = [s for s in scores if s.right]
+        hand = {
+            s.object_id: s.corrections for s in self.scores if s.predictor == BY_HAND and s.right
+        }
+        both = [(s.corrections, hand[s.object_id]) for s in right if s.object_id in hand]
+        needed = sum(b for _, b in both)
+        saved = 1 - sum(a for a, _ in both) / needed if needed else math.nan
+        joints = sum(s.joints for s in right)
+        return (
+            name,
+            str(len(scores)),
+            _percent(len(right) / len(scores) if scores else math.nan),
+            _mean([s.clicks for s in right]),
+            _mean([s.part_iou for s in right], 3),
+            _percent(sum(s.wrong for s in right) / joints if joints else math.nan),
+            _mean([s.corrections for s in right]),
+            _mean([s.commands for s in right]),
+            "" if name == BY_HAND else _percent(saved),
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        """Settings, rows and all scores."""
+        rows = [dict(zip(COLUMNS, row, strict=True)) for row in self.rows()]
+        settings = {
+            k: getattr(self.config, k)
+            for k in ("segmenter", "names", "points", "target", "clicks", "seed")
+        }
+        return {"settings": settings, "rows": rows, "objects": [asdict(s) for s in self.scores]}
+
+    def to_markdown(self) -> str:
+        """The table, and the objects that were not correct in the end."""
+        lines = ["# The simulated annotator", ""]
+        lines += table(COLUMNS, self.rows())
+        lines += [
+            "",
+            "Means over objects that were correct in the end. Clicks until every part's IoU is "
+            f"{self.config.target} or {self.config.clicks} clicks per part are spent; corrections "
+            "are commands on joints; commands are all of the annotator's; saved is the share of "
+            "the corrections by hand that the predictor saved.",
+            "",
+            "## Not correct in the end",
+            "",
+        ]
+        lines += [
+            f"- {escaped(s.object_id)}, {escaped(s.predictor)}: {escaped(s.why)}"
+            for s in self.scores
+            if not s.right
+        ]
+        return "\n".join(lines) + "\n"
+
+
+def annotate_all(
+    config: AnnotatorConfig, ids: Sequence[str], jobs: int, progress: Progress = no_progress
+) -> AnnotatorReport:
+    """Annotate all objects, in parallel."""
+    found: dict[str, list[AnnotatorScore]] = {}
+    for object_id, scores in robust_map(partial(annotate, config), ids, jobs):
+        died = [
+            AnnotatorScore(object_id, None, name, why="the process died")
+            for name in (*config.predictors, BY_HAND)
+        ]
+        found[object_id] = scores or died
+        progress(len(found) / len(ids), f"{len(found)} of {len(ids)} objects annotated")
+    return AnnotatorReport(config, tuple(s for i in ids for s in found[i]))
+
+
+def _mean(values: Sequence[float], digits: int = 1) -> str:
+    return f"{sum(values) / len(values):.{digits}f}" if values else "–"
+
+
+def _percent(share: float) -> str:
+    return "–" if math.isnan(share) else f"{100 * share:.1f}"
+
 
 LEAST_CLOUD = 1000
 """Points of the smallest cloud that the simulated annotator works on."""
@@ -52,7 +154,7 @@ def evaluate(options: EvaluateCommand) -> int:
     asked = [name for name in instead if getattr(options, name)]
     if len(asked) > 1:
         raise ConfigurationError(f"--{asked[0]} and --{asked[1]} don't go together; run one")
-    with printing.session(options.json) as show:
+    with output.session(options.json) as show:
         work = instead[asked[0]] if asked else _score
         report, table = work(options, show.progress)
     show.result(report, table)

@@ -1,23 +1,189 @@
-"""``artiworld export``: articulated objects in the formats of simulators."""
+"""``artiworld export``: articulated objects in the formats of simulators.
+
+With what ``check`` shares: one function over many assets in worker processes, where no failure or
+crash ends the batch, and the settings of physics.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import os
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar, cast, get_args
 
 from rich.text import Text
 
-from app.cli import printing
-from app.cli.batch import ASSET_FILES, asset_names, error_text, find_assets, run_all
+from app.cli import output
 from app.cli.commands import ExportCommand
+from app.cli.options import PhysicsOptions
 from app.cli.output import check_output
-from app.cli.physics_settings import physics_settings, shape_store
 from app.server.export_tasks import ExportTask, export_one
-from model.core.errors import ConfigurationError
+from model.core.errors import ArtiworldError, ConfigurationError, InputFileError
+from model.core.joint import JointDynamics
 from model.core.progress import Progress
+from model.evaluation.pool import robust_map
 from model.io.export.registry import exporter_names, load_exporter
 from model.io.export.simready import AboutPackage, remember, remembered
+from model.physics.collision.build import CollisionSettings, Method
+from model.physics.collision.store import default_store
+from model.physics.inertia import read_materials
+from model.physics.simulation_values import SLIDING, TURNING, PhysicsSettings
+
+T = TypeVar("T")
+
+ASSET_FILES = ("object.urdf", "mobility.urdf", "object.xml", "model.sdf")
+"""Files that mark a folder as an asset: ours, PartNet-Mobility's, exports to MJCF and SDF."""
+
+
+class Crashed(RuntimeError):
+    """A worker process ended without an answer."""
+
+
+def find_assets(paths: Sequence[Path]) -> list[Path]:
+    """Assets among ``paths``: URDF and MJCF files, asset folders, and folders of these.
+
+    Raises:
+        InputFileError: for a path with nothing of the kind.
+    """
+    out: list[Path] = []
+    for path in paths:
+        if path.is_file():
+            found = [path]
+        else:
+            found = _in_folder(path)
+            if not found and path.is_dir():
+                found = [a for child in sorted(path.iterdir()) for a in _in_folder(child)]
+        if not found and not path.exists():
+            raise InputFileError(path, "no such file or folder", "check the path")
+        if not found:
+            raise InputFileError(
+                path,
+                "is no URDF, SDF, USD or MJCF and holds no object.urdf",
+                "give assets or folders of assets",
+            )
+        out += found
+    return list(dict.fromkeys(out))
+
+
+def _in_folder(folder: Path) -> list[Path]:
+    if not folder.is_dir():
+        return []
+    if (folder / ASSET_FILES[0]).is_file():
+        return [folder]
+    return [folder / name for name in ASSET_FILES[1:] if (folder / name).is_file()][:1]
+
+
+def asset_names(assets: Sequence[Path]) -> list[str]:
+    """A unique name for each: the folder's, or the file's where it has a name of its own."""
+    out: list[str] = []
+    for asset in assets:
+        if asset.is_dir():
+            base = asset.resolve().name
+        else:
+            base = asset.parent.resolve().name if asset.name in ASSET_FILES else asset.stem
+        name, number = base, 2
+        while name in out:
+            name, number = f"{base}_{number}", number + 1
+        out.append(name)
+    return out
+
+
+def run_all(
+    function: Callable[[Any], T], tasks: Sequence[Any], jobs: int | None
+) -> Iterator[tuple[int, T | Exception]]:
+    """(index of the task, its answer or exception), in the order of completion.
+
+    A task whose process dies twice, the second time alone, gives a :class:`Crashed`.
+
+    Args:
+        function: can be pickled.
+        jobs: processes; None for as many as processors.
+    """
+    jobs = min(jobs or os.cpu_count() or 1, len(tasks))
+    numbered = [_Numbered(i, task) for i, task in enumerate(tasks)]
+    for each, outcome in robust_map(partial(_outcome, function), numbered, jobs, "spawn"):
+        if outcome is None:
+            crash = Crashed("the worker process crashed (often because memory ran out)")
+            yield each.index, crash
+        else:
+            yield each.index, outcome[0]
+
+
+@dataclass(frozen=True, eq=False)
+class _Numbered:
+    """A task with its identity, as equal tasks may come twice."""
+
+    index: int
+    task: Any
+
+
+def _outcome(function: Callable[[Any], T], numbered: _Numbered) -> tuple[T | Exception]:
+    try:
+        return (function(numbered.task),)
+    except Exception as error:  # the boundary of a task
+        return (error,)
+
+
+def error_text(error: Exception) -> str:
+    """Message of a failed task; internal errors are named by their type."""
+    kind = "" if isinstance(error, ArtiworldError) else f"{type(error).__name__}: "
+    return f"{kind}{error}"
+
+
+def physics_settings(options: PhysicsOptions) -> PhysicsSettings:
+    """Check the options and turn them into settings.
+
+    Raises:
+        ArtiworldError: naming the option and what would be right.
+    """
+    method = "hollow" if options.method is None else options.method
+    if method not in get_args(Method):
+        known = ", ".join(get_args(Method))
+        raise ConfigurationError(f"no collision method {method!r}; there are {known}")
+    collision = None
+    if not options.no_collision:
+        hulls = 24 if options.max_hulls is None else options.max_hulls
+        collision = CollisionSettings(method=cast("Method", method), max_hulls=hulls)
+    table = read_materials(options.materials)
+    if options.material is not None:
+        table = table.only(options.material)
+    if (density := options.density) is not None:
+        if not 0 < density < 1e5:
+            raise ConfigurationError(f"--density {density:g} must be between 0 and 100000")
+        table = table.with_density(density)
+    default_dynamics = options.turning is None and options.sliding is None
+    return PhysicsSettings(
+        collision=collision,
+        materials=table,
+        turning=_dynamics(options.turning, "--turning", TURNING),
+        sliding=_dynamics(options.sliding, "--sliding", SLIDING),
+        hold=default_dynamics,
+        fixed_base=not options.free_base,
+        declared_masses=density is None and options.material is None and options.materials is None,
+        declared_dynamics=default_dynamics,
+        declared_shapes=options.method is None and options.max_hulls is None,
+    )
+
+
+def shape_store(options: PhysicsOptions) -> Path | None:
+    """Folder of cached collision shapes; None caches none."""
+    return None if options.no_cache else options.cache or default_store()
+
+
+def _dynamics(text: str | None, option: str, usual: JointDynamics) -> JointDynamics:
+    if text is None:
+        return usual
+    try:
+        damping, friction = (float(word) for word in text.split(","))
+    except ValueError:
+        damping = friction = -1.0
+    if not (0 <= damping < float("inf") and 0 <= friction < float("inf")):
+        raise ConfigurationError(
+            f"{option} {text!r} must be two numbers from 0 on, such as 0.1,0.05"
+        )
+    return replace(usual, damping=damping, friction=friction)
 
 
 def export(options: ExportCommand) -> int:
@@ -45,7 +211,7 @@ def export(options: ExportCommand) -> int:
         tasks.append(
             ExportTask(asset, folders, physics, store, options.check, options.complete, package)
         )
-    with printing.session(options.json) as show:
+    with output.session(options.json) as show:
         if several:
             report = _export_all(tasks, options.jobs, show.progress)
         else:
@@ -94,10 +260,10 @@ def _export_all(tasks: list[ExportTask], jobs: int | None, progress: Progress) -
 
 def _print_one(report: dict[str, Any]) -> None:
     for entry in report["formats"]:
-        printing.print_files(entry | {"asset": report["asset"]}, Path(entry["folder"]))
+        output.print_files(entry | {"asset": report["asset"]}, Path(entry["folder"]))
         for problem in entry.get("problems", []):
-            printing.console().print(Text(f"wrong: {problem}", "bold red"))
-        printing.print_notes(entry.get("notes", []))
+            output.console().print(Text(f"wrong: {problem}", "bold red"))
+        output.print_notes(entry.get("notes", []))
 
 
 def _print_batch(report: dict[str, Any]) -> None:
@@ -115,8 +281,8 @@ def _print_batch(report: dict[str, Any]) -> None:
             Text("; ".join(wrong), "bold red"),
         ))  # fmt: skip
     columns = ("asset", "formats", "collision shapes", "files", "wrong")
-    printing.console().print(printing.table_of(None, columns, rows))
+    output.console().print(output.table_of(None, columns, rows))
     for row in report["assets"]:
         notes = dict.fromkeys(n for f in row.get("formats", ()) for n in f.get("notes", ()))
-        printing.print_notes(f"{row['asset']}: {note}" for note in notes)
-    printing.console().print(f"{report['written']} written, {report['failed']} failed")
+        output.print_notes(f"{row['asset']}: {note}" for note in notes)
+    output.console().print(f"{report['written']} written, {report['failed']} failed")

@@ -18,10 +18,9 @@ import warnings
 from collections.abc import Sequence
 from typing import Any, NoReturn
 
-from app.cli.command import Command, add_commands, from_namespace
 from app.cli.commands import COMMANDS
-from app.cli.options import SIGNED_OPTIONS
-from app.server.crash_log import write_crash
+from app.cli.options import SIGNED_OPTIONS, Command, add_commands, from_namespace
+from app.server.ending import write_crash
 from model.core.errors import ArtiworldError
 
 _SIGNED = re.compile(r"-([xyz]$|[\d.])")

@@ -10,8 +10,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from app.cli.command import Command, argument, flag, group, option, repeated, required
-from app.cli.options import ENGINE_HELP, count, json_flag, positive_count, seed_option
+from app.cli.options import (
+    ENGINE_HELP,
+    Command,
+    argument,
+    count,
+    flag,
+    group,
+    json_flag,
+    option,
+    positive_count,
+    repeated,
+    required,
+    seed_option,
+)
 from model.core.packages import at_place
 from model.prediction import DEFAULT as DEFAULT_PREDICTOR
 
@@ -92,12 +104,12 @@ class GenerateCommand(Command):
 
     def run(self) -> int:
         """Write the objects."""
-        from app.cli import printing
+        from app.cli import output
         from app.cli.output import check_output
         from model.data.procedural.generate import GenerateSettings, generate
 
         check_output(self.out)
-        with printing.session(self.json) as show:
+        with output.session(self.json) as show:
             settings = GenerateSettings(self.out, self.family, self.n, self.seed)
             folders = generate(settings, show.progress)
         show.result(
@@ -237,14 +249,14 @@ class BenchCommand(Command):
 
     def run(self) -> int:
         """Measure, and print the figures. Each benchmark has heavy packages of its own."""
-        from app.cli import printing
+        from app.cli import output
 
         if self.what == "networks":
             from model.training.arti4urdf.config import LORA_RANK, FullConfig, require_extras
 
             require_extras(FullConfig(lora_rank=LORA_RANK))
         bench = at_place(f"app.cli.benchmarks.{self.what}:bench")
-        with printing.session(self.json) as show:
+        with output.session(self.json) as show:
             report, table = bench(self, show.progress)
         show.result(report, table)
         return int(isinstance(report, dict) and bool(report.get("failed")))

@@ -10,7 +10,7 @@ from typing import Any
 
 from rich.text import Text
 
-from app.cli import printing
+from app.cli import output
 from app.cli.commands import SceneConvertCommand, SceneInspectCommand
 from app.cli.output import check_output
 from app.server.prompt_file import beside, read_prompts
@@ -35,7 +35,7 @@ def convert(options: SceneConvertCommand) -> int:
     check_segmenter(options.segmenter)
     if not options.time_limit > 0:
         raise ConfigurationError(f"--time-limit {options.time_limit} must be above 0 seconds")
-    with printing.session(options.json) as show:
+    with output.session(options.json) as show:
         finder = _finder(options, show.progress)
         show.progress(0.0, f"reading {options.scene.name}")
         scene = read_scene(options.scene, options.format)
@@ -53,7 +53,7 @@ def convert(options: SceneConvertCommand) -> int:
 
 def inspect(options: SceneInspectCommand) -> int:
     """Print the objects of a scene, and which of them can be articulated."""
-    with printing.session(options.json) as show:
+    with output.session(options.json) as show:
         finder = _finder(options, show.progress)
         scene = read_scene(options.scene, options.format)
         with TemporaryDirectory() as folder:
@@ -81,7 +81,7 @@ def inspect(options: SceneInspectCommand) -> int:
 
 def estimate(options: SceneInspectCommand) -> int:
     """Print the estimated cost of a language model's finder without calling it."""
-    with printing.session(options.json) as show:
+    with output.session(options.json) as show:
         finder = _finder(options, show.progress)
         scene = read_scene(options.scene, options.format)
         usage = Usage()
@@ -161,7 +161,7 @@ def _print_inspection(report: dict[str, Any]) -> None:
     ]  # fmt: skip
     columns = ("object", "articulable", "parts", "reason", "asset found")
     title = f"{report['scene']} ({report['reader']})"
-    printing.console().print(printing.table_of(title, columns, rows))
+    output.console().print(output.table_of(title, columns, rows))
     _print_problems(report)
     _print_figures(report["sim_id"])
 
@@ -176,11 +176,11 @@ def _print_summary(summary: dict[str, Any], out: Path) -> None:
         for o in summary["results"]
     ]  # fmt: skip
     columns = ("object", "kind", "state", "joints", "shortened", "reason")
-    printing.console().print(printing.table_of(title, columns, rows))
-    printing.print_notes(f"{o['id']}: {note}" for o in summary["results"] for note in o["notes"])
+    output.console().print(output.table_of(title, columns, rows))
+    output.print_notes(f"{o['id']}: {note}" for o in summary["results"] for note in o["notes"])
     _print_problems(summary)
     _print_figures(summary["sim_id"], summary["sim_us"])
-    printing.console().print(Text(f"written to {out}"))
+    output.console().print(Text(f"written to {out}"))
 
 
 def _print_figures(found: dict[str, Any], works: dict[str, Any] | None = None) -> None:
@@ -190,7 +190,7 @@ def _print_figures(found: dict[str, Any], works: dict[str, Any] | None = None) -
     text += f", wrongly found {found['wrongly_found']}"
     if works is not None:
         text += f"; Sim-Us {works['usable']}/{works['articulable']}"
-    printing.console().print(Text(text))
+    output.console().print(Text(text))
 
 
 def _print_problems(report: dict[str, Any]) -> None:
@@ -200,4 +200,4 @@ def _print_problems(report: dict[str, Any]) -> None:
     ]
     if report["missing_assets"]:
         notes.append(f"missing assets: {', '.join(report['missing_assets'])}")
-    printing.print_notes(notes)
+    output.print_notes(notes)

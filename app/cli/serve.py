@@ -7,9 +7,9 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from app.cli.backend_client import check_backend, chosen_predictor
 from app.cli.commands import ServeCommand
 from app.cli.options import OidcOptions
+from app.cli.predict import check_backend, chosen_predictor
 from app.server.config import TOKEN_VARIABLE, ServeConfig
 from app.server.ending import EndSignals
 from app.server.login import Login, new_token

@@ -1,17 +1,28 @@
-"""``artiworld train``: samples, training in slices, weights for use."""
+"""``artiworld train``: samples, training in slices, weights for use; the paper-size model; and with
+``--workspace`` predictions that know what was accepted.
+"""
 
 from __future__ import annotations
 
 import math
 import os
 import sys
+from contextlib import closing, nullcontext
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
-from app.cli.output import check_output
-from app.cli.printing import progress_bar
+from app.cli import output
+from app.cli.output import check_output, progress_bar
 from app.cli.research_commands import TrainCommand
+from app.server.ending import WorkspaceLease
+from app.server.learning import learn_from
 from model.core.errors import ConfigurationError
+from model.core.progress import no_progress
+from model.data.datasets import training_ids
 from model.data.procedural.generate import family_names
+from model.data.registry import recognised
+from model.prediction.experience import FOLDER, record_of
 from model.training.arti4urdf import small_trainer
 from model.training.arti4urdf.confidence import PREDICTORS, fit_confidence
 from model.training.arti4urdf.config import (
@@ -24,7 +35,92 @@ from model.training.arti4urdf.config import (
     require_extras,
     with_settings,
 )
-from model.training.arti4urdf.samples import HELD_OUT, make_shards, write_dataset
+from model.training.arti4urdf.full_data import ObjectSet
+from model.training.arti4urdf.full_trainer import LEFT_OUT, Sources, train_full
+from model.training.arti4urdf.samples import HELD_OUT, make_shards, training_families, write_dataset
+from model.training.experience import use
+from sessions.command_log import check_workspace
+
+
+def learn(options: TrainCommand, workspace: Path) -> int:
+    """Learn from a workspace, or go back to an earlier version; returns the exit code.
+
+    Raises:
+        ConfigurationError: for an unknown version or object, or too few accepted objects.
+    """
+    check_workspace(workspace, options.database)
+    if options.use is not None:
+        use(workspace, options.use)
+        record = record_of(workspace / FOLDER / str(options.use)) if options.use else {}
+        with output.session(options.json) as show:
+            text = f"predictions use version {options.use}" if options.use else "nothing is used"
+            show.result(record, lambda: print(text))
+        return 0
+    with closing(WorkspaceLease(workspace)), output.session(options.json) as show:
+        learned = learn_from(
+            workspace, options.database, options.without, options.jobs or 2, show.progress
+        )
+    show.result(learned, lambda: _print(learned))
+    return 0
+
+
+def _print(learned: dict[str, Any]) -> None:
+    print(f"version {learned['version']}: {len(learned['assets'])} accepted objects")
+    print("each predicted, against what was accepted:")
+    for label, side in (("without", learned["before"]), ("with the others", learned["after"])):
+        print(f"  {label:<16}{_figures(side)}")
+    if learned["taken"]:
+        print("it is better: predictions in this workspace use it from now on")
+    else:
+        print("it is no better: predictions stay as they are")
+
+
+def _figures(side: dict[str, Any]) -> str:
+    return (
+        f"{side['usable']} of {side['joints']} joints and {side['objects']} objects usable, "
+        f"calibration error {side['calibration_error']:.3f}"
+    )
+
+
+def train_full_model(options: TrainCommand, config: FullConfig) -> int:
+    """Train, print how far it came, and return the exit code."""
+    # Of several processes only the first one prints.
+    prints = os.environ.get("RANK", "0") == "0"
+    bar: Any = progress_bar() if prints else nullcontext(no_progress)
+    with bar as progress:
+        progress(0.0, "reading weights")
+        done = train_full(
+            config, _sources(options, config), options.out, seconds=options.minutes * 60,
+            weights=options.weights, progress=progress,
+        )  # fmt: skip
+    if not prints:
+        return 0
+    loss = "" if math.isnan(done.loss) else f", loss {done.loss:.4f}"
+    print(f"step {done.step} of {done.steps}{loss}")
+    if any(done.left_out.values()):
+        counts = ", ".join(f"{n} {why}" for why, n in done.left_out.items())
+        print(f"left out: {counts} ({options.out / LEFT_OUT})")
+    if options.weights is not None:
+        print(f"weights: {options.weights} (use them as qwen3:{options.weights})")
+    return 0
+
+
+def _sources(options: TrainCommand, config: FullConfig) -> Sources:
+    """Weights to start from, training and validation objects."""
+    families = family_names() if config.held_out else training_families()
+    listed = []
+    for dataset in map(recognised, options.data):
+        ids = training_ids(dataset, held_out=config.held_out, test_share=config.test_share)
+        listed += [(dataset, object_id) for object_id in ids]
+    large, seed = options.full_model, config.seed
+    assert large.point_encoder is not None and large.language_model is not None
+    objects = ObjectSet(config.samples, seed + 1, families, tuple(listed), large.cache)
+    held = ObjectSet(config.validation, seed + 900, training_families(), (), large.cache)
+    local = int(os.environ.get("LOCAL_WORLD_SIZE", "1"))
+    cores = (os.cpu_count() or 1) // local - 1
+    jobs = max(0, (options.jobs or cores + 1) - 1)  # this process itself is one
+    return Sources(large.point_encoder, large.language_model, objects, held, jobs=jobs)
+
 
 MOST_HELD_OUT = 200
 """Samples of validation, and of held-out categories, at most."""
@@ -37,8 +133,6 @@ def train(options: TrainCommand) -> int:
         ConfigurationError: for a mistake in the options.
     """
     if options.workspace is not None:
-        from app.cli.learn import learn  # opens a workspace
-
         return learn(options, options.workspace)
     if options.without or options.use is not None or options.database or options.json:
         raise ConfigurationError("--without, --use, --database and --json belong to --workspace")
@@ -52,7 +146,6 @@ def train(options: TrainCommand) -> int:
     full, large = full_presets().get(options.preset), options.full_model
     if full is not None:
         config = _full_config(options, full)
-        from app.cli.train_full import train_full_model  # needs the packages of an extra
 
         return train_full_model(options, config)
     if large.language_model or large.point_encoder or large.lora or large.cache or large.settings:

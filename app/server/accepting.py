@@ -11,8 +11,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from app.server.acceptance_record import acceptance_record, carry_out
-from app.server.display_names import display_text
+from app.server.acceptances import acceptance_record, carry_out
+from app.server.names import display_text
 from app.server.open_object import OpenObject
 from app.server.validating import AcceptanceRequest
 from model.core.asset import Source

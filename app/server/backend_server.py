@@ -1,29 +1,35 @@
 """The HTTP side of ``artiworld backend``: one machine predicts for many annotators.
 
 ``GET /health`` needs no token and says whether one is needed. ``POST /v1/predict`` takes the
-format of :mod:`model.prediction.remote_backend`. Refusals have a status (400 malformed, 401 wrong
+format of :mod:`model.prediction.remote.wire`. Refusals have a status (400 malformed, 401 wrong
 token, 408 timeout, 413 too large, 415 wrong type, 429 too many wrong tokens, 503 busy) and a JSON
-body ``{"error": text}``; later errors are lines of the stream.
+body ``{"error": text}``; later errors are lines of the stream. Connections have limits that
+uvicorn itself lacks.
 """
 
 from __future__ import annotations
 
 import asyncio
 import json
+import logging
 from collections.abc import AsyncIterator, Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import version
 from typing import Any
 
+import h11
 import numpy as np
+import uvicorn
 from fastapi import FastAPI, Request
 from fastapi.responses import JSONResponse, Response, StreamingResponse
-from starlette.types import Receive, Scope, Send
+from starlette.types import ASGIApp, Receive, Scope, Send
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from app.server import backend_tasks
 from app.server.jobs import Job, JobFailed, WorkerProcess
 from app.server.login import Login
+from app.server.network import MAX_SOCKETS, OncePerMinute
 from model.core.errors import ArtiworldError
 from model.prediction.remote_backend import (
     CONTENT_TYPE,
@@ -32,6 +38,57 @@ from model.prediction.remote_backend import (
     RequestError,
     read_header,
 )
+
+HEADER_SECONDS = 10.0
+"""Longest time from the connection, or the last answer's end, to the end of a request's header."""
+
+
+class LimitedProtocol(H11Protocol):
+    """HTTP/1.1 that drops connections beyond a number, and those whose header doesn't come."""
+
+    max_sockets = MAX_SOCKETS
+    _timer: asyncio.TimerHandle | None = None
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """Take a connection, unless there are too many."""
+        super().connection_made(transport)
+        if len(self.connections) > self.max_sockets:
+            self.logger.warning("more than %d connections: new ones are dropped", self.max_sockets)
+            transport.abort()
+        self._await_header()
+
+    def data_received(self, data: bytes) -> None:
+        """Take bytes; a header must be complete in time."""
+        super().data_received(data)
+        self._await_header()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Forget the connection."""
+        self._stop_timer()
+        super().connection_lost(exc)
+
+    def _await_header(self) -> None:
+        if self.conn.their_state is not h11.IDLE:
+            self._stop_timer()
+        elif self._timer is None:
+            self._timer = self.loop.call_later(HEADER_SECONDS, self.transport.abort)
+
+    def _stop_timer(self) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+
+
+def limited_server(application: ASGIApp) -> uvicorn.Server:
+    """Return a server of the application, with the limits and a log that nobody can fill."""
+    for name in ("asyncio", "uvicorn.error"):
+        logging.getLogger(name).addFilter(OncePerMinute())
+    config = uvicorn.Config(
+        application, log_level="warning", access_log=False, server_header=False,
+        timeout_graceful_shutdown=3, http=LimitedProtocol, ws="none",
+    )  # fmt: skip
+    return uvicorn.Server(config)
+
 
 HEARTBEAT_SECONDS = 1.0
 """Period of lines to a waiting client; also how soon a client that left is noticed."""

@@ -14,8 +14,8 @@ from typing import Any
 from app.server.accepting import accept, acceptance_over
 from app.server.export_tasks import ExportTask, export_one
 from app.server.job import Job, WorkerDied
+from app.server.object_context import Services
 from app.server.open_object import OpenObject
-from app.server.services import Services
 from model.core.errors import ArtiworldError, CommandError
 from model.core.progress import Cancelled
 from sessions import commands as cmd

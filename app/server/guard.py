@@ -28,15 +28,17 @@ from websockets.asyncio.server import ServerConnection
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
-from app.server.account_page import account_page
-from app.server.camera_guard import attach_camera_guard
-from app.server.entrance import Entrance
-from app.server.login import Login, login_page
-from app.server.network import OncePerMinute, check_address, is_loopback
-from app.server.origins import Origins, is_plain_netloc
-from app.server.page import Page
-from app.server.shared_port import ApiConnections, SharedConnection
-from app.server.upload_guard import UploadGuard
+from app.server.entrance import Entrance, Origins, is_plain_netloc
+from app.server.login import Login, account_page, login_page
+from app.server.network import (
+    ApiConnections,
+    OncePerMinute,
+    SharedConnection,
+    check_address,
+    is_loopback,
+)
+from app.server.page import Page, attach_camera_guard
+from app.server.uploads import UploadGuard
 from model.core.errors import ConfigurationError, StoreError
 from model.core.packages import install_command
 from sessions.credentials import Person
@@ -127,7 +129,7 @@ def guarded_server(
             ``https://scans.example.org``.
         trusted_proxies: addresses or networks whose X-Forwarded-For the API believes.
         entrance: knows the visitors, by account where there are accounts; None: by the token.
-        api: makes the ASGI application below :data:`~app.server.shared_port.API`; None: none.
+        api: makes the ASGI application below :data:`~app.server.network.API`; None: none.
 
     Raises:
         ConfigurationError: where the address can't be used, or is public without a token.

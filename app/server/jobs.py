@@ -19,8 +19,16 @@ from collections.abc import Callable, Hashable
 from multiprocessing.connection import wait
 from typing import Any, TypeVar
 
-from app.server.child_process import Child, death, error_of, finish
-from app.server.job import Job, JobFailed, OutOfTimeError, WorkerDied
+from app.server.job import (
+    Child,
+    Job,
+    JobFailed,
+    OutOfTimeError,
+    WorkerDied,
+    death,
+    error_of,
+    finish,
+)
 from app.server.worker import pack, receive, send, unpack
 from app.server.worker_template import WorkerTemplate
 from model.core.progress import own_threads

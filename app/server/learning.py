@@ -10,8 +10,8 @@ from typing import Any
 
 from app.server.job import Job
 from app.server.jobs import WorkerProcess
-from app.server.lanes import READING, in_background
 from app.server.worker_template import WorkerTemplate
+from app.server.workers import READING, in_background
 from model.core.errors import CommandError, ConfigurationError
 from model.core.progress import Progress, no_progress
 from sessions.command_log import open_database

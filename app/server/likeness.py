@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from app.server import like_tasks
-from app.server.acceptance_record import asset_folder
+from app.server.acceptances import asset_folder
 from app.server.jobs import PREVIEWS
 from app.server.like_tasks import LIKE, LikeOffer
 from app.server.object_context import ObjectContext

@@ -1,13 +1,25 @@
-"""Addresses to listen at, and limits on who connects."""
+"""Addresses to listen at, limits on who connects, and one port for viser's pages and the REST API.
+
+The library behind viser's port reads requests without a body only, so a connection whose first
+request is for the API is handed over to uvicorn's protocol, in the way in which uvicorn itself
+hands over a connection that becomes a websocket.
+"""
 
 from __future__ import annotations
 
+import asyncio
 import errno
 import ipaddress
 import logging
 import os
 import socket
 import time
+from typing import Any, ClassVar, cast
+
+from uvicorn.config import Config
+from uvicorn.protocols.http.h11_impl import H11Protocol
+from uvicorn.server import ServerState
+from websockets.asyncio.server import ServerConnection
 
 from model.core.errors import ConfigurationError
 
@@ -103,3 +115,120 @@ class OncePerMinute(logging.Filter):
             self._last.clear()
         self._last[kind] = now
         return True
+
+
+API = "/api/v1"
+FIRST_SECONDS = 10.0
+"""Longest time for the first line of a connection, and for the headers of an API request."""
+_LINE = 4096
+"""Bytes; a longer first line isn't for the API, and the other side refuses it."""
+_SPACE = b" "
+
+
+class ApiConnections:
+    """Speaks HTTP on connections to the API.
+
+    Args:
+        application: an ASGI application.
+        proxies: addresses or networks whose X-Forwarded-For is trusted.
+    """
+
+    def __init__(self, application: Any, proxies: tuple[str, ...] = ()) -> None:
+        self._config = Config(
+            application, http="h11", ws="none", lifespan="off", log_config=None, access_log=False,
+            server_header=False, proxy_headers=bool(proxies), forwarded_allow_ips=list(proxies),
+            h11_max_incomplete_event_size=65536,
+        )  # fmt: skip
+        self._config.load()
+        self._state = ServerState()
+
+    @property
+    def count(self) -> int:
+        """Number of connections."""
+        return len(self._state.connections)
+
+    def take(self, transport: asyncio.Transport, first: bytes) -> None:
+        """Serve a connection from its first bytes on."""
+        loop = asyncio.get_running_loop()
+        protocol = H11Protocol(self._config, self._state, {}, loop)
+        transport.set_protocol(protocol)
+        protocol.connection_made(transport)
+        protocol.data_received(first)
+
+        def end_unless_begun() -> None:
+            if protocol.cycle is None:
+                transport.abort()
+
+        loop.call_later(FIRST_SECONDS, end_unless_begun)
+
+
+class SharedConnection(ServerConnection):
+    """Waits for the first line, which decides who serves the connection.
+
+    A connection beyond :data:`~app.server.network.MAX_SOCKETS` is dropped; those without a
+    complete request count, too.
+
+    Attributes:
+        api: takes the connections to the API; None: there is none. Set in a subclass.
+        open: connections that aren't the API's. Set in a subclass.
+    """
+
+    api: ClassVar[ApiConnections | None] = None
+    open: ClassVar[set[SharedConnection]]
+
+    def __init__(self, *args: Any, **settings: Any) -> None:
+        super().__init__(*args, **settings)
+        self._waiting: asyncio.Transport | None = None
+        self._first = b""
+        self._timer: asyncio.TimerHandle | None = None
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """See the base class."""
+        self.open.add(self)
+        self._waiting = cast("asyncio.Transport", transport)
+        others = 0 if self.api is None else self.api.count
+        if len(self.open) + others > MAX_SOCKETS:
+            self._waiting.abort()
+            return
+        self._timer = self.loop.call_later(FIRST_SECONDS, self._waiting.abort)
+
+    def data_received(self, data: bytes) -> None:
+        """See the base class."""
+        if self._waiting is None:
+            super().data_received(data)
+            return
+        self._first += data
+        line, found, _ = self._first[:_LINE].partition(b"\n")
+        if not found and len(self._first) < _LINE and self.api is not None:
+            return
+        self._stop_timer()
+        transport, self._waiting = self._waiting, None
+        if self.api is not None and _is_for_api(line):
+            self.open.discard(self)
+            self.api.take(transport, self._first)
+        else:
+            super().connection_made(transport)
+            super().data_received(self._first)
+        self._first = b""
+
+    def eof_received(self) -> None:
+        """See the base class."""
+        if self._waiting is None:
+            super().eof_received()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """See the base class."""
+        self._stop_timer()
+        self.open.discard(self)
+        if self._waiting is None:
+            super().connection_lost(exc)
+
+    def _stop_timer(self) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+
+
+def _is_for_api(line: bytes) -> bool:
+    _, _, rest = line.partition(_SPACE)
+    path = rest.partition(_SPACE)[0].partition(b"?")[0].decode("latin-1")
+    return path == API or path.startswith(API + "/")

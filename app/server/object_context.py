@@ -1,30 +1,78 @@
-"""Data that an open object shares with its segmentation and its validation."""
+"""Surroundings of an open object: the server's services, its place in the open scene, and what it
+shares with its segmentation and its validation.
+"""
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from app.server.acceptances import AssetDrafts, PendingAcceptances
+from app.server.config import ServeConfig
 from app.server.display_tasks import OpenedAsset
 from app.server.job import Job
-from app.server.lanes import Lane
-from app.server.observable import Observable
+from app.server.object_queue import ObjectQueue
+from app.server.observable import Observable, RunningJobs
 from app.server.part_tasks import PartSource
-from app.server.running_jobs import RunningJobs
-from app.server.services import Services
 from app.server.tasks import ReadOptions
+from app.server.workers import Lane, Workers
 from model.core.errors import CommandError
+from model.prediction import DEFAULT
+from model.prediction.experience import in_use
 from model.segmentation.prompts import BASE
+from model.validation.report import ValidationReport
 from sessions import command_log
 from sessions import commands as cmd
 from sessions.document import Document
-from sessions.live import LiveSession
+from sessions.live import LiveSession, SessionHub
 from sessions.state import SessionState
-from sessions.store import ObjectRecord
+from sessions.store import ObjectRecord, Store
+
+
+@dataclass(frozen=True, eq=False)
+class SceneMember:
+    """An object that belongs to a scene.
+
+    Attributes:
+        name: of the object in the scene.
+        source: returns its source for ``provenance.json``.
+        hold: puts its acceptance on hold in the scene, with the reason and the report.
+    """
+
+    name: str
+    source: Callable[[], Mapping[str, Any]]
+    hold: Callable[[str, ValidationReport | None], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Services:
+    """Settings, store, workers and queue of one server."""
+
+    config: ServeConfig
+    store: Store
+    hub: SessionHub
+    workers: Workers
+    drafts: AssetDrafts
+    queue: ObjectQueue
+    acceptances: PendingAcceptances
+
+    @property
+    def workspace(self) -> Path:
+        """Folder of sessions, working copies and accepted assets."""
+        return Path(self.config.workspace)
+
+    @property
+    def predictor(self) -> str:
+        """Name of the predictor: the default one knows what the workspace has learned."""
+        name = self.config.predictor
+        learned = in_use(self.workspace.resolve()) if name == DEFAULT else None
+        return name if learned is None else f"learned:{learned}"
 
 
 class ObjectContext(Observable):

@@ -19,12 +19,10 @@ from app.server.display_tasks import OpenedAsset, PartPayload
 from app.server.job import OutOfTimeError
 from app.server.jobs import CLICKS, EDITS, Job, JobFailed
 from app.server.likeness import Likeness
-from app.server.object_context import ObjectContext
+from app.server.object_context import ObjectContext, SceneMember, Services
 from app.server.observable import Listener, Notice
 from app.server.preparing import Preparing
-from app.server.scene_member import SceneMember
 from app.server.segmenting import Segmenting
-from app.server.services import Services
 from app.server.tasks import Stamp, stamp_if_there
 from app.server.validating import JointCollision, Validation
 from app.server.workers import READ_CANCELLED, READ_SECONDS, too_slow

@@ -1,11 +1,21 @@
-"""viser's page with our title and the scripts of ``app/server/scripts``."""
+"""viser's page: our title and scripts in it, the messages between these scripts and the server (see
+``scripts/pointer.js``), and a check of what browsers say of their cameras.
+"""
 
 from __future__ import annotations
 
+import base64
 import gzip
 import json
+import math
+from dataclasses import dataclass
 from importlib.resources import files
+from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+import viser
+from viser import _messages, infra
 from websockets.http11 import Response
 
 _SCRIPTS = (
@@ -53,3 +63,128 @@ class Page:
         del headers["Content-Length"]
         headers["Content-Length"] = str(len(response.body))
         return response
+
+
+@dataclass
+class ArtiworldHoverMessage(_messages.Message, include_in_scene_serialization=False):
+    """The pointer rests at (x, y), (0, 0) top left to (1, 1), or has left the picture."""
+
+    x: float
+    y: float
+    inside: bool
+
+
+@dataclass
+class ArtiworldStrokeMessage(_messages.Message, include_in_scene_serialization=False):
+    """A lasso or a brush stroke was drawn; ``radius`` as a share of the picture's height."""
+
+    tool: str
+    path: tuple[tuple[float, float], ...]
+    radius: float
+    positive: bool
+
+
+@dataclass
+class ArtiworldToolMessage(_messages.Message, include_in_scene_serialization=False):
+    """A key of the page's scripts was pressed: "lasso", "brush", "click" (Escape) or "help"."""
+
+    tool: str
+
+
+@dataclass
+class ArtiworldAnswerMessage(_messages.Message, include_in_scene_serialization=False):
+    """Shift and a digit of the upper row were pressed."""
+
+    number: int
+
+
+@dataclass
+class ArtiworldPressMessage(_messages.Message, include_in_scene_serialization=False):
+    """A control of the page's own markup was used; see :mod:`app.viewer.panels.widgets`."""
+
+    action: str
+    value: str
+
+
+@dataclass
+class ArtiworldShownMessage(_messages.Message, include_in_scene_serialization=False):
+    """Everything sent before ``set_page_state(shown=number)`` is on the screen."""
+
+    number: int
+
+
+# viser caches its message classes; it may have done so before these were defined.
+_messages.Message._subclass_from_type_string.cache_clear()  # type: ignore[attr-defined]
+
+
+def set_page_state(client: viser.ClientHandle, **state: Any) -> None:
+    """Set fields of the page script's state."""
+    _run(client, f"window.__artiworld?.set({json.dumps(state)})")
+
+
+def show_markup(client: viser.ClientHandle, place: str, html: str) -> None:
+    """Show HTML in a place of the page: "steps", "progress", "tools" or "tour"; "" hides it."""
+    _run(client, f"window.__artiworldMarkup?.show({json.dumps(place)}, {json.dumps(html)})")
+
+
+def call_page(client: viser.ClientHandle, function: str, *values: Any) -> None:
+    """Call a function of the page's scripts, such as "Queue.changed"."""
+    arguments = ", ".join(json.dumps(v) for v in values)
+    owner, name = function.split(".")
+    _run(client, f"window.__artiworld{owner}?.{name}({arguments})")
+
+
+def hide_on_page(client: viser.ClientHandle, out: npt.NDArray[np.bool_] | None) -> None:
+    """Leave elements out of the drawn scan.
+
+    Args:
+        out: (D,) for each triangle of its GLB, or each of its points; None leaves out nothing.
+    """
+    if out is None:
+        _run(client, "window.__artiworld?.hide()")
+        return
+    bits = base64.b64encode(np.packbits(out, bitorder="little").tobytes()).decode()
+    _run(client, f"window.__artiworld?.hide({len(out)}, '{bits}')")
+
+
+def _run(client: viser.ClientHandle, source: str) -> None:
+    client._websock_connection.queue_message(_messages.RunJavascriptMessage(source))
+
+
+MOST_PIXELS = 100_000
+"""Longest side of a picture."""
+_FARTHEST = 1e9  # metres, as for what a file may say of a point
+_VECTORS = {"wxyz": 4, "position": 3, "look_at": 3, "up_direction": 3}
+
+
+def attach_camera_guard(connection: infra.WebsockClientConnection) -> None:
+    """Let only possible cameras through to viser, before a browser's first message."""
+    handlers: dict[Any, list[Any]] = connection._incoming_handlers
+    (inner,) = handlers[_messages.ViewerCameraMessage]
+
+    async def guarded(client: Any, message: _messages.ViewerCameraMessage) -> None:
+        if make_possible(message):
+            await inner(client, message)
+
+    handlers[_messages.ViewerCameraMessage] = [guarded]
+
+
+def make_possible(message: _messages.ViewerCameraMessage) -> bool:
+    """Give a picture without height or width, as of a hidden tab, one pixel.
+
+    Returns:
+        Whether the camera stands somewhere and looks somewhere.
+    """
+    for side in ("image_height", "image_width"):
+        value = getattr(message, side)
+        number = value if isinstance(value, int | float) and math.isfinite(value) else 1
+        setattr(message, side, int(min(max(number, 1), MOST_PIXELS)))
+    try:
+        vectors = {k: np.asarray(getattr(message, k), np.float64) for k in _VECTORS}
+        fov = float(message.fov)
+    except (TypeError, ValueError, OverflowError):
+        return False
+    sound = all(
+        v.shape == (_VECTORS[k],) and (np.abs(v) <= _FARTHEST).all() for k, v in vectors.items()
+    )
+    return sound and bool(vectors["wxyz"].any()) and 0 < fov < math.pi

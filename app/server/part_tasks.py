@@ -1,10 +1,20 @@
-"""Parts of a segmented asset for validation, saving and prediction."""
+"""Jobs on the parts of a segmented asset: cutting them, prediction, validation, and writing the
+asset; see :mod:`app.server.tasks`.
+
+Reports of validation are cached on disk. All but the record of an asset is written as a draft while
+the person still looks at the joints; accepting adds the record and moves it in place.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import json
+import os
+import shutil
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import cache
 from importlib import import_module
 from importlib.metadata import version
 from importlib.util import find_spec
@@ -15,6 +25,7 @@ import numpy as np
 
 from app.server.like_tasks import CarriedJoints, carried_joints
 from app.server.tasks import arrays_of, asset_of
+from model.core import codec
 from model.core.articulated_object import (
     ArticulatedObject,
     Inertial,
@@ -22,18 +33,25 @@ from model.core.articulated_object import (
     Prediction,
     SegmentedObject,
 )
-from model.core.errors import ConfigurationError, KinematicsError
+from model.core.errors import ArtiworldError, ConfigurationError, KinematicsError
+from model.core.files import draft_of, static_assets, written_to
 from model.core.joint import Joint
 from model.core.memory import LruCache
-from model.core.progress import Progress, no_progress
+from model.core.packages import installed_versions
+from model.core.progress import Progress, no_progress, scaled_progress
 from model.core.shapes import Shape
 from model.core.tree import KinematicTree
 from model.geometry.completion import complete, completed_arrays, completed_with
 from model.geometry.splitting import split
+from model.io.assets.asset_folder import write_draft
+from model.io.assets.reader import reload_check
 from model.physics.collision.build import prepare_bodies as prepare
 from model.physics.collision.store import fingerprint, load_arrays, save_arrays
+from model.physics.simulation_values import physics_of
 from model.prediction.registry import load_predictor
 from model.segmentation.prompts import BASE
+from model.validation.report import ValidationReport
+from model.validation.runner import validate
 
 
 @dataclass(frozen=True)
@@ -202,3 +220,112 @@ def checked(predictor: str, segmented: SegmentedObject, found: object) -> Predic
     except KinematicsError as error:
         return replace(found, tree=None, problems=(*found.problems, *error.problems))
     return found
+
+
+PACKAGES = static_assets().parent
+DEPENDENCIES = ("core", "geometry", "kinematics", "physics", "validation")
+"""Packages of the model that a report depends on, with their thresholds."""
+
+
+def validate_joints(
+    source: PartSource, tree: KinematicTree, progress: Progress = no_progress
+) -> ValidationReport:
+    """Validate all joints, or return the cached report."""
+    cached = _cache_file(source, tree)
+    try:
+        return codec.read(ValidationReport, json.loads(cached.read_text(encoding="utf-8")))
+    except (OSError, ValueError):
+        pass
+
+    obj = articulated_object(source, tree, scaled_progress(progress, 0.0, 0.2))
+    progress = scaled_progress(progress, 0.2, 1.0)
+    report = validate(obj, store=source.workspace / "collision", progress=progress)
+    with suppress(OSError, ValueError), draft_of(cached) as draft:  # it counts without the cache
+        draft.write_text(json.dumps(codec.write(report)), encoding="utf-8")
+    return report
+
+
+def _cache_file(source: PartSource, tree: KinematicTree) -> Path:
+    key = fingerprint(
+        "gate", validation_version(), source.folder.name, source.labels,
+        sorted(source.names.items()), source.category, source.complete, tree.links, tree.joints,
+    )  # fmt: skip
+    return source.workspace / "cache" / "gate" / f"{key}.json"
+
+
+@cache
+def validation_version(root: Path = PACKAGES) -> str:
+    """Return a key of the code, its settings, the material table and the libraries.
+
+    Cached reports count until it changes.
+
+    Args:
+        root: folder of the packages.
+    """
+    digest = hashlib.sha256()
+    for package in DEPENDENCIES:
+        for path in sorted((root / "model" / package).rglob("*.py")):
+            digest.update(f"{path.name}\0".encode() + path.read_bytes())
+    digest.update((static_assets() / "physics" / "materials.json").read_bytes())
+    versions = installed_versions("artiworld", "mujoco", "numpy", "open3d", "scipy")
+    digest.update(repr(versions).encode())
+    return digest.hexdigest()
+
+
+DRAFTS_KEPT = 4
+
+
+def prepare_asset(
+    source: PartSource, tree: KinematicTree, progress: Progress = no_progress
+) -> Path:
+    """Write an asset without its record and read it back, so that accepting only moves it.
+
+    Returns:
+        The draft's folder, the same for the same parts and joints.
+
+    Raises:
+        ArtiworldError: where the written asset doesn't load correctly.
+    """
+    target = _draft_name(source, tree)
+    with suppress(OSError):  # the place to write to is judged where it is written
+        os.utime(target)  # now the newest, it is kept longest
+        return target
+    progress(0.02, "Cutting out the parts")
+    asset = asset_of(source.folder)
+    obj = articulated_object(source, tree, scaled_progress(progress, 0.02, 0.3))
+    physics = physics_of(
+        obj, store=source.workspace / "collision", progress=scaled_progress(progress, 0.3, 0.7)
+    )
+    with written_to(target, "check space and permissions"), draft_of(target, Path.is_dir) as fresh:
+        write_draft(
+            obj,
+            fresh,
+            original=asset,
+            physics=physics,
+            progress=scaled_progress(progress, 0.7, 0.85),
+        )
+        progress(0.85, "Checking the files")
+        problems = reload_check(fresh)
+        if problems:
+            raise ArtiworldError(f"{obj.name} doesn't load correctly: {problems[0]}")
+    _drop_drafts(target.parent)
+    return target
+
+
+def _draft_name(source: PartSource, tree: KinematicTree) -> Path:
+    key = fingerprint(
+        "draft", version("artiworld"), source.folder.name, source.labels,
+        sorted(source.names.items()), source.category, source.title, source.complete, tree.links,
+        tree.joints,
+    )  # fmt: skip
+    return source.workspace / "drafts" / key
+
+
+def _drop_drafts(folder: Path) -> None:
+    """Remove the oldest drafts, but for those being written."""
+    found: list[tuple[float, Path]] = []
+    for path in folder.glob("[!.]*"):
+        with suppress(FileNotFoundError):  # it was accepted just now
+            found.append((path.stat().st_mtime, path))
+    for _, old in sorted(found)[:-DRAFTS_KEPT]:
+        shutil.rmtree(old, ignore_errors=True)

@@ -12,8 +12,7 @@ from app.server import prepare_tasks
 from app.server.display_tasks import OpenedAsset
 from app.server.jobs import CLICKS, WorkerProcess
 from app.server.object_context import ObjectContext
-from app.server.prepare_tasks import Marks, ScanProposal, Vector
-from app.server.room_tasks import Removal
+from app.server.prepare_tasks import Marks, Removal, ScanProposal, Vector
 from model.core.errors import CommandError
 from model.geometry.cleaning import CLUTTER, OBJECT, OUTLIER, SUPPORT
 from model.geometry.levelling import SURE

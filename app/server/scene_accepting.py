@@ -14,15 +14,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from app.server.acceptance_record import acceptance_record, carry_out
-from app.server.display_names import joint_title
+from app.server.acceptances import acceptance_record, carry_out
 from app.server.jobs import CLICKS
+from app.server.names import joint_title
 from app.server.observable import Notice
-from app.server.part_tasks import PartSource
-from app.server.scene_rows import HELD, Work
-from app.server.scene_state import SceneState
+from app.server.part_tasks import PartSource, validate_joints
+from app.server.scene_state import HELD, SceneState, Work
 from app.server.validating import problems_of, required_problem, unknown_names
-from app.server.validation_tasks import validate_joints
 from model.core.errors import CommandError
 from model.validation.examine import with_low_confidence, with_unknown_names
 from model.validation.report import Severity, ValidationReport

@@ -15,20 +15,25 @@ from typing import Any
 
 import numpy as np
 
-from app.server import scene_shapes, scene_tasks
+from app.server import scene_tasks
+from app.server.cutting import Picking
+from app.server.gallery import confidence
 from app.server.job import Job, OutOfTimeError, WorkerDied
 from app.server.jobs import CLICKS
+from app.server.object_context import SceneMember, Services
 from app.server.observable import Notice
-from app.server.review_order import confidence
 from app.server.scene_accepting import Accepting
-from app.server.scene_member import SceneMember
-from app.server.scene_picking import Picking
-from app.server.scene_rows import SHOWN, Row, Status, Work, drawn_labels, names_for
-from app.server.scene_saving import Saving
-from app.server.scene_shapes import DrawnParts, Shape
-from app.server.scene_state import SceneState
-from app.server.scene_tasks import OpenedScene, Prepared, SceneItem
-from app.server.services import Services
+from app.server.scene_state import (
+    SHOWN,
+    Row,
+    Saving,
+    SceneState,
+    Status,
+    Work,
+    drawn_labels,
+    names_for,
+)
+from app.server.scene_tasks import DrawnParts, OpenedScene, Prepared, SceneItem, Shape
 from app.server.tasks import ReadOptions
 from app.server.workers import READ_CANCELLED, READ_SECONDS, too_slow
 from model.core.errors import CommandError
@@ -287,7 +292,7 @@ class SceneWorkspace(SceneState):
         done = 1 - len(paths) / len({i.path for i in self.items.values() if i.path})
         report = self.jobs.progress("shapes")
         job = self.services.workers.reading.submit(
-            scene_shapes.shapes,
+            scene_tasks.shapes,
             paths,
             self.services.workspace,
             self._max_faces,
@@ -312,7 +317,7 @@ class SceneWorkspace(SceneState):
                 continue
             assert work.item.copy is not None
             job = self.services.workers.geometry.submit(
-                scene_shapes.drawn_parts, work.item.copy, self.services.workspace, ref,
+                scene_tasks.drawn_parts, work.item.copy, self.services.workspace, ref,
                 self._max_faces, _options(doc), priority=4,
             )  # fmt: skip
 

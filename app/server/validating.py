@@ -7,10 +7,10 @@ from collections import OrderedDict
 from collections.abc import Callable, Collection, Hashable
 from dataclasses import dataclass
 
-from app.server.display_names import joint_title
 from app.server.jobs import CLICKS
+from app.server.names import joint_title
 from app.server.object_context import ObjectContext
-from app.server.validation_tasks import validate_joints
+from app.server.part_tasks import validate_joints
 from model.core.errors import CommandError
 from model.core.tree import KinematicTree
 from model.validation.examine import with_low_confidence, with_unknown_names

@@ -30,9 +30,9 @@ MODULES = (
     "app.server.part_tasks",
     "app.server.picking_tasks",
     "app.server.prepare_tasks",
-    "app.server.saving_tasks",
+    "app.server.part_tasks",
     "app.server.segmenting_tasks",
-    "app.server.validation_tasks",
+    "app.server.part_tasks",
 )
 """Imports of the workers' first jobs: two seconds of a processor, mostly trimesh and scipy."""
 _NUMBER = struct.Struct("<i")

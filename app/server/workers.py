@@ -1,11 +1,150 @@
-"""The worker processes of a server."""
+"""The worker processes of a server, and the lanes of those that answer clicks: nobody's clicks
+share a process with another person's object.
+"""
 
 from __future__ import annotations
 
+import os
+import threading
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Protocol
+from weakref import WeakKeyDictionary
+
 from app.server.jobs import WorkerProcess
-from app.server.lanes import READING, Lanes, in_background
 from app.server.worker_template import WorkerTemplate
+from model.core.memory import limit_memory, machine_memory
 from model.core.progress import own_threads
+
+MEMORY = 0.75
+"""Share of the machine's memory for one job that may take much, and for the lanes together."""
+LANE_BYTES = 2 << 30
+"""Memory of a lane with full caches: encodings of 400,000 elements, 3 kB each, and libraries."""
+HEAVY_LANES = 2
+"""Two people with a heavy object each; more of them share these lanes."""
+
+
+READING, HEAVY = 5, 10
+"""Niceness of reading, a third of the processor beside a click, and of heavy objects, a tenth."""
+
+
+def in_background(niceness: int) -> None:
+    """Begin a process for what may take long: others go first, and its memory is bounded."""
+    os.nice(niceness)
+    limit_memory(MEMORY)
+
+
+class LaneUser(Protocol):
+    """Open object that a lane works on."""
+
+    @property
+    def in_use(self) -> bool:
+        """True while a tab shows it, or a job works on it."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Lane:
+    """Two processes for one object at a time.
+
+    Attributes:
+        geometry: cuts parts, picks points.
+        segmentation: encodes the object and answers clicks.
+    """
+
+    geometry: WorkerProcess
+    segmentation: WorkerProcess
+
+    @property
+    def busy(self) -> bool:
+        """True while one of its processes is busy."""
+        return self.geometry.busy or self.segmentation.busy
+
+
+class Lanes:
+    """The lanes of a server.
+
+    An object gets a lane that nobody else uses; a new one begins where all are in use, as far as
+    the machine's memory goes. So one annotator has one lane, with what it remembers of the objects
+    before. Heavy objects have lanes of their own, to which the system prefers all others.
+
+    Args:
+        template: what the processes are forked from; None starts interpreters.
+
+    Attributes:
+        first: the lane that is always there.
+    """
+
+    def __init__(self, template: WorkerTemplate | None = None) -> None:
+        self._template = template
+        self._lock = threading.Lock()
+        self._most = {False: max(1, int(MEMORY * machine_memory() / LANE_BYTES)), True: HEAVY_LANES}
+        self._lanes: dict[bool, list[Lane]] = {False: [], True: []}  # used last is last
+        self._of: WeakKeyDictionary[LaneUser, Lane] = WeakKeyDictionary()
+        self._closing = False
+        self.first = self._begin(heavy=False)
+
+    def __iter__(self) -> Iterator[Lane]:
+        with self._lock:
+            return iter([*self._lanes[False], *self._lanes[True]])
+
+    def _begin(self, *, heavy: bool) -> Lane:
+        lanes = self._lanes[heavy]
+        numbers = ("", *(f" {n}" for n in range(2, len(lanes) + 2)))
+        names = [f"{'heavy ' * heavy}%s{number}" for number in numbers]
+        taken = {lane.geometry.name for lane in lanes}
+        name = next(name for name in names if name % "geometry" not in taken)
+        lane = Lane(*(
+            WorkerProcess(
+                name % work,
+                initializer=in_background if heavy else None,
+                arguments=(HEAVY,) if heavy else (),
+                lazy=heavy or bool(lanes),
+                template=self._template,
+            )
+            for work in ("geometry", "segmentation")
+        ))  # fmt: skip
+        lanes.append(lane)
+        return lane
+
+    def take(self, user: LaneUser, *, heavy: bool) -> Lane:
+        """Return the lane of an object that is opened or shown: its former one if nobody else uses
+        that. Where all are in use, the one with the fewest objects.
+        """
+        with self._lock:
+            lanes, mine = self._lanes[heavy], self._of.get(user, self.first)
+            users = Counter(
+                lane for other, lane in self._of.items() if other is not user and other.in_use
+            )
+            if user not in self._of or mine not in lanes or users[mine]:
+                free = [lane for lane in lanes if not users[lane] and not lane.busy]
+                if not free and len(lanes) < self._most[heavy] and not self._closing:
+                    free = [self._begin(heavy=heavy)]
+                if free or user not in self._of or mine not in lanes:
+                    mine = min(free or lanes, key=lambda lane: users[lane])
+            self._of[user] = mine
+            lanes.remove(mine)
+            lanes.append(mine)
+            return mine
+
+    def leave(self, user: LaneUser) -> None:
+        """Take a lane from an object that is closed, and end it where it has no other one."""
+        with self._lock:
+            lane = self._of.pop(user, None)
+            if lane in (None, self.first, *self._of.values()):
+                return
+            for lanes in self._lanes.values():
+                if lane in lanes:
+                    lanes.remove(lane)
+        lane.geometry.begin_to_close()
+        lane.segmentation.begin_to_close()
+
+    def close(self) -> list[WorkerProcess]:
+        """Begin no more lanes; returns the processes to end."""
+        self._closing = True
+        return [worker for lane in self for worker in (lane.geometry, lane.segmentation)]
+
 
 READ_SECONDS = 600.0
 """Longest reading of a file; scans of 50 million points take one minute."""

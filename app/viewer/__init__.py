@@ -6,6 +6,6 @@
 - ``panels``: groups of widgets; they get the tab, values and callbacks, never a step
 - ``input``: pointer, tools, keys, and the guard before decisions
 - ``picture``: what is drawn in 3D
-- ``tab``: the browser, its user and the selection; with ``tab_threads`` and ``text``
+- ``tab``: the browser, its user, the selection and the two threads
 - ``words``: all texts, one file a screen
 """

@@ -10,22 +10,17 @@ import viser
 from app.server.app_state import AppState
 from app.server.open_object import OpenObject
 from app.viewer.commands import Commands, bindings
-from app.viewer.input.decision_guard import DecisionGuard
-from app.viewer.input.keys import KeySheet, add_keys
+from app.viewer.input.keys import DecisionGuard, KeySheet, add_keys
 from app.viewer.input.pointing import PointerActions, Pointing
 from app.viewer.input.queries import Point, PointerQueries
 from app.viewer.input.views import Views
 from app.viewer.navigation import Memory, Navigation
-from app.viewer.panels.comments import Comments
+from app.viewer.panels.comments import Comments, History
 from app.viewer.panels.exporting import Exporting
-from app.viewer.panels.history import History
-from app.viewer.panels.markup import Presses
-from app.viewer.panels.object_header import ObjectHeader
 from app.viewer.panels.queue_panel import QueuePanel
-from app.viewer.panels.step_bar import StepBar
-from app.viewer.panels.tool_rail import RailActions, ToolRail
+from app.viewer.panels.step_bar import ObjectHeader, RailActions, StepBar, ToolRail
 from app.viewer.panels.tour import Tour
-from app.viewer.panels.widgets import put
+from app.viewer.panels.widgets import Presses, put
 from app.viewer.picture.drawing import ObjectDrawing
 from app.viewer.picture.light import PLAIN, LightSwitch, Theme
 from app.viewer.picture.motion import Motion

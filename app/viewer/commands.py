@@ -11,10 +11,10 @@ from app.viewer.input.pointing import Pointing
 from app.viewer.input.views import VIEWS, Views
 from app.viewer.navigation import Navigation
 from app.viewer.panels.comments import Comments
-from app.viewer.panels.predict_buttons import predict
-from app.viewer.panels.quick_names import SHOWN
-from app.viewer.panels.rejecting import Rejecting
-from app.viewer.panels.tool_rail import ToolRail
+from app.viewer.panels.part_list import SHOWN
+from app.viewer.panels.reviewing import Rejecting
+from app.viewer.panels.step_bar import ToolRail
+from app.viewer.panels.widgets import predict
 from app.viewer.picture.motion import Motion
 from app.viewer.picture.object_picture import ObjectPicture, View
 from app.viewer.steps.annotate import AnnotateStep
@@ -24,8 +24,8 @@ from app.viewer.steps.review import ReviewStep
 from app.viewer.steps.scene import SceneStep
 from app.viewer.tab import STEPS, Tab
 from app.viewer.words import common
+from app.viewer.words import keys as view_words
 from app.viewer.words import keys as words
-from app.viewer.words import view as view_words
 from app.viewer.words.annotate import TOOL_ROWS
 from sessions import commands as cmd
 from sessions.review import RejectReason

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from app.server.app_state import AppState
-from app.server.display_names import display_text
+from app.server.names import display_text
 from app.server.open_object import OpenObject
 from app.viewer.tab import Tab
 from app.viewer.words import common as words

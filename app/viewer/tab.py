@@ -1,27 +1,184 @@
-"""State that the screens of one browser tab share: browser, user, selection.
-
-This is the lowest layer of the viewer; it knows no panel. viser's callbacks only queue actions
-here, so its event loop never waits.
+"""The core of one browser tab: the browser, its user and the selection, its notes, its two threads,
+and text from people, made safe to show.
 """
 
 from __future__ import annotations
 
+import logging
+import queue
+import threading
+import time
 from collections.abc import Callable
 from typing import Any, Literal, Protocol
 
 import viser
+from markdown_it import MarkdownIt
 
-from app.server.display_names import display_text, moved_part
+from app.server.job import WorkerDied
+from app.server.names import display_text, moved_part
 from app.server.open_object import OpenObject
-from app.server.pointer_messages import set_page_state
-from app.viewer.notes import Notes
-from app.viewer.tab_threads import TabThreads
+from app.server.page import set_page_state
 from app.viewer.words import common as words
 from model.core.errors import ArtiworldError
 from model.core.joint import Joint
+from model.core.progress import Cancelled
 from model.segmentation.prompts import MAX_PARTS
 from sessions import commands as cmd
 from sessions.accounts import Account
+
+_KEEP = set(" -.,:;()/+%°·→×²³µ'")
+
+
+def plain(text: str, limit: int = 120) -> str:
+    """``text`` as literal markdown: no markup, no HTML, no expression survives.
+
+    The browser compiles markdown as MDX, where braces are code; every character that is not a
+    letter, a digit or harmless punctuation becomes a numeric entity.
+    """
+    short = text if len(text) <= limit else text[: limit - 1] + "…"
+    return "".join(c if c.isalnum() or c in _KEEP else f"&#{ord(c)};" for c in short)
+
+
+def markdown_html(text: str) -> str:
+    """Markdown from people as HTML: HTML in it is shown as text, and nothing is loaded.
+
+    Links lead to http, https and mailto only, in a tab of their own; images are shown as links.
+    """
+    reader = MarkdownIt("commonmark", {"html": False}).enable("table")
+    tokens = reader.parse(text)
+    for token in tokens:
+        for child in token.children or ():
+            if child.type == "image":
+                child.type, child.tag = "text", ""
+                child.content = f"[{child.content}] ({child.attrs.get('src', '')})"
+                child.children = None
+            elif child.type == "link_open":
+                link = str(child.attrs.get("href", ""))
+                if not link.lower().startswith(("https://", "http://", "mailto:")):
+                    child.attrs.pop("href", None)
+                child.attrs.update(target="_blank", rel="noopener noreferrer nofollow")
+    return reader.renderer.render(tokens, reader.options, {})
+
+
+def path_with_tooltip(path: str, limit: int = 44) -> str:
+    """A path as literal markdown, shortened in the middle to a panel's width; whole on hovering."""
+    half = (limit - 1) // 2
+    short = path if len(path) <= limit else f"{path[:half]}…{path[-half:]}"
+    return f'<span title="{plain(path, 1000)}">{plain(short)}</span>'
+
+
+def percent(share: float) -> str:
+    """A share, 0..1, with one digit; what there is at all is never shown as nothing."""
+    return "< 0.1 %" if share < 0.0005 else f"{100 * share:.1f} %"
+
+
+MOST = 3
+"""Notes at a time: what fits below the queue."""
+
+
+class Notes:
+    """Shows notes in the corner of a page, below the queue and not over the object."""
+
+    def __init__(self, client: viser.ClientHandle) -> None:
+        self._client = client
+        self._shown: list[tuple[Any, Any, Any]] = []  # title and colour, reason, handle
+
+    def show(
+        self, title: str, body: str, color: Any, seconds: float | None, reason: Any = None
+    ) -> None:
+        """Show a note in place of an earlier one of the same title and colour: a hint doesn't hide
+        the question that it is about.
+
+        Args:
+            seconds: how long it stays at most; None until somebody closes it.
+            reason: the state that it is about, see :meth:`end_others`; None where it is an event.
+        """
+        same = [n for n in self._shown if n[0] == (title, color)]
+        for note in same or self._shown[: max(len(self._shown) - MOST + 1, 0)]:
+            self._end(note)
+        handle = self._client.add_notification(title, body, auto_close_seconds=seconds, color=color)
+        self._shown = [*self._shown, ((title, color), reason, handle)]
+
+    def end_others(self, reason: Any) -> None:
+        """End the notes that are about another state than ``reason``."""
+        for note in [n for n in self._shown if n[1] not in (None, reason)]:
+            self._end(note)
+
+    def _end(self, note: tuple[Any, Any, Any]) -> None:
+        self._shown = [n for n in self._shown if n is not note]
+        note[2].remove()
+
+
+log = logging.getLogger(__name__)
+
+
+class TabThreads:
+    """Carries out a tab's actions, and draws.
+
+    Args:
+        name: of the tab, for the log.
+        notify: shows the user ``(title, body, color)``.
+
+    Attributes:
+        drawings: how often the screen was brought up to date.
+    """
+
+    def __init__(self, name: str, notify: Callable[[str, str, str], None]) -> None:
+        self.closed = False
+        self.drawings = 0
+        self._name = name
+        self._notify = notify
+        self._actions: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
+        self._dirty = threading.Event()
+
+    def start(self, draw: Callable[[], None]) -> None:
+        """Begin, with what was asked for before; ``draw`` sends what changed."""
+        for target, args in ((self._act_loop, ()), (self._draw_loop, (draw,))):
+            threading.Thread(target=target, args=args, name=self._name, daemon=True).start()
+
+    def close(self) -> None:
+        """End both threads: the tab is gone."""
+        self.closed = True
+        self._actions.put(None)
+        self._dirty.set()
+
+    def act(self, action: Callable[[], None]) -> None:
+        """Carry out ``action`` after those before it."""
+        self._actions.put(action)
+
+    def invalidate(self) -> None:
+        """Draw again soon."""
+        self._dirty.set()
+
+    def _act_loop(self) -> None:
+        while (action := self._actions.get()) is not None:
+            try:
+                action()
+            except Cancelled:
+                pass
+            except (ArtiworldError, WorkerDied) as error:
+                self._notify(words.NOT_POSSIBLE, str(error), "yellow")
+            except Exception:  # the boundary of an action: report and continue
+                if self.closed:
+                    return
+                log.exception("an action in %s failed", self._name)
+                self._notify(*words.INTERNAL_ERROR, "red")
+            self.invalidate()
+
+    def _draw_loop(self, draw: Callable[[], None]) -> None:
+        while True:
+            self._dirty.wait()
+            self._dirty.clear()
+            if self.closed:
+                return
+            try:
+                draw()
+            except Exception:  # the boundary of drawing: a closing tab must not end the server
+                if not self.closed:
+                    log.exception("drawing %s failed", self._name)
+            self.drawings += 1
+            time.sleep(0.01)
+
 
 Step = Literal["Prepare", "Annotate", "Joints", "Review"]
 STEPS: tuple[Step, ...] = ("Prepare", "Annotate", "Joints", "Review")

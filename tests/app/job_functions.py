@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from app.server import scene_shapes, segmenting_tasks
+from app.server import scene_tasks, segmenting_tasks
 from app.server.jobs import WorkerProcess
 from model.core.errors import InputFileError, KinematicsError
 from model.core.geometry import PointCloud
@@ -182,7 +182,7 @@ def shapes_without_end_of_rocks(paths: Sequence[Path], *more: Any, progress: Pro
         if message.startswith("rock"):
             time.sleep(1000)
 
-    return scene_shapes.shapes(paths, *more, progress=hang)
+    return scene_tasks.shapes(paths, *more, progress=hang)
 
 
 def read_badly(path: Path, is_scene: bool) -> int:

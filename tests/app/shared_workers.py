@@ -8,7 +8,7 @@ from collections.abc import Hashable, Iterator
 from typing import Any
 from unittest import mock
 
-from app.server import lanes, workers
+from app.server import workers
 from app.server.job import Job
 from app.server.jobs import WorkerProcess
 from app.server.worker_template import WorkerTemplate
@@ -77,7 +77,7 @@ def shared_workers() -> Iterator[None]:
 
     with (
         mock.patch.object(workers, "WorkerProcess", worker),
-        mock.patch.object(lanes, "WorkerProcess", worker),
+        mock.patch.object(workers, "WorkerProcess", worker),
         mock.patch.object(workers.WorkerTemplate, "possible", return_value=False),
     ):
         yield

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from app.server.light_tasks import lit_mesh, lit_parts
+from app.server.display_tasks import lit_mesh, lit_parts
 from app.server.tasks import ReadOptions, working_copy
 from model.core.geometry import Mesh
 from model.geometry.ambient_light import crease_edges, is_plain, with_ambient_occlusion

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from app.cli.benchmarks import clients, faults
-from app.cli.benchmarks.fault_samples import FaultSample, damaged, fault_samples
+from app.cli.benchmarks import faults
+from app.cli.benchmarks.shapes import FaultSample, damaged, fault_samples
 from app.cli.main import main
 from model.core.errors import InputFileError
 from model.io.geometry_files import SUFFIXES
@@ -73,7 +73,7 @@ def test_killed_servers_lose_nothing_and_leave_nothing(capfd) -> None:
 
 @pytest.mark.parametrize("answers", [True, False])
 def test_a_click_without_its_labels_is_lost(answers: bool, monkeypatch) -> None:
-    monkeypatch.setattr(clients, "LOST", 0.2)
+    monkeypatch.setattr(faults, "LOST", 0.2)
     doc = SimpleNamespace(prompts=[], segmentation_current=True)
     asset = SimpleNamespace(bounds=np.zeros((2, 3)))
     app: Any = SimpleNamespace(drawing=SimpleNamespace(shows_labels=True))
@@ -83,8 +83,8 @@ def test_a_click_without_its_labels_is_lost(answers: bool, monkeypatch) -> None:
     )
     app.pointing = SimpleNamespace(click=lambda *_: doc.prompts.append(1) if answers else None)
     browser: Any = SimpleNamespace(last=time.perf_counter())
-    taken = clients.timed_click(browser, app, np.random.default_rng(0))
-    assert (taken < 0.2) == answers and (taken == clients.LOST) != answers
+    taken = faults.timed_click(browser, app, np.random.default_rng(0))
+    assert (taken < 0.2) == answers and (taken == faults.LOST) != answers
 
 
 @pytest.mark.slow
@@ -97,22 +97,22 @@ def test_clicks_are_measured_beside_files_that_open_and_files_that_are_refused(
         files[1].write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
         return files
 
-    monkeypatch.setattr(clients, "PEOPLE", 2)
-    monkeypatch.setattr(clients, "POINTS", 20_000)
-    monkeypatch.setattr(clients, "PAUSE", (0.05, 0.1))
-    monkeypatch.setattr(clients, "write_worst", two_files)
+    monkeypatch.setattr(faults, "PEOPLE", 2)
+    monkeypatch.setattr(faults, "POINTS", 20_000)
+    monkeypatch.setattr(faults, "PAUSE", (0.05, 0.1))
+    monkeypatch.setattr(faults, "write_worst", two_files)
     assert main(["bench", "faults", "--limit", "0", "--clients", "4", "--json"]) == 0
     alone, beside = json.loads(capfd.readouterr().out)["clients"]
     assert alone["with"] == "nobody else" and not alone["opened"] and alone["p95 ratio"] == 1.0
     assert beside["opened"] >= 1 <= beside["refused"]
     for row in (alone, beside):
         assert row["clicks"] >= 2 and not row["lost"]
-        assert 0 < row["p50 ms"] <= row["p95 ms"] <= row["longest ms"] < 1000 * clients.LOST
+        assert 0 < row["p50 ms"] <= row["p95 ms"] <= row["longest ms"] < 1000 * faults.LOST
 
 
 @pytest.mark.slow
 def test_the_worst_files_are_refused_or_opened(tmp_path: Path) -> None:
-    for path in clients.write_worst(tmp_path):
+    for path in faults.write_worst(tmp_path):
         if path.stem in ("face", "shared", "line"):
             with pytest.raises(InputFileError, match=r"corners|two parents|characters"):
                 open_asset(path)

@@ -10,8 +10,8 @@ import pytest
 import viser
 from websockets.sync.client import connect
 
-from app.server.camera_guard import make_possible
 from app.server.guard import guarded_server
+from app.server.page import make_possible
 from tests.builders import wait_until
 
 

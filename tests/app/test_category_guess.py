@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from app.viewer.panels.category_guess import category_guesses, category_in
-from app.viewer.panels.quick_names import SHOWN, USUAL, names_for
+from app.viewer.panels.part_list import SHOWN, USUAL, category_guesses, category_in, names_for
 from app.viewer.picture.palette import CATEGORIES
 from sessions.database import ObjectRecord
 

@@ -16,12 +16,12 @@ import pytest
 import trimesh
 import yourdfpy
 
-from app.cli import printing, segment
-from app.cli.batch import Crashed, run_all
+from app.cli import output, segment
 from app.cli.commands import COMMANDS
+from app.cli.export import Crashed, run_all
 from app.cli.main import main, make_parser, parse
 from app.cli.reference import arguments, parsers
-from app.server.crash_log import write_crash
+from app.server.ending import write_crash
 from model.core.errors import ConfigurationError, KinematicsError
 from model.io.assets.reader import read_provenance
 from tests.app.job_functions import crash_on
@@ -388,7 +388,7 @@ def asset(segmented, tmp_path_factory) -> Path:
 def test_export_lists_many_collision_shapes_in_one_row(capfd):
     shapes = [{"file": f"meshes/collision/link_0_{i}.obj", "bytes": 100} for i in range(24)]
     files = [{"file": "object.urdf", "bytes": 7}, {"file": "meshes/link_0.obj", "bytes": 9}]
-    printing.print_files({"asset": "a", "format": "urdf", "files": files + shapes}, Path("o"))
+    output.print_files({"asset": "a", "format": "urdf", "files": files + shapes}, Path("o"))
     out = capfd.readouterr().out
     assert "object.urdf" in out and "meshes/link_0.obj" in out
     assert "meshes/collision/ · 24 files" in out and "2,400" in out and "link_0_3" not in out

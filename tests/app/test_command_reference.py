@@ -9,7 +9,8 @@ from typing import Literal
 
 import pytest
 
-from app.cli.command import (
+from app.cli.main import make_parser
+from app.cli.options import (
     Command,
     Option,
     add_commands,
@@ -21,7 +22,6 @@ from app.cli.command import (
     repeated,
     required,
 )
-from app.cli.main import make_parser
 from app.cli.reference import DOCUMENT, arguments, parsers, reference
 
 

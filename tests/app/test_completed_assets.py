@@ -11,8 +11,7 @@ import pytest
 from app.server import part_tasks, tasks
 from app.server.display_tasks import open_asset
 from app.server.export_tasks import ExportTask, export_one
-from app.server.part_tasks import PartSource, articulated_object
-from app.server.saving_tasks import prepare_asset
+from app.server.part_tasks import PartSource, articulated_object, prepare_asset
 from app.server.tasks import ReadOptions
 from model.core.memory import LruCache
 from model.geometry.completion import OPENING, SURFACE, THICKNESS, TRAY

@@ -12,7 +12,7 @@ from contextlib import ExitStack
 
 import pytest
 
-from app.server import guard, shared_port
+from app.server import guard, network
 from app.server.network import OncePerMinute, free_port
 from tests.builders import wait_until
 
@@ -47,12 +47,12 @@ def answers(url: str) -> bool:
 def backend(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
     pytest.importorskip("uvicorn", reason="needs the extra backend")
     pytest.importorskip("fastapi", reason="needs the extra backend")
-    from app.server import http_limits
+    from app.server import backend_server
     from app.server.backend_server import Backend, BackendSettings
 
-    monkeypatch.setattr(http_limits, "HEADER_SECONDS", 0.5)
-    monkeypatch.setattr(http_limits.LimitedProtocol, "max_sockets", 30)
-    server = http_limits.limited_server(Backend(BackendSettings("geometric"), []).application())
+    monkeypatch.setattr(backend_server, "HEADER_SECONDS", 0.5)
+    monkeypatch.setattr(backend_server.LimitedProtocol, "max_sockets", 30)
+    server = backend_server.limited_server(Backend(BackendSettings("geometric"), []).application())
     with socket.create_server(("127.0.0.1", 0)) as listener:
         thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
         thread.start()
@@ -77,7 +77,7 @@ def test_half_headers_do_not_silence_a_backend(
 
 
 def test_half_headers_do_not_silence_a_server(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(shared_port, "MAX_SOCKETS", 30)
+    monkeypatch.setattr(network, "MAX_SOCKETS", 30)
     port = free_port("127.0.0.1")
     server = guard.guarded_server("127.0.0.1", port)
     try:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from app.cli.annotator_report import annotate_all
+from app.cli.evaluate import annotate_all
 from app.cli.main import main
 from app.cli.simulated_annotator import BY_HAND, AnnotatorConfig, annotate
 from model.data.registry import DatasetOptions, open_dataset

@@ -14,10 +14,9 @@ import trimesh
 
 from app.server import tasks
 from app.server.display_tasks import open_asset
+from app.server.ending import remove_leftovers, unfinished
 from app.server.jobs import JobFailed, WorkerProcess
-from app.server.leftovers import remove_leftovers, unfinished
-from app.server.part_tasks import PartSource
-from app.server.saving_tasks import prepare_asset
+from app.server.part_tasks import PartSource, prepare_asset
 from app.server.tasks import ReadOptions
 from model.core.errors import InputFileError, StoreError
 from model.core.joint import Joint

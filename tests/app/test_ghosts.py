@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from app.server.scene_shapes import Shape
+from app.server.scene_tasks import Shape
 from app.viewer.picture.ghosts import Ghosts, before
 from app.viewer.picture.scene_nodes import Placement, Scans
 from tests.builders import wait_until

@@ -24,7 +24,7 @@ from app.server import guard, network
 from app.server.guard import RouteAnswer, RouteRequest, guarded_server
 from app.server.login import ATTEMPTS, GUESSES, Login, new_token
 from app.server.network import check_address, free_port, is_loopback
-from app.server.upload_guard import plain_name, unfinished_uploads
+from app.server.uploads import plain_name, unfinished_uploads
 from model.core.errors import ConfigurationError
 from tests.builders import wait_until
 

@@ -22,14 +22,14 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule, run_state_machine_as_test
 
 from app.server import app_state as app_state_module
-from app.server import bulk, job, saving_tasks, scene_saving_tasks, validation_tasks
+from app.server import bulk, job, part_tasks, scene_saving_tasks
 from app.server.accepting import accept
 from app.server.api import reviews
 from app.server.app_state import AppState
 from app.server.config import ServeConfig
 from app.server.job import Job
 from app.server.open_object import OpenObject
-from app.server.scene_rows import Work
+from app.server.scene_state import Work
 from app.server.scene_workspace import SceneWorkspace
 from model.core.errors import CommandError
 from model.validation.report import Finding, JointReport, Severity, ValidationReport
@@ -83,13 +83,13 @@ class Held:
 
     @property
     def is_check(self) -> bool:
-        return self.function is validation_tasks.validate_joints
+        return self.function is part_tasks.validate_joints
 
     def end(self, severity: Severity = Severity.OK) -> None:
         value: Any = {"states": {}}
         if self.is_check:
             value = report_of(severity)
-        elif self.function is saving_tasks.prepare_asset:
+        elif self.function is part_tasks.prepare_asset:
             value = self.server.draft(self.args[1])
         self.job.end("done", value)
         callbacks_are_done()
@@ -99,7 +99,7 @@ class Server:
     """A server whose checks, drafts and saved scenes are made by hand."""
 
     held_functions = (
-        validation_tasks.validate_joints, saving_tasks.prepare_asset, scene_saving_tasks.save_scene
+        part_tasks.validate_joints, part_tasks.prepare_asset, scene_saving_tasks.save_scene
     )  # fmt: skip
 
     def __init__(self, folder: Path) -> None:

@@ -12,9 +12,9 @@ import pytest
 
 from app.server.display_tasks import PartPayload
 from app.server.validating import JointCollision
-from app.viewer.picture.joint_marks import AxisMark, JointMarks
+from app.viewer.picture.marks import AxisMark, JointMarks
 from app.viewer.picture.motion import Motion
-from app.viewer.picture.moving_parts import MovingParts
+from app.viewer.picture.object_nodes import MovingParts
 from app.viewer.tab import Selection
 from model.core.joint import Joint
 from model.core.tree import KinematicTree

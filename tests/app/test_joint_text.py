@@ -9,10 +9,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.server.display_names import display_text, joint_title, moved_part, part_title
-from app.viewer.panels.joint_rows import joint_lines, least_confident
-from app.viewer.panels.joint_text import joint_note, range_text
-from app.viewer.panels.joint_tree import tree_html
+from app.server.names import display_text, joint_title, moved_part, part_title
+from app.viewer.panels.joint_tree import (
+    joint_lines,
+    joint_note,
+    least_confident,
+    range_text,
+    tree_html,
+)
 from model.core.articulated_object import ArticulatedObject, Part, Prediction
 from model.core.errors import KinematicsError
 from model.core.geometry import PointCloud

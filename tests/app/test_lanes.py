@@ -11,12 +11,12 @@ import pytest
 import trimesh
 from PIL import Image
 
-from app.server import lanes as module
+from app.server import workers as module
 from app.server.app_state import AppState
 from app.server.config import ServeConfig
-from app.server.lanes import Lane, Lanes
 from app.server.open_object import OpenObject
 from app.server.tasks import PIXELS_KEPT, asset_of, pixels_of
+from app.server.workers import Lane, Lanes
 from model.segmentation.prompts import Click
 from sessions import commands as cmd
 from sessions.store import Store

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.server.leftovers import LOCK, WorkspaceLease, remove_leftovers
+from app.server.ending import LOCK, WorkspaceLease, remove_leftovers
 from sessions.storage import ArrayFiles
 
 LEFT = (
@@ -52,7 +52,7 @@ def test_a_lone_server_removes_what_is_unfinished_and_nothing_else(workspace: Pa
 
 def test_nothing_is_removed_while_another_server_runs(workspace: Path) -> None:
     code = (
-        "import sys; from pathlib import Path; from app.server.leftovers import WorkspaceLease; "
+        "import sys; from pathlib import Path; from app.server.ending import WorkspaceLease; "
         "lease = WorkspaceLease(Path(sys.argv[1])); print('held', flush=True); sys.stdin.read()"
     )
     other = subprocess.Popen(

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from app.viewer.picture.limit_gauge import LimitGauge, limits_with, snapped
+from app.viewer.picture.joint_handles import LimitGauge, limits_with, snapped
 from model.core.joint import Joint
 
 DOOR = Joint("door", "revolute", "base", "link_1", (0, 0, -1), (-0.4, -0.25, 0.3), 0.0, 1.6)

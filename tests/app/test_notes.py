@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from app.viewer.notes import MOST, Notes
+from app.viewer.tab import MOST, Notes
 
 
 @pytest.fixture

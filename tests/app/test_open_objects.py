@@ -17,9 +17,9 @@ import trimesh
 
 from app.server import app_state as workbench
 from app.server import display_tasks, picking_tasks, segmenting_tasks
+from app.server.acceptances import AssetDrafts
 from app.server.app_state import AppState
 from app.server.config import ServeConfig
-from app.server.drafts import AssetDrafts
 from app.server.job import Job
 from app.server.open_object import OpenObject
 from app.server.workers import READ_CANCELLED

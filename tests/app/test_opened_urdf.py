@@ -22,7 +22,7 @@ from app.server.config import ServeConfig
 from app.server.open_object import OpenObject
 from app.server.part_tasks import articulated_object
 from app.server.tasks import arrays_of, stamp
-from app.viewer.panels.joint_text import joint_note
+from app.viewer.panels.joint_tree import joint_note
 from app.viewer.steps.review import summary
 from model.core.joint import JointDynamics
 from model.io.assets.reader import declared_entry, load_object

@@ -10,7 +10,7 @@ from unittest.mock import Mock
 import pytest
 
 from app.server.job import Job
-from app.server.running_jobs import RunningJobs
+from app.server.observable import RunningJobs
 from app.server.segmenting import Segmenting
 from app.server.tool_tasks import FaceCutOffer, MaskOffer, RegionOffer, ToolRequest
 from model.core.errors import CommandError

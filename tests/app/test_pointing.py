@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from app.server.job import Job
-from app.server.lanes import Lane
 from app.server.object_context import ObjectContext
+from app.server.workers import Lane
 from app.viewer.input import queries
 from app.viewer.input.pointing import Pointing
 from app.viewer.input.queries import PointerQueries

@@ -9,8 +9,8 @@ import pytest
 
 from app.client import ApiError, Client
 from app.server.server import Server
-from app.viewer.text import markdown_html
-from app.viewer.words import export, project
+from app.viewer.tab import markdown_html
+from app.viewer.words import project, queue
 from model.core.errors import ConfigurationError
 from model.validation.report import KINDS
 from sessions.project_settings import ProjectSettings, labels_from_text, labels_to_text
@@ -119,7 +119,7 @@ def test_instructions_run_nothing_and_load_nothing() -> None:
 
 def test_the_dialogs_offer_all_there_is() -> None:
     assert set(project.KINDS) == set(KINDS)
-    for collision in export.COLLISIONS.values():
+    for collision in queue.COLLISIONS.values():
         assert ProjectSettings().changed({"collision": collision}).collision == collision
 
 

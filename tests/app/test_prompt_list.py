@@ -4,9 +4,8 @@ from types import SimpleNamespace
 from typing import Any
 
 from app.server.tool_tasks import NEXT_MASK, TOOLS
-from app.viewer.panels.history import what_happened
-from app.viewer.panels.part_list import parts_listed
-from app.viewer.panels.prompt_list import PromptList, prompt_entries
+from app.viewer.panels.comments import what_happened
+from app.viewer.panels.part_list import PromptList, parts_listed, prompt_entries
 from app.viewer.words.annotate import TOOL_ROWS
 from model.core.joint import Joint
 from model.segmentation.prompts import Click

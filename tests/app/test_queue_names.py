@@ -2,7 +2,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from app.server.queue_names import clipped, queue_names
+from app.server.names import clipped, queue_names
 from sessions.database import ObjectRecord
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from app.server.review_order import UNKNOWN, ReviewOrder, confidence
+from app.server.gallery import UNKNOWN, ReviewOrder, confidence
 from model.core.articulated_object import Prediction
 from model.core.joint import Joint
 from model.core.tree import KinematicTree

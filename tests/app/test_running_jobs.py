@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from app.server.job import Job, WorkerDied
-from app.server.running_jobs import RunningJobs
+from app.server.observable import RunningJobs
 from model.core.errors import CommandError
 from model.core.progress import Cancelled
 

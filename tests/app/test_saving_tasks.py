@@ -12,10 +12,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from app.server import part_tasks, saving_tasks, tasks
+from app.server import part_tasks, tasks
 from app.server.display_tasks import open_asset
-from app.server.part_tasks import PartSource
-from app.server.saving_tasks import DRAFTS_KEPT, prepare_asset
+from app.server.part_tasks import DRAFTS_KEPT, PartSource, prepare_asset
 from app.server.tasks import ReadOptions
 from model.core.joint import Joint
 from model.core.tree import KinematicTree
@@ -38,7 +37,7 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> PartSource:
 
 @pytest.fixture(autouse=True)
 def no_drafts(source: PartSource) -> None:
-    saving_tasks.shutil.rmtree(source.workspace / "drafts", ignore_errors=True)
+    part_tasks.shutil.rmtree(source.workspace / "drafts", ignore_errors=True)
 
 
 def accepted(source: PartSource, tree: KinematicTree, folder: Path, record: dict) -> Path:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from app.server.scene_shapes import Shape
+from app.server.scene_tasks import Shape
 from app.viewer.picture.scene_nodes import Node, Placement, first_under
 from model.geometry.picking import DEFAULT_PIXEL_ANGLE
 

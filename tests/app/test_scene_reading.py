@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from app.server import scene_shapes, scene_tasks, scene_workspace
+from app.server import scene_tasks, scene_workspace
 from app.server.app_state import AppState
 from app.server.config import ServeConfig
-from app.server.scene_shapes import Shape
+from app.server.scene_tasks import Shape
 from app.server.scene_workspace import SceneWorkspace
 from app.server.workers import READ_CANCELLED
 from sessions.store import Store
@@ -65,7 +65,7 @@ def test_a_scene_is_cancelled_and_read_again(open_scene, monkeypatch) -> None:
 
 def test_an_asset_without_end_is_skipped_and_the_others_go_on(open_scene, monkeypatch) -> None:
     with monkeypatch.context() as patched:
-        patched.setattr(scene_shapes, "shapes", shapes_without_end_of_rocks)
+        patched.setattr(scene_tasks, "shapes", shapes_without_end_of_rocks)
         scene = open_scene()
         wait_until(lambda: "rock" in scene.busy.get("shapes", (0, ""))[1], "the rock is read")
         work = scene.work("rock")
@@ -83,7 +83,7 @@ def test_an_asset_without_end_is_skipped_and_the_others_go_on(open_scene, monkey
 def test_an_asset_that_takes_too_long_is_left_out_with_its_name(open_scene, monkeypatch) -> None:
     scene = open_scene()
     wait_until(lambda: len(scene.shapes) == 2 and not scene.busy, "all is read")
-    monkeypatch.setattr(scene_shapes, "shapes", shapes_without_end_of_rocks)
+    monkeypatch.setattr(scene_tasks, "shapes", shapes_without_end_of_rocks)
     monkeypatch.setattr(scene_workspace, "READ_SECONDS", 5.0)
     scene.shapes = {}
     scene.go_on()

@@ -258,7 +258,7 @@ def test_the_pages_messages_are_known_whoever_asked_first():
     """In a process of its own: viser keeps what it knew when it was first asked."""
     words = (
         "from viser import _messages as m; m.Message._subclass_from_type_string();"
-        "import app.server.pointer_messages as p;"
+        "import app.server.page as p;"
         "known = m.Message._subclass_from_type_string();"
         "assert known['ArtiworldHoverMessage'] is p.ArtiworldHoverMessage"
     )

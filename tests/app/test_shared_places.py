@@ -15,14 +15,12 @@ import numpy as np
 import pytest
 import trimesh
 
-from app.server import room_tasks, tasks
-from app.server.leftovers import unfinished
-from app.server.light_tasks import lit_mesh
-from app.server.part_tasks import PartSource
-from app.server.saving_tasks import DRAFTS_KEPT, prepare_asset
+from app.server import prepare_tasks, tasks
+from app.server.display_tasks import lit_mesh
+from app.server.ending import unfinished
+from app.server.part_tasks import DRAFTS_KEPT, PartSource, prepare_asset
 from app.server.scene_saving_tasks import save_scene
-from app.server.scene_shapes import shapes
-from app.server.scene_tasks import SceneItem, make_working_copy
+from app.server.scene_tasks import SceneItem, make_working_copy, shapes
 from app.server.thumbnail_tasks import draw_thumbnail
 from app.server.uploads import keep_upload
 from model.core.errors import ArtiworldError
@@ -155,7 +153,9 @@ def an_asset(given: Path, workspace: Path) -> Path:
 
 def a_part_cut_out(given: Path, workspace: Path) -> Path:
     source = _half_a_box(given, workspace)
-    return room_tasks.cut_out(source.folder, workspace, source.labels, 1, None, "door").path.parent
+    return prepare_tasks.cut_out(
+        source.folder, workspace, source.labels, 1, None, "door"
+    ).path.parent
 
 
 def a_drawn_shape(given: Path, workspace: Path) -> Path:

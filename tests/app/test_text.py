@@ -3,7 +3,7 @@ import re
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.viewer.text import plain
+from app.viewer.tab import plain
 
 
 @given(st.text(max_size=200))

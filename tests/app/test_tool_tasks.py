@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from app.server import room_tasks, segmenting_tasks, tasks, tool_tasks
+from app.server import prepare_tasks, segmenting_tasks, tasks, tool_tasks
 from app.server.display_tasks import OpenedAsset, open_asset
-from app.server.scene_shapes import drawn_parts
+from app.server.scene_tasks import drawn_parts
 from app.server.segmenting_tasks import StoredRegion, session_of
 from app.server.tool_tasks import NEW_PART, ToolRequest, use_tool
 from model.core.errors import CommandError
@@ -267,7 +267,7 @@ def test_an_object_leaves_the_room_and_knows_its_place(tmp_path):
     every = np.concatenate([floor, wall, box])
     trimesh.PointCloud(every).export(tmp_path / "room.ply")
     room = open_asset(tmp_path / "room.ply", tmp_path, tasks.ReadOptions())
-    removal = room_tasks.floor_and_walls(room.folder, tmp_path, None)
+    removal = prepare_tasks.floor_and_walls(room.folder, tmp_path, None)
     inside = open_asset(
         tmp_path / "room.ply", tmp_path, tasks.ReadOptions(left_out=removal.elements)
     )
@@ -276,7 +276,7 @@ def test_an_object_leaves_the_room_and_knows_its_place(tmp_path):
     assert abs(inside.element_count - 8000) < 400
     arrays = tasks.arrays_of(tmp_path)
     labels = arrays.put((kept[:, 2] > 0.3).astype(np.int16))
-    crop = room_tasks.cut_out(
+    crop = prepare_tasks.cut_out(
         inside.folder, tmp_path, labels, 1, removal.elements, "big box", lambda *_: None
     )
     assert crop.name == "big_box" and crop.path.suffix == ".ply"
@@ -285,10 +285,10 @@ def test_an_object_leaves_the_room_and_knows_its_place(tmp_path):
     source = points_of(room)[arrays.get(crop.elements)]
     np.testing.assert_allclose(points_of(alone) + crop.position, source, atol=1e-6)
     # Leaving out the rest too: both are gone, in the numbers of the whole source.
-    rest = room_tasks.leave_out_part(inside.folder, tmp_path, labels, 0, removal.elements)
+    rest = prepare_tasks.leave_out_part(inside.folder, tmp_path, labels, 0, removal.elements)
     assert rest.count == len(every) - crop.count
     with pytest.raises(CommandError, match="single object"):
-        room_tasks.floor_and_walls(alone.folder, tmp_path, None)
+        prepare_tasks.floor_and_walls(alone.folder, tmp_path, None)
 
 
 def test_a_cut_splits_large_faces_and_the_parts_keep_theirs(tmp_path):

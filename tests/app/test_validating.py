@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from app.server import validation_tasks as judging_tasks
-from app.server.acceptance_record import asset_folder
+from app.server import part_tasks as judging_tasks
+from app.server.acceptances import asset_folder
 from app.server.accepting import accept, withdraw
 from app.server.app_state import AppState
 from app.server.config import ServeConfig

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from app.viewer import words
-from app.viewer.words.message import Message
+from app.viewer.words.common import Message
 from model.validation.report import Severity
 
 SAMPLES: dict[str, tuple[Any, ...]] = {

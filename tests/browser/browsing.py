@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from app.server.pointer_messages import set_page_state
+from app.server.page import set_page_state
 from tests.builders import wait_until
 
 CHROMIUM_FLAGS = (

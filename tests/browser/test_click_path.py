@@ -15,7 +15,7 @@ from tests.budget import FILE, ROOT
 pytestmark = pytest.mark.browser
 
 STATIONS = (
-    "app/viewer/picture/label_overlay.py", "app/server/jobs.py", "sessions/store.py",
+    "app/viewer/picture/object_nodes.py", "app/server/jobs.py", "sessions/store.py",
     "model/geometry/picking.py", "model/segmentation/default.py",
 )  # fmt: skip
 """Where a click arrives: the worker, the store, the surface, the segmenter, the picture."""

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from app.viewer.picture.limit_gauge import Side
+from app.viewer.picture.joint_handles import Side
 from tests.browser.browsing import Tab, wait_until
 from tests.browser.test_main_job import annotate, predict
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from app.server.prompt_file import read_prompts
-from app.viewer.input import decision_guard
+from app.viewer.input import keys
 from app.viewer.words.common import TOO_FAST
 from app.viewer.words.review import FIXES
 from model.core.articulated_object import Prediction
@@ -196,7 +196,7 @@ def test_y_shows_what_wants_a_look_before_it_accepts(
     wait_until(lambda: not obj.is_shown, "nobody looks at it any more")
     tab.wait_seen()
     assert tab.object is other
-    monkeypatch.setattr(decision_guard, "LOOK_SECONDS", 3600.0)
+    monkeypatch.setattr(keys, "LOOK_SECONDS", 3600.0)
     tab.key("y")  # too early: nobody has seen it
     tab.page.get_by_text(TOO_FAST[1]).wait_for()
     assert tab.app.review.validation_list.looked_at(other) is None

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from app.viewer.panels.joint_rows import joint_lines
+from app.viewer.panels.joint_tree import joint_lines
 from app.viewer.picture import palette
 from app.viewer.picture.scene_nodes import Surroundings
 from sessions import commands as cmd

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from app.viewer.panels.quick_names import names_for
+from app.viewer.panels.part_list import names_for
 from model.validation.report import Severity
 from tests.browser.browsing import (
     CHROMIUM_FLAGS,

@@ -23,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import KDTree
 
-from app.viewer.panels.quick_names import names_for
+from app.viewer.panels.part_list import names_for
 from app.viewer.picture.palette import PART_NAMES
 from app.viewer.words.annotate import PART_NAME
 from app.viewer.words.common import OTHER

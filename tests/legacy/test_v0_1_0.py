@@ -25,14 +25,7 @@ import pytest
 
 from app.cli import main as command_line
 from app.cli.predict import predicted_confidence
-from app.server import (
-    display_tasks,
-    part_tasks,
-    scene_shapes,
-    scene_tasks,
-    segmenting_tasks,
-    workers,
-)
+from app.server import display_tasks, part_tasks, scene_tasks, segmenting_tasks, workers
 from app.server.app_state import AppState
 from app.server.config import ServeConfig
 from app.server.job import Job
@@ -339,8 +332,8 @@ RUN = {
     display_tasks.open_asset,
     segmenting_tasks.display_labels,
     scene_tasks.read,
-    scene_shapes.shapes,
-    scene_shapes.drawn_parts,
+    scene_tasks.shapes,
+    scene_tasks.drawn_parts,
 }
 """Jobs that the screens need to show a saved workspace."""
 MUST_NOT_RUN = {segmenting_tasks.segment, part_tasks.predict, scene_tasks.prepare}

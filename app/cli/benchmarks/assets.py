@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from app.cli.printing import Result, print_records
+from app.cli.output import Result, print_records
 from app.cli.research_commands import BenchCommand
 from model.core.files import read_json
 from model.core.progress import Progress, scaled_progress

@@ -27,7 +27,7 @@ from safetensors.torch import save_file
 from transformers.utils.logging import disable_progress_bar
 
 from app.cli.benchmarks.shapes import chest, joined
-from app.cli.printing import Result, print_records
+from app.cli.output import Result, print_records
 from app.cli.research_commands import BenchCommand
 from model.core.asset import Asset
 from model.core.errors import ConfigurationError

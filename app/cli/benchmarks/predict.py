@@ -21,7 +21,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from app.cli.benchmarks.shapes import chest
-from app.cli.printing import Result, print_records
+from app.cli.output import Result, print_records
 from app.cli.research_commands import BenchCommand
 from model.core.articulated_object import SegmentedObject
 from model.core.progress import Progress, no_progress

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from app.cli.benchmarks.scans import data_in
-from app.cli.printing import Result, print_records
+from app.cli.output import Result, print_records
 from app.cli.research_commands import BenchCommand
 from model.core.errors import ConfigurationError
 from model.core.progress import Progress

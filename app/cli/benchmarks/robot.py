@@ -6,8 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from app.cli.benchmarks.scans import data_in
-from app.cli.output import check_output
-from app.cli.printing import Result, print_records
+from app.cli.output import Result, check_output, print_records
 from app.cli.research_commands import BenchCommand
 from model.core.errors import ConfigurationError
 from model.core.packages import require

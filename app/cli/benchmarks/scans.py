@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from app.cli.printing import Result, print_records
+from app.cli.output import Result, print_records
 from app.cli.research_commands import BenchCommand
 from model.core.progress import Progress
 from model.data.registry import DatasetOptions, recognised

@@ -19,7 +19,7 @@ import numpy as np
 
 from app.cli.benchmarks.shapes import grid_box
 from app.cli.benchmarks.ui import LoopWatch, SimulatedBrowser, wait_for
-from app.cli.printing import Result, console, table_of
+from app.cli.output import Result, console, table_of
 from app.cli.research_commands import BenchCommand
 from app.cli.serve import start_server
 from app.server.config import ServeConfig

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, get_args
 
-from app.cli.printing import Result
+from app.cli.output import Result
 from app.cli.research_commands import BenchCommand
 from model.core.errors import ConfigurationError
 from model.core.progress import Progress

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from app.cli.benchmarks.ui import cabinet_cloud, drawer_ray, wait_for
-from app.cli.printing import Result, print_records
+from app.cli.output import Result, print_records
 from app.cli.research_commands import BenchCommand
 from app.client import ApiError, Client
 from app.server.network import free_port

@@ -23,7 +23,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 from app.cli.benchmarks.shapes import Array, grid_box, joined
-from app.cli.printing import Result, console, table_of
+from app.cli.output import Result, console, table_of
 from app.cli.research_commands import BenchCommand
 from app.cli.serve import start_server
 from app.server.config import ServeConfig

@@ -7,7 +7,7 @@ types for shuffled shapes and 0.03 for shuffled clouds, and more surprise for fo
 
 from __future__ import annotations
 
-from app.cli.printing import Result, print_records
+from app.cli.output import Result, print_records
 from app.cli.research_commands import BenchCommand
 from model.core.progress import Progress
 from model.prediction.arti4urdf.network import load_weights

@@ -26,9 +26,8 @@ from app.server.api import (
 )
 from app.server.api.guard import ApiGuard, Reader
 from app.server.app_state import AppState
-from app.server.entrance import Entrance, TooManyAttempts
-from app.server.origins import Origins
-from app.server.shared_port import API
+from app.server.entrance import Entrance, Origins, TooManyAttempts
+from app.server.network import API
 from model.core.errors import ArtiworldError, CommandError, StoreError
 from sessions.review import NotPermittedError
 

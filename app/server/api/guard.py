@@ -13,8 +13,7 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from app.server.app_state import AppState
-from app.server.entrance import Entrance
-from app.server.origins import Origins
+from app.server.entrance import Entrance, Origins
 from sessions.credentials import Person
 from sessions.credentials import Scope as TokenScope
 

@@ -5,13 +5,11 @@ from __future__ import annotations
 from fastapi import APIRouter, HTTPException, Request
 from fastapi.responses import HTMLResponse, RedirectResponse, Response
 
-from app.server.account_page import answer_page
 from app.server.api.guard import State, TheEntrance
 from app.server.entrance import session_cookie
-from app.server.login import cookie_name
-from app.server.network import url
+from app.server.login import answer_page, cookie_name
+from app.server.network import API, url
 from app.server.oidc import OidcLogin
-from app.server.shared_port import API
 from model.core.errors import ConfigurationError
 from sessions.credentials import LOGIN_SECONDS
 

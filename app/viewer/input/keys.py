@@ -1,13 +1,18 @@
-"""Keys, as the field's habits have them. W A S D Q E and the arrows belong to the camera."""
+"""Keys, as the field's habits have them; W A S D Q E and the arrows belong to the camera. A guard
+holds off decisions about objects that the user has not seen yet, such as a double Y.
+"""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from html import escape
 from typing import Any
 
+from app.server.page import ArtiworldShownMessage, set_page_state
 from app.viewer.tab import Tab
+from app.viewer.words import common as common_words
 from app.viewer.words import keys as words
 
 _STYLE = (
@@ -75,3 +80,60 @@ class KeySheet:
         if modal is not None:
             modal.close()
         return modal is not None
+
+
+LOOK_SECONDS = 0.4
+"""Between an object being on the screen and a decision about it."""
+SILENT_SECONDS = 5.0
+"""After which a page that says nothing counts as having shown it."""
+
+
+class DecisionGuard:
+    """Accepts decisions only once their subject has been visible long enough.
+
+    Args:
+        subject: the subject of a decision made now, as far as the user can see it.
+    """
+
+    def __init__(self, tab: Tab, subject: Callable[[], Any]) -> None:
+        self._tab, self._subject = tab, subject
+        self._sent: Any = None
+        self._sent_at = 0.0
+        self._number = 0
+        self._shown_at: float | None = None
+        endpoint = tab.client._websock_connection
+        endpoint.register_handler(ArtiworldShownMessage, lambda _, m: self._shown(m.number))
+
+    def decide(self, action: Callable[[], None]) -> None:
+        """Carry out a decision, unless it was asked for before its subject could be seen."""
+        pressed_at = time.monotonic()
+
+        def carry_out() -> None:
+            if self.long_enough(pressed_at):
+                action()
+            else:
+                self._tab.notify(*common_words.TOO_FAST, "gray")
+
+        self._tab.act(carry_out)
+
+    def drawn(self) -> None:
+        """Ask the page when it shows what was just sent."""
+        what = self._subject()
+        if what == self._sent:
+            return
+        self._sent, self._sent_at, self._shown_at = what, time.monotonic(), None
+        self._number += 1
+        set_page_state(self._tab.client, shown=self._number)
+
+    def long_enough(self, pressed_at: float) -> bool:
+        """True if the subject was visible for long enough at ``pressed_at`` (monotonic seconds)."""
+        if self._sent != self._subject():
+            return False
+        since = self._shown_at
+        if since is None:
+            since = self._sent_at + SILENT_SECONDS
+        return pressed_at - since >= LOOK_SECONDS
+
+    def _shown(self, number: int) -> None:
+        if number == self._number and self._shown_at is None:
+            self._shown_at = time.monotonic()

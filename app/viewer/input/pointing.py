@@ -10,7 +10,7 @@ import numpy as np
 import viser
 
 from app.server.open_object import OpenObject
-from app.server.pointer_messages import (
+from app.server.page import (
     ArtiworldAnswerMessage,
     ArtiworldHoverMessage,
     ArtiworldStrokeMessage,
@@ -18,14 +18,11 @@ from app.server.pointer_messages import (
     set_page_state,
 )
 from app.server.tool_tasks import ToolRequest
-from app.viewer.input.hover import Hover
-from app.viewer.input.measuring import Measuring
-from app.viewer.input.queries import Point, PointerQueries
-from app.viewer.input.tools import Tools
+from app.viewer.input.queries import Hover, Point, PointerQueries, Tools
+from app.viewer.input.views import Measuring
 from app.viewer.picture.motion import Motion
 from app.viewer.picture.object_picture import ObjectPicture
-from app.viewer.tab import AT_REST, Step, Tab
-from app.viewer.text import percent
+from app.viewer.tab import AT_REST, Step, Tab, percent
 from app.viewer.words import annotate as words
 from app.viewer.words import joints as joint_words
 from app.viewer.words import prepare as prepare_words

@@ -1,7 +1,12 @@
-"""Questions to the workers about places in the picture."""
+"""Questions to the workers about places in the picture, the preview of a click under the pointer,
+and tools that change the selected part.
+"""
 
 from __future__ import annotations
 
+import logging
+import math
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -12,14 +17,21 @@ import numpy as np
 from app.server import picking_tasks, tool_tasks
 from app.server.display_tasks import OpenedAsset
 from app.server.jobs import PREVIEWS, Job
-from app.server.lanes import Lane
+from app.server.open_object import OpenObject
+from app.server.page import ArtiworldHoverMessage
 from app.server.segmenting import stored_prompts
-from app.viewer.tab import Tab
+from app.server.tool_tasks import NEXT_MASK, ToolRequest
+from app.server.workers import Lane
+from app.viewer.picture import palette
+from app.viewer.picture.object_picture import ObjectPicture
+from app.viewer.tab import Tab, percent
 from app.viewer.words import annotate as words
+from model.core.errors import ArtiworldError
+from model.core.progress import Cancelled
 from model.geometry.picking import Camera, Stroke
 from model.segmentation.prompts import Click
 from sessions.command_log import PICK
-from sessions.document import Document
+from sessions.document import Document, RegionRef
 
 Point = tuple[float, float, float]
 Selected = Callable[[str, int], None]
@@ -134,3 +146,157 @@ class PointerQueries:
         return picking_tasks.Hidden(
             self._workspace, labelled.labels, tuple(sorted(selection.hidden))
         )
+
+
+log = logging.getLogger(__name__)
+_AGAIN = 0.25
+"""Seconds until a place that could not be answered yet is asked again; the pointer may rest."""
+
+
+class Hover:
+    """The preview of one tab, on a thread of its own: only the newest place counts.
+
+    Args:
+        clicking: whether a click now would be a prompt.
+
+    Attributes:
+        on: whether previews are shown.
+        seconds: from the message to the preview, of the last one; for measuring.
+    """
+
+    def __init__(
+        self,
+        tab: Tab,
+        picture: ObjectPicture,
+        queries: PointerQueries,
+        clicking: Callable[[], bool],
+    ) -> None:
+        self._tab, self._picture, self._queries = tab, picture, queries
+        self._clicking = clicking
+        self.on = True
+        self.seconds: float | None = None
+        self._place: tuple[float, float] | None = None
+        self._came = 0.0
+        self._news = threading.Event()
+        self._closed = False
+        self._shown: tuple[int, int, str] | None = None
+        self._thread: threading.Thread | None = None
+
+    def moved(self, message: ArtiworldHoverMessage) -> None:
+        """The pointer rests elsewhere. Called on the event loop: it only takes a note."""
+        inside = message.inside and math.isfinite(message.x) and math.isfinite(message.y)
+        self._place = (message.x, message.y) if inside else None
+        self._came = time.perf_counter()
+        if self._thread is None and not self._closed:
+            self._thread = threading.Thread(target=self._loop, name="hover", daemon=True)
+            self._thread.start()
+        self._news.set()
+
+    def forget(self) -> None:
+        """Show nothing until the pointer moves again."""
+        self._place = None
+        self._news.set()
+
+    def close(self) -> None:
+        """The tab is gone."""
+        self._closed = True
+        self._news.set()
+
+    def _loop(self) -> None:
+        settled = True
+        while not self._closed:
+            self._news.wait(None if settled else _AGAIN)
+            self._news.clear()
+            settled = True
+            try:
+                settled = self._show()
+            except Cancelled:
+                pass  # something newer came
+            except TimeoutError:
+                settled = False  # the workers have more urgent things to do
+            except ArtiworldError as error:
+                log.debug("no preview: %s", error)
+            except Exception:  # a preview that fails must not end the previews
+                if not self._closed:
+                    log.exception("the preview failed")
+
+    def _show(self) -> bool:
+        """Answer the newest place; False where that has to wait for the object."""
+        selection, place, came = self._tab.selection, self._place, self._came
+        obj = selection.object
+        if obj is None or obj.asset is None or place is None or not self._ready(obj):
+            self._clear()
+            return not (self.on and place is not None and obj is not None and obj.busy)
+        hit = self._queries.pick_preview(obj.asset, place)
+        if hit is None:
+            self._clear()
+            return True
+        element, part, doc = int(hit.element), selection.part, obj.document
+        wanted = (element, part, doc.key)
+        if wanted == self._shown:
+            return True
+        x, y, z = (float(v) for v in hit.position)
+        preview = self._queries.preview(obj.asset, doc, Click((x, y, z), part, True, element))
+        if self._place is None or obj is not selection.object or obj.document.key != doc.key:
+            return True  # clicked or left meanwhile
+        self._shown = wanted
+        self._picture.overlays.show_hover(preview.gained, preview.lost, palette.part_color(part))
+        self.seconds = time.perf_counter() - came
+        return True
+
+    def _ready(self, obj: OpenObject) -> bool:
+        """True if a click here and now would be a prompt that is answered at once."""
+        busy = {"open", "encode", "segment", "room", "tool"} & set(obj.busy)
+        return self.on and self._clicking() and not busy
+
+    def _clear(self) -> None:
+        if self._shown is not None:
+            self._shown = None
+            self._picture.overlays.show_hover(None, None, palette.BASE_COLOR)
+
+
+_NEW_PARTS = ("same shape", "mirror", "propose", "split")
+
+
+class Tools:
+    """Runs tools for one tab.
+
+    Args:
+        begins: called before a tool works.
+    """
+
+    def __init__(self, tab: Tab, begins: Callable[[], None]) -> None:
+        self._tab, self._begins = tab, begins
+
+    def next_mask(self, step: int) -> None:
+        """Take another mask for the last click: the next one, or with -1 the one before."""
+        self.use(ToolRequest(NEXT_MASK, self._tab.selection.part, step), words.NEXT)
+
+    def use(self, request: ToolRequest, label: str) -> None:
+        """Run a tool and show its result."""
+        tab, selection = self._tab, self._tab.selection
+        self._begins()
+        obj = selection.need_object()
+        before = {p.part for p in obj.document.prompts}
+        try:
+            found = obj.segmenting.use_tool(request, tab.user)
+        except Cancelled:
+            tab.notify(label, words.CANCELLED, "gray")
+            return
+        cut_off = {p.part for p in obj.document.prompts} - before
+        if request.tool in ("cut", "rectangle") and cut_off and not selection.picking:
+            selection.choose_part(min(cut_off))  # what is named next is what was cut off
+        if not found:
+            tab.notify(label, words.NOTHING_FOUND.get(request.tool, words.NO_CHANGE), "gray")
+        elif request.tool in _NEW_PARTS:
+            tab.notify(label, words.found(found), "green")
+        elif request.tool == "connected":
+            self._say_connected()
+
+    def _say_connected(self) -> None:
+        """Show how much the last prompt added."""
+        obj = self._tab.selection.need_object()
+        asset, last = obj.need_asset(), obj.document.prompts[-1]
+        if isinstance(last, RegionRef):
+            share = percent(last.count / asset.element_count)
+            self._tab.say(words.connected(last.count, asset.element_kind, share))

@@ -1,24 +1,103 @@
-"""The comments of reviewers: a list, their markers in the picture, and what is done."""
+"""Words of people about the open object: the project's instructions, the newest decisions, and the
+comments of reviewers with their markers.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from html import escape
 from typing import Any
 
 import numpy as np
 import viser
 
-from app.server.display_names import joint_title
+from app.server.names import display_text, joint_title, part_title
 from app.server.open_object import OpenObject
-from app.viewer.panels.markup import Presses, button, icon
-from app.viewer.panels.widgets import put
-from app.viewer.picture.comment_marks import CommentMark, CommentMarks, Point
+from app.viewer.panels.widgets import Presses, button, icon, put
+from app.viewer.picture.marks import CommentMark, CommentMarks, Point
 from app.viewer.picture.stage import aim
-from app.viewer.tab import Tab
+from app.viewer.tab import Tab, markdown_html, plain
+from app.viewer.words import annotate as annotate_words
 from app.viewer.words import review as words
+from app.viewer.words.annotate import tool_label
 from sessions import commands as cmd
+from sessions.describe import describe
 from sessions.document import CommentRecord, Document
+from sessions.project_settings import Project
+from sessions.tool_commands import ApplyTool
+
+
+class Instructions:
+    """A button, and below it the text that it unfolds."""
+
+    def __init__(self, tab: Tab, project: Project) -> None:
+        self._tab, self._project = tab, project
+        self._open, self._read = False, ""
+        gui = tab.client.gui
+        self._button = gui.add_button(
+            annotate_words.INSTRUCTIONS, icon=viser.Icon.NOTEBOOK, color="blue", visible=False
+        )
+        self._text = gui.add_html("", visible=False)
+        self._button.on_click(lambda _: tab.act(self.toggle))
+
+    def toggle(self) -> None:
+        """Show or fold the text, in the step that has it."""
+        text = self._project.settings.instructions
+        if not text:
+            self._tab.say(annotate_words.NO_INSTRUCTIONS)
+            return
+        if self._tab.selection.step != "Annotate":
+            self._tab.selection.set_step("Annotate")
+            self._open = False
+        self._open = not self._open
+        self._read = text
+        self.draw()
+
+    def draw(self) -> None:
+        """Bring them up to date; what the person hasn't read yet is marked."""
+        text = self._project.settings.instructions
+        put(self._button, "visible", bool(text))
+        put(self._button, "color", "gray" if self._read == text else "blue")
+        put(self._text, "visible", bool(text) and self._open)
+        if self._open:
+            html = f'<div class="aw-instructions">{markdown_html(text)}</div>'
+            put(self._text, "content", html)
+
+
+SHOWN = 12
+
+
+class History:
+    """A closed folder with a line for each decision."""
+
+    def __init__(self, tab: Tab) -> None:
+        self._drawn: Any = None
+        with tab.client.gui.add_folder(words.HISTORY, expand_by_default=False):
+            self._lines = tab.client.gui.add_markdown("")
+
+    def draw(self, obj: OpenObject) -> None:
+        """Bring the lines up to date; they are read only where something was decided."""
+        now = obj.record.id, obj.state.seq, obj.document.tree
+        if now == self._drawn:
+            return
+        self._drawn = now
+        entries = obj.services.store.history(obj.record.id)[-SHOWN:]
+        lines = [
+            f"- {plain(e.at[11:19])} {plain(e.who, 24)}: "
+            f"{plain(what_happened(obj.document, e.command), 80)}"
+            for e in reversed(entries)
+        ]
+        put(self._lines, "content", "\n".join(lines) or words.HISTORY_EMPTY)
+
+
+def what_happened(doc: Document, command: cmd.Command) -> str:
+    """One line of the history, in the words of the screens."""
+    if isinstance(command, cmd.SetJoint):
+        return words.joint_changed(part_title(doc, command.joint.child))
+    if isinstance(command, ApplyTool):
+        command = replace(command, tool=tool_label(command.tool).lower())
+    return display_text(doc, describe(command))
 
 
 class Comments:

@@ -16,7 +16,7 @@ import viser
 from app.server.bulk import BulkWork
 from app.server.export_tasks import ExportTask
 from app.viewer.tab import Tab
-from app.viewer.words import export as words
+from app.viewer.words import queue as words
 from model.core.errors import CommandError
 from model.io.export.registry import exporter_names, load_exporter
 from model.io.export.simready import AboutPackage, remember, remembered

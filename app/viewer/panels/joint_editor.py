@@ -9,12 +9,12 @@ from typing import Any
 
 import viser
 
-from app.server import snapping_tasks
-from app.server.display_names import holds_part, joint_title, part_title
+from app.server import picking_tasks
 from app.server.jobs import EDITS, WorkerProcess
+from app.server.names import holds_part, joint_title, part_title
 from app.server.open_object import OpenObject
 from app.viewer.panels.joint_motion import JointMotion
-from app.viewer.panels.joint_text import axis_name, joint_note, shown
+from app.viewer.panels.joint_tree import axis_name, joint_note, shown
 from app.viewer.panels.widgets import differs, put
 from app.viewer.picture.motion import Motion
 from app.viewer.tab import Tab
@@ -155,7 +155,7 @@ class JointEditor:
             return
         assert doc.tree is not None
         job = self._worker.submit(
-            snapping_tasks.change_type, obj.source(), doc.tree, joint.child, kind, priority=EDITS
+            picking_tasks.change_type, obj.source(), doc.tree, joint.child, kind, priority=EDITS
         )
         self._set(job.result(SNAP_SECONDS))
 
@@ -197,7 +197,7 @@ class JointEditor:
         joint, tree = self._need_joint(), obj.document.tree
         assert tree is not None
         job = self._worker.submit(
-            snapping_tasks.snap_joint, obj.source(), tree, joint.child, to, priority=EDITS
+            picking_tasks.snap_joint, obj.source(), tree, joint.child, to, priority=EDITS
         )
         snapped = job.result(SNAP_SECONDS)
         if snapped == joint:

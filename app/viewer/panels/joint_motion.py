@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-from app.server.display_names import joint_title, moved_part
+from app.server.names import joint_title, moved_part
 from app.server.open_object import OpenObject
 from app.viewer.panels.widgets import put
 from app.viewer.tab import Tab

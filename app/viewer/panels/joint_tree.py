@@ -1,26 +1,176 @@
-"""The kinematic tree: a click chooses a joint, a part dropped on another one hangs on it."""
+"""Joints and links in words, a scene's joints as rows, and the kinematic tree: a click chooses a
+joint, a part dropped on another one hangs on it.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from html import escape
-from typing import Any
+from typing import Any, Final
 
 import viser
 
-from app.server.display_names import holds_part, joint_title, moved_part, part_title
+from app.server.names import display_text, holds_part, joint_title, moved_part, part_title
+from app.server.scene_state import Work
 from app.server.validating import JointCollision
-from app.viewer.panels.joint_text import confidence_text, range_text, range_warnings
-from app.viewer.panels.markup import Presses, button, icon
-from app.viewer.panels.widgets import put
+from app.viewer.panels.widgets import Presses, button, icon, put
 from app.viewer.picture import palette
-from app.viewer.tab import Tab
+from app.viewer.tab import Tab, plain
 from app.viewer.words import joints as words
+from app.viewer.words import scene as scene_words
+from app.viewer.words.common import EDITED, warning
 from model.core.errors import CommandError
+from model.core.joint import Joint, value_text
 from model.core.tree import KinematicTree, moving_chain
 from sessions import commands as cmd
 from sessions.document import Document
+
+_NEARLY: Final = 0.97
+"""Least cosine between an axis and the one that it is called after."""
+
+
+def shown(joint: Joint, q: float) -> float:
+    """Degrees or millimetres."""
+    return math.degrees(q) if joint.rotates else 1000 * q
+
+
+def range_text(joint: Joint) -> str:
+    """The range of a joint with its unit."""
+    if joint.type == "continuous":
+        return words.UNLIMITED
+    if not joint.limited:
+        return ""
+    assert joint.lower is not None and joint.upper is not None
+    lower = value_text(joint.lower, joint.rotates).rstrip("° m")
+    return words.span(lower, value_text(joint.upper, joint.rotates))
+
+
+def confidence_text(doc: Document, child: str) -> str:
+    """Confidence of a joint's prediction, or that a user edited the joint."""
+    if child in doc.edited_joints:
+        return words.EDITED
+    if any(joint.child == child for joint in doc.new_joints):
+        return words.NEW
+    share = confidence_of(doc, child)
+    return "" if share is None else words.confidence(share)
+
+
+def confidence_of(doc: Document, child: str) -> float | None:
+    """Confidence of a joint's prediction, 0..1; None where nothing was predicted."""
+    known = {} if doc.prediction is None else doc.prediction.confidence
+    # All joints of a part are one prediction.
+    part = child if doc.tree is None else moved_part(doc.tree, child)
+    return known.get(child, known.get(part))
+
+
+def axis_name(joint: Joint) -> str:
+    """The axis as "X" or "-Z"; "" for another direction, or a joint that doesn't move."""
+    largest = max(range(3), key=lambda k: abs(joint.axis[k]))
+    if not joint.moves or abs(joint.axis[largest]) < _NEARLY:
+        return ""
+    return f"{'-' if joint.axis[largest] < 0 else ''}{'XYZ'[largest]}"
+
+
+def range_warnings(joint: Joint) -> list[str]:
+    """Warnings about the range of a joint."""
+    if not joint.limited:
+        return []
+    assert joint.lower is not None and joint.upper is not None
+    out = []
+    if joint.rotates and max(abs(joint.lower), abs(joint.upper)) > 2 * math.pi + 1e-6:
+        out.append(words.BEYOND_A_TURN)
+    if joint.lower > 1e-6 or joint.upper < -1e-6:
+        out.append(words.SCAN_OUTSIDE)
+    return out
+
+
+def joint_note(joint: Joint, doc: Document, checks: list[JointCollision]) -> str:
+    """Explanation of the joint's values, and the collisions of its sweep."""
+    lines = []
+    if doc.prediction is not None:
+        note = doc.prediction.notes.get(joint.child)
+        text = f"*{plain(display_text(doc, note), 300)}*" if note else ""
+        if joint != doc.prediction.joint(joint.child):
+            text = words.edited(doc.joints_file is not None, text)
+        lines += [text] if text else []
+    lines += [warning(text) for text in range_warnings(joint)]
+    for check in checks:
+        if check.joint == joint.name:
+            at = value_text(check.q, joint.rotates)
+            other = plain(part_title(doc, check.other)) if check.other else ""
+            lines.append(words.collision(other, at, 1000 * check.depth))
+    return "\n\n".join(lines) or words.SET_MANUALLY
+
+
+SHOWN = 12
+"""Joints with buttons, those of lowest confidence; the others are counted."""
+
+
+JointLine = tuple[str, str, palette.Rgb]
+"""Name, words and color of a joint."""
+
+
+class JointRows:
+    """A button for each moving joint; a click plays it alone."""
+
+    def __init__(self, tab: Tab, play: Callable[[str], None]) -> None:
+        """Make the folder; ``play`` gets the name of the joint that was clicked."""
+        self._tab, self._play = tab, play
+        self._key: Any = None
+        self._rows: list[Any] = []
+        self._folder = tab.client.gui.add_folder(scene_words.JOINTS, visible=False)
+
+    def draw(self, work: Work | None) -> None:
+        """Bring the rows up to date; nothing is sent where nothing changed."""
+        doc = None if work is None else work.document
+        key = None if doc is None or work is None else (
+            work.id, doc.tree, doc.prediction, tuple(doc.part_names.items()))  # fmt: skip
+        if key == self._key:
+            return
+        self._key = key
+        for row in self._rows:
+            row.remove()
+        self._rows = []
+        lines = [] if doc is None else joint_lines(doc)
+        put(self._folder, "visible", bool(lines))
+        tab, gui = self._tab, self._tab.client.gui
+        with self._folder:
+            for name, line, color in [] if doc is None else least_confident(doc, lines):
+                button = gui.add_button(line, color=color, hint=scene_words.PLAY_JOINT)
+                button.on_click(lambda _, name=name: tab.act(lambda: self._play(name)))
+                self._rows.append(button)
+            if len(lines) > SHOWN:
+                self._rows.append(gui.add_markdown(scene_words.more_joints(len(lines) - SHOWN)))
+
+
+def least_confident(doc: Document, lines: Sequence[JointLine]) -> list[JointLine]:
+    """The lines of lowest confidence, in the order of the joints."""
+    joints = [j for j in (() if doc.tree is None else doc.tree.joints) if j.moves]
+    sure = [
+        1.0 if j.child in doc.edited_joints else confidence_of(doc, j.child) or 0.0 for j in joints
+    ]  # fmt: skip
+    kept = sorted(range(len(lines)), key=sure.__getitem__)[:SHOWN]
+    return [lines[i] for i in sorted(kept)]
+
+
+def joint_lines(doc: Document) -> list[JointLine]:
+    """Name, words and color of every joint that moves; a part may have several."""
+    out: list[JointLine] = []
+    if doc.tree is None:
+        return out
+    for joint in (j for j in doc.tree.joints if j.moves):
+        part = moved_part(doc.tree, joint.child)
+        sure = confidence_text(doc, joint.child)
+        edited = EDITED * (joint.child in doc.edited_joints)
+        # "unlimited" implies the type, and a long line loses its end, the confidence.
+        kind = "" if joint.type == "continuous" else joint.type
+        texts = [joint_title(doc, joint.child)[:40] + edited, kind, range_text(joint), sure]
+        number = part.removeprefix("link_")
+        color = palette.part_color(int(number)) if number.isdigit() else palette.GHOST
+        out.append((joint.name, " · ".join(t for t in texts if t), color))
+    return out
 
 
 class JointTree:

@@ -1,25 +1,222 @@
-"""The parts: a row for each, and the name of the selected one."""
+"""The parts: a row for each, its name with buttons for common ones, suggested categories, and the
+prompts as a list for people.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import re
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
 from html import escape
+from typing import Any, Final
 
 import viser
 
+from app.server.tool_tasks import NEXT_MASK
 from app.viewer.input.pointing import Pointing
-from app.viewer.panels.choice import Choice, offered
-from app.viewer.panels.markup import Presses, button, icon
-from app.viewer.panels.quick_names import QuickNames
-from app.viewer.panels.widgets import put
+from app.viewer.panels.widgets import Choice, Presses, button, icon, offered, put
 from app.viewer.picture import palette
-from app.viewer.tab import Tab
-from app.viewer.text import percent
+from app.viewer.picture.palette import CATEGORIES
+from app.viewer.tab import Tab, percent
 from app.viewer.words import annotate as words
-from model.segmentation.prompts import BASE
+from app.viewer.words.annotate import quick_names
+from app.viewer.words.common import CHOSEN
+from model.core.motion_lexicon import CATEGORY_ALIASES
+from model.scenes.articulable_finders import read_lexicon
+from model.segmentation.prompts import BASE, Click
 from sessions import commands as cmd
-from sessions.document import Document
+from sessions.database import ObjectRecord
+from sessions.document import Document, RegionRef
 from sessions.project_settings import Project
+
+_LISTED: Final = {c.lower(): c for c in CATEGORIES}
+_KINDS: Final = {
+    "chest of drawers": "StorageFurniture",
+    "nightstand": "StorageFurniture",
+    "shelf": "StorageFurniture",
+    "toaster oven": "Oven",
+    "dryer": "WashingMachine",
+    "computer mouse": "Mouse",
+    "usb stick": "USB",
+}
+"""Kinds of the lexicon → categories of another name."""
+_FOLDERS = 2
+"""Folders above the file whose names may hold the category: "Oven/101773/object.obj"."""
+_ROW, _FRAME = 41, 5
+"""Letters that fit the panel side by side, and for how many a button's frame and gap take room."""
+_MARK = "?"
+
+
+def category_guesses(
+    record: ObjectRecord, queue: Sequence[ObjectRecord], who: str = ""
+) -> tuple[str, ...]:
+    """Categories that an object without one may have, likeliest first; few enough for one row.
+
+    From the name of its file or of a folder that holds it; without a match, the latest
+    categories of objects of similar names ("scan_3", "scan_4"), by ``who`` before others.
+    """
+    path = record.path
+    texts = (path.stem, *reversed(path.parent.parts[1:][-_FOLDERS:]))
+    declared = next(filter(None, map(category_in, texts)), None)
+    if declared is not None:
+        return (declared,)
+    last: dict[str, tuple[bool, str]] = {}
+    for other in queue:
+        category = _LISTED.get((other.category or "").replace(" ", "").lower())
+        if category is not None and other.id != record.id and _alike(record, other):
+            last[category] = max(last.get(category, (False, "")), (other.who == who, other.updated))
+    found = sorted(last, key=lambda c: last[c])[::-1]
+    out: list[str] = []
+    for category in found:
+        if out and sum(len(c) + _FRAME for c in (*out, category)) > _ROW:
+            break
+        out.append(category)
+    return tuple(out)
+
+
+def _alike(one: ObjectRecord, other: ObjectRecord) -> bool:
+    """True if two objects have the same name but for numbers, as those of one series."""
+    a, b = (re.sub(r"\d+", "", r.path.stem).lower() for r in (one, other))
+    return a == b
+
+
+@lru_cache(maxsize=4096)
+def category_in(text: str) -> str | None:
+    """The category in the name of a file or folder: "office_chair_02" is a Chair.
+
+    As in English the thing comes last, "table_with_lamp" is a table, and words that say nothing
+    are passed over: "oven_scan_3".
+    """
+    words_of = re.findall(r"[a-z]+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", text).lower())
+    if "with" in words_of[1:]:
+        words_of = words_of[: words_of.index("with", 1)]
+    for end in range(len(words_of), 0, -1):
+        for count in (3, 2, 1):
+            if count <= end and (found := _meant(words_of[end - count : end])) is not None:
+                return found
+    return None
+
+
+def _meant(phrase: Sequence[str]) -> str | None:
+    for plural in ("", "s", "es"):
+        words = " ".join(phrase).removesuffix(plural)
+        kind = _kinds().get(words, words)
+        plain = kind.replace(" ", "")
+        for meant in (words.replace(" ", ""), _KINDS.get(kind), CATEGORY_ALIASES.get(plain), plain):
+            if meant is not None and meant.lower() in _LISTED:
+                return _LISTED[meant.lower()]
+    return None
+
+
+@lru_cache(maxsize=1)
+def _kinds() -> dict[str, str]:
+    """Word for a kind in the lexicon of scenes → the kind's name."""
+    return {word: kind.name for kind in reversed(read_lexicon().kinds) for word in kind.words}
+
+
+class CategoryGuess:
+    """A row of suggested categories."""
+
+    def __init__(
+        self,
+        tab: Tab,
+        records: Callable[[], Sequence[ObjectRecord]],
+        words_of: Callable[[str], None],
+        project: Project,
+    ) -> None:
+        """Put the row where the panel is.
+
+        Args:
+            records: the queue.
+            words_of: gets the category.
+            project: whose labels count where it is strict.
+        """
+        self._tab, self._records, self._chosen = tab, records, words_of
+        self._project = project
+        self._shown: tuple[str, ...] = ()
+        self._row = tab.client.gui.add_button_group(
+            words.SUGGESTIONS,
+            (_MARK,),
+            hint=words.SUGGESTIONS_HINT,
+            visible=False,
+        )
+        self._row.on_click(lambda e: tab.act(lambda: words_of(e.target.value.removesuffix(_MARK))))
+
+    @property
+    def first(self) -> str | None:
+        """The likeliest of the suggestions."""
+        return next(iter(self._shown), None)
+
+    def show(self, wanted: bool) -> None:
+        """Show suggestions for the open object, or hide the row."""
+        record = self._tab.selection.need_object().record if wanted else None
+        self._shown = (
+            () if record is None else category_guesses(record, self._records(), self._tab.user)
+        )
+        self._shown = tuple(filter(self._project.settings.knows_category, self._shown))
+        if self._shown:
+            put(self._row, "options", tuple(g + _MARK for g in self._shown))
+        put(self._row, "visible", bool(self._shown))
+
+    def take_first(self) -> str | None:
+        """Take the likeliest category; None where none is suggested."""
+        category = self.first
+        if category is not None:
+            self._chosen(category)
+        return category
+
+
+SHOWN, ROW = 6, 3
+"""Names with a button, and buttons in a row."""
+USUAL: Final[tuple[str, ...]] = ("door", "drawer", "lid", "knob", "button", "wheel")
+"""Names of most parts; the list beside them has the rest."""
+
+
+@lru_cache(maxsize=256)
+def names_for(category: str | None) -> tuple[str, ...]:
+    """The names with a button, in the order of their digits from 1: the usual ones, or for a
+    category whose parts are others those first."""
+    kinds = read_lexicon().kinds if category else ()
+    parts = next((k.parts for k in kinds if category_in(k.name) == category), ())
+    if set(parts) <= set(USUAL):
+        return USUAL
+    return tuple(dict.fromkeys((*parts, *USUAL)))[:SHOWN]
+
+
+class QuickNames:
+    """One click or key names a part."""
+
+    def __init__(self, tab: Tab, named: Callable[[str], None]) -> None:
+        """Put the buttons where the panel is; ``named`` gets the name that was clicked."""
+        self._names = USUAL
+        self._rows = [
+            tab.client.gui.add_button_group(quick_names(k + 1, k + ROW), USUAL[k : k + ROW])
+            for k in range(0, SHOWN, ROW)
+        ]
+        for row in self._rows:
+            row.on_click(lambda e: tab.act(lambda: named(e.target.value.removeprefix(CHOSEN))))
+
+    def name(self, number: int) -> str | None:
+        """The name of a digit, None where it has none."""
+        return self._names[number - 1] if 1 <= number <= len(self._names) else None
+
+    def show(
+        self,
+        visible: bool,
+        category: str | None,
+        chosen: str | None = None,
+        names: tuple[str, ...] = (),
+    ) -> None:
+        """Show or hide those of a category, or a project's ``names``; the chosen one is marked."""
+        self._names = names[:SHOWN] or names_for(category)
+        for k, row in zip(range(0, SHOWN, ROW), self._rows, strict=True):
+            names = self._names[k : k + ROW]
+            put(row, "visible", visible and bool(names))
+            if not names:
+                continue
+            put(row, "options", tuple(CHOSEN * (name == chosen) + name for name in names))
+
 
 PARTS_SHOWN = 200
 
@@ -143,3 +340,114 @@ def parts_listed(parts: Iterable[int], chosen: int) -> list[int]:
 
 def _part_name(doc: Document, part: int) -> str | None:
     return next((p.name for p in doc.parts if p.id == part), None)
+
+
+PROMPTS_SHOWN = 12
+Prompt = Click | RegionRef
+
+
+@dataclass(frozen=True)
+class PromptEntry:
+    """One line of the list.
+
+    Attributes:
+        part: its part.
+        index: of its first prompt among all.
+        count: prompts that it stands for.
+        label: its text.
+    """
+
+    part: int
+    index: int
+    count: int
+    label: str
+
+
+class PromptList:
+    """The newest prompts of the selected part; a click removes one."""
+
+    def __init__(self, tab: Tab) -> None:
+        self._tab = tab
+        gui = tab.client.gui
+        with gui.add_folder(words.PROMPTS):
+            self._note = gui.add_markdown("")
+            actions = gui.add_button_group(words.PROMPTS_REMOVE, words.PROMPT_ACTIONS)
+            self._box = gui.add_folder(words.PROMPT_LIST, expand_by_default=False)
+            self._buttons: list[tuple[Any, PromptEntry]] = []
+        actions.on_click(lambda e: tab.act(lambda: self.remove(e.target.value)))
+
+    def remove(self, which: str) -> None:
+        """Remove prompts of the selected part, or all; ``which`` is a button."""
+        last, _, every = words.PROMPT_ACTIONS
+        tab, part = self._tab, self._tab.selection.part
+        prompts = tab.selection.need_object().document.prompts
+        mine = [entry for entry in prompt_entries(prompts) if entry.part == part]
+        if which == every and prompts:
+            tab.do(cmd.ClearPrompts())
+        elif not mine:
+            text = words.NONE_ON_PART if prompts else words.NO_PROMPTS
+            tab.notify(words.PROMPTS_REMOVE, text, "gray")
+        elif which == last:  # of those that are listed
+            tab.do(cmd.RemovePrompt(mine[-1].index, mine[-1].count))
+        else:
+            tab.do(cmd.ClearPrompts(part))
+
+    def draw(self, doc: Document, elements: str) -> None:
+        """Bring the list up to date.
+
+        Args:
+            elements: what one element of the object is, "face" or "point".
+        """
+        tab = self._tab
+        entries = prompt_entries(doc.prompts, elements)
+        mine = [entry for entry in entries if entry.part == tab.selection.part]
+        note = words.prompt_count(len(mine), len(entries))
+        put(self._note, "content", note if doc.prompts else words.NO_PROMPTS)
+        wanted = mine[-PROMPTS_SHOWN:]
+        if [entry for _, entry in self._buttons] == wanted:
+            return
+        for handle, _ in self._buttons:
+            handle.remove()
+        self._buttons = []
+        for entry in wanted:
+            with self._box:
+                handle = tab.client.gui.add_button(entry.label, icon=viser.Icon.X, color="gray")
+            remove = cmd.RemovePrompt(entry.index, entry.count)
+            handle.on_click(lambda _, remove=remove: tab.act(lambda: tab.do(remove)))
+            self._buttons.append((handle, entry))
+
+
+def prompt_entries(prompts: Sequence[Prompt], elements: str = "face") -> list[PromptEntry]:
+    """The lines of the list, in order.
+
+    Args:
+        elements: what one element of the object is, "face" or "point".
+    """
+    out: list[PromptEntry] = []
+    for index, prompt in enumerate(prompts):
+        before = prompts[index - 1] if index else None
+        if _is_mask(prompt) and before is not None and before.part == prompt.part:
+            if isinstance(before, Click):
+                clicked = out.pop()
+                label = f"{clicked.label}, {words.OTHER_MASK}"
+                out.append(PromptEntry(clicked.part, clicked.index, 2, label))
+                continue
+            if _is_mask(before):
+                one = out.pop()
+                out.append(PromptEntry(one.part, one.index, one.count + 1, one.label))
+                continue
+        out.append(PromptEntry(prompt.part, index, 1, _label(prompt, elements)))
+    return out
+
+
+def _is_mask(prompt: Prompt) -> bool:
+    return isinstance(prompt, RegionRef) and prompt.tool == NEXT_MASK
+
+
+def _label(prompt: Prompt, elements: str) -> str:
+    sign = "+" if prompt.positive else "−"
+    if isinstance(prompt, Click):
+        return words.prompt_click(sign, prompt.position)
+    if prompt.tool == NEXT_MASK:
+        return words.OTHER_MASK
+    return words.prompt_region(sign, prompt.tool, prompt.count, elements)

@@ -14,10 +14,9 @@ import viser.uplot
 
 from app.server.app_state import AppState
 from app.server.job import Job
-from app.viewer.panels.markup import Presses, button
 from app.viewer.panels.project_settings import ProjectDialogs
-from app.viewer.tab import Tab
-from app.viewer.text import plain
+from app.viewer.panels.widgets import Presses, button
+from app.viewer.tab import Tab, plain
 from app.viewer.words import common
 from app.viewer.words import project as words
 from app.viewer.words.queue import STATE_ORDER

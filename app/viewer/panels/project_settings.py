@@ -8,8 +8,8 @@ from typing import Any
 import viser
 
 from app.viewer.tab import Tab
-from app.viewer.words import export as export_words
 from app.viewer.words import project as words
+from app.viewer.words import queue as export_words
 from model.io.export.registry import exporter_names
 from sessions.project_settings import Project, labels_from_text, labels_to_text
 

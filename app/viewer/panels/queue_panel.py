@@ -11,13 +11,10 @@ from typing import Any
 import viser
 
 from app.server.app_state import AppState
-from app.server.pointer_messages import call_page
-from app.server.queue_names import clipped
-from app.viewer.panels.choice import offered
-from app.viewer.panels.markup import Presses, icon
+from app.server.names import clipped
+from app.server.page import call_page
 from app.viewer.panels.project_page import ProjectPage
-from app.viewer.panels.user_name import UserName
-from app.viewer.panels.widgets import put
+from app.viewer.panels.widgets import Presses, UserName, icon, offered, put
 from app.viewer.picture import palette
 from app.viewer.tab import Tab
 from app.viewer.words import common

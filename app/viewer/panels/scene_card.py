@@ -8,15 +8,14 @@ from dataclasses import dataclass
 
 import viser
 
-from app.server.display_names import display_text
+from app.server.names import display_text
 from app.server.scene_accepting import Refusal
-from app.server.scene_rows import Row, Work, decided_text
+from app.server.scene_state import Row, Work, decided_text
 from app.server.scene_workspace import SceneWorkspace
-from app.viewer.panels.joint_rows import JointRows
-from app.viewer.panels.rejecting import RejectButtons, Rejecting
+from app.viewer.panels.joint_tree import JointRows
+from app.viewer.panels.reviewing import RejectButtons, Rejecting
 from app.viewer.panels.widgets import put
-from app.viewer.tab import Tab
-from app.viewer.text import plain
+from app.viewer.tab import Tab, plain
 from app.viewer.words import common
 from app.viewer.words import scene as words
 from app.viewer.words.review import about, saved_in

@@ -1,16 +1,96 @@
-"""The bar of the four steps above the picture, and the progress of long work below it."""
+"""Around the picture in every step: the bar of the four steps and the progress of long work, the
+object's name, state and problems, and the rail of tools.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from html import escape
+from typing import Any, Final
+
+import viser
 
 from app.server.bulk import BulkWork
-from app.server.display_names import display_text
+from app.server.names import display_text, joint_title
 from app.server.open_object import OpenObject
-from app.viewer.panels.markup import Place, Presses, button
-from app.viewer.tab import STEPS, Step, Tab
+from app.server.tool_tasks import NEXT_MASK, ToolRequest
+from app.viewer.input.pointing import Pointing
+from app.viewer.panels.widgets import Place, Presses, button, icon, put
+from app.viewer.tab import AT_REST, STEPS, Step, Tab, plain
+from app.viewer.words import annotate as tool_words
+from app.viewer.words import common, keys
 from app.viewer.words import common as words
+from app.viewer.words.common import TOUR, TOUR_TIP
+
+
+class ObjectHeader:
+    """The first widgets of an object.
+
+    Args:
+        name: gives its name.
+        remove: removes an object that can't be read from the queue.
+        reopen: allows changes of an accepted object again.
+    """
+
+    def __init__(
+        self,
+        tab: Tab,
+        name: Callable[[OpenObject], str],
+        remove: Callable[[], None],
+        reopen: Callable[[], None],
+    ) -> None:
+        self._tab, self._name = tab, name
+        gui, selection = tab.client.gui, tab.selection
+        self._status = gui.add_markdown("")
+        self._again = gui.add_button(
+            words.RETRY, icon=viser.Icon.REFRESH, color="gray", visible=False
+        )
+        self._remove = gui.add_button(
+            words.REMOVE, icon=viser.Icon.X, color="gray", visible=False,
+            hint=words.REMOVE_HINT,
+        )  # fmt: skip
+        self._reopen = gui.add_button(
+            words.REOPEN, icon=viser.Icon.LOCK_OPEN, visible=False, hint=words.REOPEN_HINT
+        )
+        self._again.on_click(lambda _: tab.act(lambda: selection.need_object().try_again()))
+        self._remove.on_click(lambda _: tab.act(remove))
+        self._reopen.on_click(lambda _: tab.act(reopen))
+
+    def draw(self, obj: OpenObject) -> None:
+        """Bring the header up to date."""
+        broken = obj.problem is not None
+        put(self._status, "content", "\n\n".join(self._lines(obj)))
+        put(self._again, "visible", broken)
+        put(self._remove, "visible", broken and not self._tab.in_scene)
+        put(self._reopen, "visible", obj.document.review.state == "accepted")
+
+    def _lines(self, obj: OpenObject) -> list[str]:
+        doc, asset, review = obj.document, obj.asset, obj.document.review
+        state = words.UNREADABLE if obj.problem else words.STATES[review.state]
+        if review.state == "predicted" and doc.joints_file is not None:
+            state = words.FROM_FILE
+        lines = [f"**{plain(self._name(obj))}** · {state}"]
+        if asset is not None:
+            size = tuple((asset.bounds[1] - asset.bounds[0]) * 1000)
+            lines.append(words.size(asset.element_count, asset.element_kind, size))
+        if review.state == "rejected" and self._tab.selection.step != "Review":
+            reason = plain((review.reason or "").replace("_", " "))
+            comment = plain(review.comment, 300)
+            lines.append(words.rejected_by(plain(review.by), reason, comment))
+        others = [p for p in obj.present if p.name != self._tab.user]
+        if others:
+            names = [
+                words.works_on_it(plain(p.name)) if p.leased else plain(p.name) for p in others
+            ]
+            lines.append(words.also_here(", ".join(names)))
+        if obj.problem:
+            lines.append(words.warning(plain(obj.problem, 400)))
+        if doc.prediction_stale:
+            new = [joint_title(doc, joint.child) for joint in doc.new_joints]
+            lines += [words.warning(f"{plain(t)} {words.NEW_FIXED}") for t in new] or [words.STALE]
+        return lines
+
 
 _SIGNS = {"": "", words.DONE: "✓", words.ATTENTION: "●", words.REFUSED: "✕"}
 
@@ -94,3 +174,144 @@ def _state(step: Step, obj: OpenObject, noticed: bool) -> str:
             return ""
         return words.ATTENTION if doc.prediction_stale else words.DONE
     return {"accepted": words.DONE, "rejected": words.REFUSED}.get(doc.review.state, "")
+
+
+_TOOLS = {label: tool for row in tool_words.TOOL_ROWS for tool, label in row.items()}
+_ICONS: Final[dict[str, Any]] = {
+    "lasso": viser.Icon.LASSO,
+    "brush": viser.Icon.BRUSH,
+    "cut": viser.Icon.SLICE,
+    "rectangle": viser.Icon.MARQUEE_2,
+    NEXT_MASK: viser.Icon.LAYERS_DIFFERENCE,
+    "connected": viser.Icon.AFFILIATE,
+    "grow": viser.Icon.CIRCLE_PLUS,
+    "shrink": viser.Icon.CIRCLE_MINUS,
+    "same shape": viser.Icon.COPY,
+    "mirror": viser.Icon.FLIP_VERTICAL,
+    "propose": viser.Icon.SPARKLES,
+    "merge": viser.Icon.ARROWS_JOIN,
+    "split": viser.Icon.ARROWS_SPLIT,
+    "leftovers": viser.Icon.PUZZLE,
+}
+
+
+@dataclass(frozen=True)
+class RailActions:
+    """Callbacks of the icons that every step has."""
+
+    undo: Callable[[], None]
+    redo: Callable[[], None]
+    play: Callable[[], None]
+    reset_pose: Callable[[], None]
+    show_keys: Callable[[], None]
+    tour: Callable[[], None]
+    isolate: Callable[[], None]
+
+
+class ToolRail:
+    """Icons that name themselves and their key under the pointer.
+
+    Attributes:
+        touch: whether taps add clicks.
+    """
+
+    def __init__(
+        self, tab: Tab, presses: Presses, pointing: Pointing, actions: RailActions
+    ) -> None:
+        self._tab, self._pointing = tab, pointing
+        self._place = Place(tab, "tools")
+        self.touch = False
+        self._view: dict[str, Callable[[], None]] = {
+            common.HISTORY_ACTIONS[0]: actions.undo,
+            common.HISTORY_ACTIONS[1]: actions.redo,
+            common.PLAY: actions.play,
+            common.RESET_POSE: actions.reset_pose,
+            common.KEYS_BUTTON: actions.show_keys,
+            TOUR: actions.tour,
+            keys.MEASURE: lambda: pointing.arm("measure"),
+            keys.ISOLATE: actions.isolate,
+            tool_words.PREVIEW: self.toggle_preview,
+            tool_words.TOUCH: self._toggle_touch,
+        }
+        presses.on("tool", self.use)
+        presses.on("mask", lambda step: self._turn(int(step)))
+        presses.on("view", lambda label: self._view[label]())
+
+    def use(self, label: str) -> None:
+        """Start the tool of an icon on the selected part."""
+        selection, pointing = self._tab.selection, self._pointing
+        if selection.step != "Annotate":
+            selection.set_step("Annotate")
+        tool = _TOOLS[label]
+        if tool in ("lasso", "brush"):
+            pointing.set_tool(tool)  # type: ignore[arg-type]
+        elif tool in ("merge", "rectangle", "cut"):
+            pointing.arm(tool)  # type: ignore[arg-type]
+        elif tool == NEXT_MASK:
+            pointing.tools.next_mask(1)
+        else:
+            pointing.tools.use(ToolRequest(tool, selection.part), label)
+
+    def _turn(self, step: int) -> None:
+        """Take a larger mask (1) or a smaller one (-1): Alt and the wheel."""
+        if self._tab.selection.object is not None and self._tab.selection.step == "Annotate":
+            self._pointing.tools.next_mask(step)
+
+    def toggle_preview(self) -> None:
+        """Switch the preview under the pointer on or off."""
+        hover = self._pointing.hover
+        hover.on = not hover.on
+        hover.forget()
+        self._tab.invalidate()
+
+    def _toggle_touch(self) -> None:
+        self.touch = not self.touch
+
+    def draw(self, obj: OpenObject | None) -> None:
+        """Bring the icons up to date; there are none where nothing is open."""
+        if obj is None or obj.problem is not None:
+            self._place.show("")
+            return
+        step, moves = self._tab.selection.step, obj.document.tree is not None
+        groups = [[
+            _view(common.HISTORY_ACTIONS[0], viser.Icon.ARROW_BACK_UP, common.UNDO_TIP),
+            _view(common.HISTORY_ACTIONS[1], viser.Icon.ARROW_FORWARD_UP, common.REDO_TIP),
+        ]]  # fmt: skip
+        if moves and step not in AT_REST:
+            groups.append([
+                _view(common.PLAY, viser.Icon.PLAYER_PLAY),
+                _view(common.RESET_POSE, viser.Icon.REFRESH),
+            ])  # fmt: skip
+        if step == "Annotate":
+            groups += [
+                [self._tool(label, tool) for tool, label in row.items()]
+                for row in tool_words.TOOL_ROWS
+            ]
+            on = self._pointing.hover.on
+            groups.append([
+                _view(tool_words.PREVIEW, viser.Icon.EYE, tool_words.PREVIEW_HINT, on),
+                _view(tool_words.TOUCH, viser.Icon.HAND_FINGER, tool_words.TOUCH_HINT, self.touch),
+            ])  # fmt: skip
+        if step != "Prepare":
+            alone = bool(self._tab.selection.hidden)
+            measuring = self._pointing.armed == "measure"
+            groups.append([
+                _view(keys.MEASURE, viser.Icon.RULER_2, keys.MEASURE_TIP, measuring),
+                _view(keys.ISOLATE, viser.Icon.FOCUS_2, keys.ISOLATE_TIP, alone),
+            ])  # fmt: skip
+        groups.append([
+            _view(common.KEYS_BUTTON, viser.Icon.KEYBOARD),
+            _view(TOUR, viser.Icon.SCHOOL, TOUR_TIP),
+        ])  # fmt: skip
+        self._place.show("".join(f'<div class="aw-group">{"".join(g)}</div>' for g in groups))
+
+    def _tool(self, label: str, tool: str) -> str:
+        now = tool in (self._pointing.tool, self._pointing.armed)
+        return button(
+            "tool", label, label, content=icon(_ICONS[tool]), tip=tool_words.TOOL_TIPS[tool],
+            pressed=now if tool in ("lasso", "brush", "cut", "rectangle", "merge") else None,
+        )  # fmt: skip
+
+
+def _view(label: str, picture: Any, tip: str = "", pressed: bool | None = None) -> str:
+    return button("view", label, label, content=icon(picture), tip=tip or label, pressed=pressed)

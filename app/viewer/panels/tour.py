@@ -6,10 +6,10 @@ from collections.abc import Callable
 from html import escape
 
 from app.server.open_object import OpenObject
-from app.viewer.panels.markup import Place, Presses, button
+from app.viewer.panels.widgets import Place, Presses, button
 from app.viewer.picture.motion import Motion
 from app.viewer.tab import Tab
-from app.viewer.words import tour as words
+from app.viewer.words import common as words
 from model.core.files import static_assets
 
 _LAST = len(words.STEPS) - 1

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 import viser
 
-from app.server.scene_shapes import Shape
+from app.server.scene_tasks import Shape
 from app.viewer.picture import palette
 from app.viewer.picture.scene_nodes import Node, Placement, Scans
 

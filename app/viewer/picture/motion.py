@@ -1,16 +1,20 @@
-"""The pose of the open object: set by sliders, played, or that of a finding."""
+"""The pose of the open object, set by sliders, played, or that of a finding; and joints of a scene
+that move: one, those of an object, or all at once.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import math
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 import numpy.typing as npt
 
-from app.server.display_names import moved_part
-from app.viewer.picture.animation import Animation
-from app.viewer.picture.axis_handles import AxisHandles
-from app.viewer.picture.limit_handles import LimitHandles
+from app.server.names import moved_part
+from app.server.scene_state import Work
+from app.viewer.picture.joint_handles import AxisHandles, LimitHandles
 from app.viewer.picture.object_picture import ObjectPicture
 from app.viewer.tab import AT_REST, Step, Tab
 from app.viewer.words import common as words
@@ -18,6 +22,78 @@ from app.viewer.words.joints import SELECT_JOINT
 from model.core.joint import Joint
 from model.core.tree import KinematicTree
 from model.validation.report import Finding
+
+TICKS_PER_SECOND = 25.0
+PERIOD_SECONDS = 3.2
+
+
+class Animation:
+    """Plays joints over their range until stopped; ``show(q)`` is called at every tick."""
+
+    def __init__(self, show: Callable[[dict[str, float]], None]) -> None:
+        self._show = show
+        self._lock = threading.Lock()
+        self._joints: dict[str, tuple[Joint, float]] = {}
+        self._thread: threading.Thread | None = None
+
+    @property
+    def playing(self) -> frozenset[str]:
+        """Names of the joints that move now."""
+        return frozenset(self._joints)
+
+    def toggle(self, joints: Sequence[Joint], q: dict[str, float]) -> None:
+        """Stop ``joints`` where all of them play, else play them from where they are."""
+        with self._lock:
+            names = {j.name for j in joints}
+            if names and names <= set(self._joints):
+                for name in names:
+                    del self._joints[name]
+                return
+            now = time.monotonic()
+            for joint in joints:
+                phase = phase_at(joint, q.get(joint.name, 0.0))
+                self._joints[joint.name] = (joint, now - phase * PERIOD_SECONDS)
+            if self._thread is None or not self._thread.is_alive():
+                self._thread = threading.Thread(target=self._run, name="animation", daemon=True)
+                self._thread.start()
+
+    def stop(self) -> None:
+        """Stop all; joints stay where they are."""
+        with self._lock:
+            self._joints.clear()
+
+    def _run(self) -> None:
+        while True:
+            now = time.monotonic()
+            with self._lock:
+                if not self._joints:
+                    self._thread = None
+                    return
+                q = {
+                    name: value_at(joint, (now - start) / PERIOD_SECONDS)
+                    for name, (joint, start) in self._joints.items()
+                }
+            self._show(q)
+            time.sleep(max(0.0, 1 / TICKS_PER_SECOND - (time.monotonic() - now)))
+
+
+def value_at(joint: Joint, phase: float) -> float:
+    """q at ``phase`` periods: limited joints swing smoothly between limits, others turn on."""
+    if joint.type == "continuous":
+        return (phase * 2 * math.pi + math.pi) % (2 * math.pi) - math.pi
+    assert joint.lower is not None and joint.upper is not None
+    swing = 0.5 - 0.5 * math.cos(2 * math.pi * phase)
+    return joint.lower + swing * (joint.upper - joint.lower)
+
+
+def phase_at(joint: Joint, q: float) -> float:
+    """The phase in [0, 1) at which :func:`value_at` is ``q``."""
+    if joint.type == "continuous":
+        return (q / (2 * math.pi)) % 1.0
+    assert joint.lower is not None and joint.upper is not None
+    span = joint.upper - joint.lower
+    share = min(max((q - joint.lower) / span, 0.0), 1.0) if span > 0 else 0.0
+    return math.acos(1 - 2 * share) / (2 * math.pi)
 
 
 class Motion:
@@ -194,3 +270,76 @@ def _within(joint: Joint, q: float) -> float:
     if joint.lower is None or joint.upper is None:
         return q
     return min(max(q, min(joint.lower, 0.0)), max(joint.upper, 0.0))
+
+
+STEPS = 48
+"""Poses of one swing; they are worked out once, so that a tick only sends them."""
+
+Poses = Mapping[int, Mapping[str, npt.NDArray[np.float64]]]
+
+
+class SceneMotion:
+    """Swings joints over their range until stopped; then everything rests.
+
+    Args:
+        show: gets session id → link → posed_from_rest at every step.
+    """
+
+    def __init__(self, show: Callable[[Poses], None]) -> None:
+        self._show = show
+        self._stop = threading.Event()
+        self._thread: threading.Thread | None = None
+
+    @property
+    def playing(self) -> bool:
+        """True while the joints move."""
+        return self._thread is not None and self._thread.is_alive()
+
+    def play(self, works: list[Work], joint: str | None = None) -> int:
+        """Start, with all joints or the one of that name; returns how many move."""
+        cycle, count = _cycle(works, joint)
+        if count:
+            self._stop.clear()
+            self._thread = threading.Thread(target=self._run, args=(cycle,), daemon=True)
+            self._thread.start()
+        return count
+
+    def stop(self) -> None:
+        """End, with every joint at rest."""
+        if self.playing:
+            self._stop.set()
+            assert self._thread is not None
+            self._thread.join(timeout=5.0)
+            self._show({})
+        self._thread = None
+
+    def _run(self, cycle: list[Poses]) -> None:
+        start = time.monotonic()
+        while True:
+            step = int((time.monotonic() - start) / PERIOD_SECONDS * STEPS)
+            self._show(cycle[step % STEPS])
+            ahead = start + (step + 1) * PERIOD_SECONDS / STEPS - time.monotonic()
+            if self._stop.wait(max(0.0, ahead)):
+                return
+
+
+def _cycle(works: list[Work], joint: str | None = None) -> tuple[list[Poses], int]:
+    cycle: list[dict[int, dict[str, npt.NDArray[np.float64]]]] = [{} for _ in range(STEPS)]
+    count = 0
+    for work in works:
+        tree = work.document.tree
+        joints = (
+            []
+            if tree is None
+            else [j for j in tree.joints if j.moves and j.mimic is None and joint in (None, j.name)]
+        )
+        if tree is None or not joints:
+            continue
+        count += len(joints) if joint else sum(j.moves for j in tree.joints)
+        begin = {j.name: phase_at(j, 0.0) for j in joints}
+        moving = frozenset().union(*(tree.descendants(j.child) for j in joints))
+        for k in range(STEPS):
+            q = {j.name: value_at(j, begin[j.name] + k / STEPS) for j in joints}
+            posed = tree.pose(q)
+            cycle[k][work.id] = {link: posed[link] for link in moving}
+    return list(cycle), count

@@ -16,11 +16,8 @@ from viser import transforms as vtf
 
 from app.server.display_tasks import OpenedAsset, PartPayload, front_direction
 from app.viewer.picture import palette
-from app.viewer.picture.comment_marks import CommentMarks
-from app.viewer.picture.joint_marks import JointMarks
-from app.viewer.picture.label_overlay import LabelOverlay
-from app.viewer.picture.moving_parts import MovingParts
-from app.viewer.picture.overlays import Overlays
+from app.viewer.picture.marks import CommentMarks, JointMarks, Overlays
+from app.viewer.picture.object_nodes import LabelOverlay, MovingParts
 from app.viewer.picture.stage import (
     GRID,
     LIGHT_ROOT,

@@ -17,9 +17,8 @@ import viser
 from viser import transforms as vtf
 
 from app.server.display_tasks import front_direction
-from app.server.scene_rows import Row
-from app.server.scene_shapes import Shape
-from app.server.scene_tasks import SceneItem
+from app.server.scene_state import Row
+from app.server.scene_tasks import SceneItem, Shape
 from app.server.scene_workspace import SceneWorkspace
 from app.viewer.picture import palette
 from app.viewer.picture.ghosts import Ghosts

@@ -10,15 +10,10 @@ import viser
 from app.server.like_tasks import object_name
 from app.server.open_object import OpenObject
 from app.viewer.input.pointing import Pointing
-from app.viewer.panels.category_guess import CategoryGuess
-from app.viewer.panels.choice import Choice, offered
-from app.viewer.panels.instructions import Instructions
-from app.viewer.panels.markup import Presses
-from app.viewer.panels.part_list import PartList
-from app.viewer.panels.predict_buttons import PredictButtons
-from app.viewer.panels.prompt_list import PromptList
-from app.viewer.panels.source_panel import SourcePanel
-from app.viewer.panels.widgets import put
+from app.viewer.panels.comments import Instructions
+from app.viewer.panels.extracting import SourcePanel
+from app.viewer.panels.part_list import CategoryGuess, PartList, PromptList
+from app.viewer.panels.widgets import Choice, PredictButtons, Presses, offered, put
 from app.viewer.picture import palette
 from app.viewer.picture.stage import may_be_a_room
 from app.viewer.steps.prepare import PrepareStep

@@ -6,19 +6,14 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from app.server.display_names import joint_title, moved_part, part_title
 from app.server.jobs import WorkerProcess
+from app.server.names import joint_title, moved_part, part_title
 from app.server.open_object import OpenObject
 from app.viewer.input.pointing import Pointing
-from app.viewer.panels.category_guess import CategoryGuess
-from app.viewer.panels.choice import offered
 from app.viewer.panels.joint_editor import JointEditor
-from app.viewer.panels.joint_text import shown
-from app.viewer.panels.joint_tree import JointTree
-from app.viewer.panels.markup import Presses
-from app.viewer.panels.predict_buttons import PredictButtons, predict
-from app.viewer.panels.quick_names import QuickNames
-from app.viewer.panels.widgets import put
+from app.viewer.panels.joint_tree import JointTree, shown
+from app.viewer.panels.part_list import CategoryGuess, QuickNames
+from app.viewer.panels.widgets import PredictButtons, Presses, offered, predict, put
 from app.viewer.picture.motion import Motion
 from app.viewer.picture.palette import CATEGORIES, PART_NAMES
 from app.viewer.tab import Tab

@@ -15,11 +15,10 @@ from app.server.prepare_tasks import Marks, ScanProposal
 from app.server.preparing import UPRIGHT
 from app.viewer.input.pointing import Pointing
 from app.viewer.panels.widgets import put
+from app.viewer.picture.drawing import PrepareMarks
 from app.viewer.picture.object_picture import ObjectPicture, View
-from app.viewer.picture.prepare_marks import PrepareMarks
 from app.viewer.picture.stage import may_be_a_room
-from app.viewer.tab import Step, Tab
-from app.viewer.text import path_with_tooltip, plain
+from app.viewer.tab import Step, Tab, path_with_tooltip, plain
 from app.viewer.words import prepare as words
 from app.viewer.words.common import warning
 from model.core.errors import CommandError

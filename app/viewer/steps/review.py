@@ -10,20 +10,18 @@ from typing import Any
 import viser
 
 from app.server.accepting import accept, withdraw
-from app.server.display_names import display_text, joint_title
+from app.server.names import display_text, joint_title
 from app.server.open_object import OpenObject
 from app.server.validating import UnseenWarningsError
 from app.viewer.panels.exporting import send_folder
-from app.viewer.panels.joint_text import confidence_text, range_text
-from app.viewer.panels.rejecting import RejectButtons, Rejecting
-from app.viewer.panels.validation_list import ValidationList
+from app.viewer.panels.joint_tree import confidence_text, range_text
+from app.viewer.panels.reviewing import RejectButtons, Rejecting, ValidationList
 from app.viewer.panels.widgets import put
 from app.viewer.picture.motion import Motion
-from app.viewer.tab import Tab
-from app.viewer.text import plain
+from app.viewer.tab import Tab, plain
 from app.viewer.words import review as words
 from app.viewer.words.common import EDITED, NONE, STATES
-from app.viewer.words.export import EXPORT, EXPORT_HINT
+from app.viewer.words.queue import EXPORT, EXPORT_HINT
 from model.core.errors import CommandError
 from model.validation.report import Severity, ValidationReport
 from sessions import commands as cmd

@@ -8,17 +8,16 @@ from typing import Any
 
 import viser
 
-from app.server.scene_rows import Work
+from app.server.scene_state import Work
 from app.server.scene_workspace import SceneWorkspace
-from app.viewer.panels.pick_panel import PickPanel
-from app.viewer.panels.rejecting import Rejecting
+from app.viewer.panels.extracting import PickPanel
+from app.viewer.panels.reviewing import Rejecting
 from app.viewer.panels.scene_card import SceneActions, SceneCard
 from app.viewer.panels.scene_list import SceneList
 from app.viewer.panels.widgets import put
-from app.viewer.picture.scene_motion import SceneMotion
+from app.viewer.picture.motion import SceneMotion
 from app.viewer.picture.scene_picture import ScenePicture
-from app.viewer.steps.scene_edit import SceneEdit
-from app.viewer.steps.scene_review import SceneReview
+from app.viewer.steps.scene_selection import SceneEdit, SceneReview
 from app.viewer.tab import Tab
 from app.viewer.words import scene as words
 from app.viewer.words.common import NO_JOINTS

@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from app.server.tool_tasks import NEXT_MASK
-from app.viewer.words.common import plural
-from app.viewer.words.message import Message
+from app.viewer.words.common import Message, plural
 
 # --- what to do next
 

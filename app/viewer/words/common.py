@@ -1,11 +1,30 @@
-"""Words that several screens share, and those above every step."""
+"""Words that several screens share, those above every step, and those of the tour; and messages
+with places for values.
+"""
 
 from __future__ import annotations
 
+from string import Formatter
 from typing import Final
 
-from app.server.scene_rows import HELD
-from app.viewer.words.message import Message
+from app.server.scene_state import HELD
+
+
+class Message(str):
+    """A text with named places, ``"{count} of {total}"``; a call fills them in their order."""
+
+    __slots__ = ()
+
+    @property
+    def places(self) -> tuple[str, ...]:
+        """The names, in order, each once."""
+        found = (name for _, name, _, _ in Formatter().parse(self) if name)
+        return tuple(dict.fromkeys(found))
+
+    def __call__(self, *values: object) -> str:
+        """Fill the places."""
+        return self.format(**dict(zip(self.places, values, strict=True)))
+
 
 NONE: Final = "—"
 OTHER: Final = "Other…"
@@ -127,3 +146,20 @@ def need_object(in_scene: bool) -> str:
     """Why a command can't be carried out where no object is open."""
     where = "select one in the scene and press Enter" if in_scene else "select one in the queue"
     return f"no object is open: {where}"
+
+
+TOUR: Final = "Tour"
+TOUR_TIP: Final = "Tour: from a mesh to moving joints in a minute"
+STEPS: Final[tuple[str, ...]] = (
+    "Click on a door of the cabinet. The part takes shape; Shift+click removes excess.",
+    "Press 2 and click on a drawer, then 3 for the next one. All parts, in the rail of tools at "
+    "the left, proposes them all at once.",
+    "Name the parts at the right (Shift+1 is a door, Shift+2 a drawer) and choose the category. "
+    "Then press P: the joints are predicted.",
+    "Space plays the joints. Drag the slider at the right, and correct type, axis or limits.",
+    "Open Review: the checks list the joints, worst first. Y accepts the object, X rejects it.",
+    "That is all. N opens the next object, ? shows all keys, and this tour is in the rail.",
+)
+"""Each ends by itself once it is done, but the last one."""
+NEXT, SKIP, END = "Next", "Skip the tour", "End the tour"
+place = Message("{number} of {total}")

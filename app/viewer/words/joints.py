@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from app.viewer.words.message import Message
+from app.viewer.words.common import Message
 from model.core.joint import value_text
 
 EMPTY: Final = "No joints yet. Click the moving parts, then predict."

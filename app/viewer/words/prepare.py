@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from app.viewer.words.message import Message
+from app.viewer.words.common import Message
 from model.geometry.cleaning import CLUTTER, OUTLIER, SUPPORT
 
 PREPARE: Final = "Prepare (Enter)"

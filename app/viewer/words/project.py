@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from app.viewer.words.message import Message
+from app.viewer.words.common import Message
 from model.validation.report import Kind
 
 TITLE: Final = "Project"

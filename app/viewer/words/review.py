@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from app.server.open_object import INTERRUPTED
-from app.viewer.words.common import plural
-from app.viewer.words.message import Message
+from app.viewer.words.common import Message, plural
 from model.validation.report import FixKind, Severity
 from sessions.review import RejectReason
 

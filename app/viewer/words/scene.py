@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from app.viewer.words.common import SCENE_STATES, plural
-from app.viewer.words.message import Message
+from app.viewer.words.common import SCENE_STATES, Message, plural
 
 TITLE: Final = "Scene"
 ORIGINAL_COLORS: Final = "Original colors"

@@ -1,16 +1,20 @@
-"""Extracting objects from a scan, and what of it is excluded."""
+"""Extracting objects: from a scan and what of it is excluded, or out of an object of the scene,
+such as a whole room.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from typing import Any
 
+import viser
+
 from app.server.cutting import cut_out, leave_out
 from app.server.open_object import OpenObject
 from app.viewer.panels.widgets import put
-from app.viewer.tab import Tab
-from app.viewer.text import plain
+from app.viewer.tab import Tab, plain
 from app.viewer.words import annotate as words
+from app.viewer.words import scene as scene_words
 from model.core.errors import CommandError
 from sessions import commands as cmd
 
@@ -91,3 +95,37 @@ def _room_note(obj: OpenObject, in_scene: bool) -> str:
     if in_scene:
         return "\n\n".join(lines)
     return "\n\n".join(lines) or words.EXTRACT_HELP
+
+
+class PickPanel:
+    """Above the usual tools while an object of the scene is there to be picked from."""
+
+    def __init__(self, tab: Tab, take_out: Callable[[str], None]) -> None:
+        """Make the widgets; ``take_out`` gets the new object's name."""
+        self._tab = tab
+        gui = tab.client.gui
+        self._how = gui.add_markdown(scene_words.EXTRACT_HELP, visible=False)
+        self._back = gui.add_button(
+            scene_words.RESTORE_ROOM, color="gray", visible=False,
+            hint=scene_words.RESTORE_ROOM_HINT,
+        )  # fmt: skip
+        self._name = gui.add_text(
+            scene_words.OBJECT_NAME, "", hint=scene_words.OBJECT_NAME_HINT, visible=False
+        )
+        self._take = gui.add_button(
+            scene_words.EXTRACT, icon=viser.Icon.SCISSORS, color="green", visible=False
+        )
+        self._back.on_click(lambda _: tab.act(lambda: tab.do(cmd.LeaveOut(None))))
+        self._take.on_click(lambda _: tab.act(lambda: take_out(self._name.value)))
+
+    def draw(self) -> None:
+        """Bring it up to date."""
+        picking, obj = self._tab.selection.picking, self._tab.selection.object
+        for handle in (self._how, self._name, self._take):
+            put(handle, "visible", picking)
+        if not picking:  # the next object has another name
+            put(self._name, "value", "")
+        doc = None if obj is None else obj.document
+        put(self._back, "visible", picking and doc is not None and doc.left_out is not None)
+        ready = picking and doc is not None and doc.segmentation is not None
+        put(self._take, "disabled", not ready)

@@ -1,0 +1,322 @@
+"""The selected object of a scene: choosing it, work on it in place with its surroundings as ghosts,
+and decisions without opening it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from app.server.scene_state import Row, Work, decided_text
+from app.server.scene_workspace import SceneWorkspace
+from app.viewer.panels.scene_list import order
+from app.viewer.picture.scene_picture import ScenePicture
+from app.viewer.picture.stage import fitting_distance
+from app.viewer.tab import Tab
+from app.viewer.words import scene as words
+from app.viewer.words.common import CHOSEN, REDO_EMPTY, UNDO_EMPTY
+from model.core.errors import CommandError
+from sessions import commands as cmd
+from sessions.review import RejectReason
+from sessions.scene_commands import DecideObjects
+from sessions.state import review_problems
+
+
+def _at_the_end(workspace: SceneWorkspace) -> tuple[str, str, str]:
+    """Why nothing waits for a decision: title, text, color."""
+    if workspace.scene is None:
+        if workspace.problem:
+            return words.READ_NOTHING, workspace.problem, "red"
+        return *words.STILL_READING, "gray"
+    rows = [r for r in workspace.rows() if r.work is not None]
+    if not workspace.items:
+        return words.READ_NOTHING, words.NO_OBJECTS, "yellow"
+    if not rows:
+        return *words.NOTHING_TO_DECIDE, "gray"
+    checking = sum(r.mark == "validating" for r in rows)
+    if checking:
+        return *words.still_checking(checking), "gray"
+    return *words.done(decided_text(rows)), "green"
+
+
+class SceneChoice:
+    """Chooses objects of a scene, by a click, from the list, or one after the other.
+
+    Args:
+        leave_other: gets each choice first; leaves what is worked on where that is another object.
+        remember: keeps the choice in the browser.
+
+    Attributes:
+        selected: the selected object, or None.
+        rows: all objects as they were drawn last.
+    """
+
+    def __init__(
+        self,
+        tab: Tab,
+        workspace: SceneWorkspace,
+        picture: ScenePicture,
+        leave_other: Callable[[str | None], None],
+        remember: Callable[[], None],
+    ) -> None:
+        self._tab, self._workspace, self._picture = tab, workspace, picture
+        self._leave_other, self._remember = leave_other, remember
+        self.selected: str | None = None
+        self.rows: list[Row] = []
+
+    def refresh(self) -> None:
+        """Take in what changed in the scene."""
+        self.rows = self._workspace.rows()
+        if self.selected not in self._workspace.items:
+            self.selected = None
+
+    def click(self, origin: Any, direction: Any) -> None:
+        """Choose the object under a ray, or none."""
+        self.choose(self._picture.pick(np.asarray(origin, float), np.asarray(direction, float)))
+
+    def choose(self, id: str | None, *, look: bool = False) -> None:
+        """Choose an object, or none; ``look`` turns the camera to it."""
+        self._leave_other(id)
+        self.selected = id
+        self._remember()
+        self._workspace.prefer(id)
+        if look and id is not None and self._tab.selection.object is None:
+            self._picture.frame([id], front=True)
+        self._tab.invalidate()
+
+    def step(self, by: int) -> None:
+        """Choose the next undecided object, or with -1 the one before."""
+        ids = order(self._workspace.rows())
+        if not ids:
+            self.say_end()
+        elif self.selected in ids:
+            self.choose(ids[(ids.index(self.selected) + by) % len(ids)], look=True)
+        else:
+            self.choose(ids[0 if by > 0 else -1], look=True)
+
+    def say_end(self) -> None:
+        """Say why no object is left to decide."""
+        self._tab.notify(*_at_the_end(self._workspace))
+
+    def need(self) -> str:
+        """The selected object.
+
+        Raises:
+            CommandError: where none is chosen.
+        """
+        if self.selected is None:
+            raise CommandError(words.NEED_SELECTION)
+        return self.selected
+
+    def need_work(self) -> Work:
+        """The selected object's working copy.
+
+        Raises:
+            CommandError: where there is none.
+        """
+        work = self._workspace.work(self.need())
+        if work is None:
+            raise CommandError(words.is_static(self.need()))
+        return work
+
+
+class SceneEdit:
+    """Opens objects of a scene, and goes back to it.
+
+    Args:
+        show: gets the session of an object to open, or None to close it, and whether its worst
+            finding is shown.
+        remember: keeps in the browser what is worked on.
+        stop: ends what moves in the scene.
+
+    Attributes:
+        choice: the selected object.
+        inside: the object that is worked on, or None.
+    """
+
+    def __init__(
+        self,
+        tab: Tab,
+        workspace: SceneWorkspace,
+        picture: ScenePicture,
+        show: Callable[[int | None, bool], None],
+        remember: Callable[[], None],
+        stop: Callable[[], None],
+    ) -> None:
+        self._tab, self._workspace, self._picture = tab, workspace, picture
+        self._show, self._remember, self._stop = show, remember, stop
+        self.inside: str | None = None
+        self.choice = SceneChoice(tab, workspace, picture, self._leave_other, remember)
+        self._eye: Any = None
+
+    def _leave_other(self, id: str | None) -> None:
+        if self.inside is not None and id is not None and id != self.inside:
+            self.leave()
+
+    def enter(self) -> None:
+        """Work on the selected object."""
+        id = self.choice.need()
+        self._stop()
+
+        def opened(work: Work) -> None:
+            self._tab.act(lambda: self._open(id, work.id))
+
+        self._workspace.open_work(id, opened)
+
+    def _open(self, id: str, session: int, *, picking: bool = False) -> None:
+        self.inside = self.choice.selected = id
+        self._tab.selection.picking = picking
+        self._picture.ghost(id)
+        work = self._workspace.work(id)
+        refusal = None if work is None or picking else self._workspace.accepting.refusal(work)
+        self._show(session, refusal is not None and refusal.report is not None)
+
+    def leave(self) -> None:
+        """Go back to the scene."""
+        if self.inside is None:
+            return
+        self.inside, self._tab.selection.picking = None, False
+        self._show(None, False)
+        self._picture.unghost()
+        self._remember()
+
+    def pick(self) -> None:
+        """Open the selected object as a whole, to pick another one out of it."""
+        id = self.choice.need()
+        self._stop()
+        self._workspace.picking.open(
+            id, lambda session: self._tab.act(lambda: self._open(id, session, picking=True))
+        )
+
+    def take_out(self, name: str) -> None:
+        """Make the selected part an object of the scene, and work on that next.
+
+        Raises:
+            CommandError: where nothing is picked from, or nothing was clicked yet.
+        """
+        tab, selection = self._tab, self._tab.selection
+        if self.inside is None or not selection.picking:
+            raise CommandError(words.EXTRACT_NOTHING)
+
+        def taken(id: str) -> None:
+            tab.act(lambda: self._taken(id))
+
+        obj = selection.need_object()
+        self._workspace.picking.take_out(obj, self.inside, selection.part, name, tab.user, taken)
+
+    def _taken(self, id: str) -> None:
+        eye = self._picture.in_scene(np.array(self._tab.client.camera.position))
+        self.leave()
+        self.choice.choose(id)
+        self._eye = eye
+        self.enter()
+
+    def look_as_before(self) -> None:
+        """Aim at the object that was just drawn.
+
+        Where another one is picked out of it, from where the camera was; where it was picked out,
+        from the same side, but near; else it is seen from its front.
+        """
+        eye, self._eye = self._eye, None
+        picture = self._picture
+        if self._tab.selection.picking and picture.camera is not None:
+            picture.look_from(*picture.camera)
+        elif eye is not None:
+            asset = self._tab.selection.need_object().asset
+            assert asset is not None
+            at = picture.in_scene(asset.bounds.mean(0))
+            away = eye - at
+            far = float(np.linalg.norm(away))
+            near = 1.3 * fitting_distance(self._tab.client.camera, asset.diagonal)
+            picture.look_from(at + away * (min(near, far) / max(far, 1e-9)), at)
+
+
+class SceneReview:
+    """Accepts and rejects the selected object, or all above a confidence."""
+
+    def __init__(self, tab: Tab, workspace: SceneWorkspace, choice: SceneChoice) -> None:
+        self._tab, self._workspace, self._choice = tab, workspace, choice
+
+    def classify(self, label: str) -> None:
+        """Say whether the selected object is articulable."""
+        articulable = label.removeprefix(CHOSEN) == words.ARTICULABLE
+        self._workspace.set_articulable(self._choice.need(), articulable, self._tab.user)
+
+    def accept(self) -> None:
+        """Accept the selected object, and go to the next one."""
+        work, id, accepting = (
+            self._choice.need_work(),
+            self._choice.need(),
+            self._workspace.accepting,
+        )
+        if work.document.tree is None:
+            raise CommandError(words.no_joints(id))
+        if work.document.review.state == "accepted":
+            raise CommandError(words.already_accepted(id))
+        if accepting.mark(work) == "validating":
+            raise CommandError(words.already_checking(id))
+        problems = review_problems(work.document)
+        if problems:
+            raise CommandError(words.has_problems(id, "; ".join(problems)))
+        refusal = accepting.refusal(work)
+        if refusal is not None and refusal.report is not None and not refusal.only_warnings:
+            raise CommandError(words.has_errors(id, refusal.why))
+        confirmed = refusal is not None and refusal.only_warnings
+        self._decide(DecideObjects("accept", (work.id,), looked=confirmed))
+
+    def reject(self, reason: RejectReason) -> None:
+        """Reject the selected object, and go to the next one."""
+        work = self._choice.need_work()
+        self._decide(DecideObjects("reject", (work.id,), reason=reason))
+
+    def _decide(self, command: DecideObjects) -> None:
+        tab, workspace, choice = self._tab, self._workspace, self._choice
+        ids = order(workspace.rows())
+        at = ids.index(choice.selected) if choice.selected in ids else -1
+        mine = set(workspace.twins(choice.need()))
+        workspace.do(command, tab.user, tab.notify)
+        ahead = [i for i in [*ids[at + 1 :], *ids[: max(at, 0)]] if i not in mine]
+        following = next((i for i in ahead if self._waits(i)), None)
+        if following is not None:
+            choice.choose(following, look=True)
+        elif ahead:
+            coming = sum(workspace.awaits_prediction(r) for r in workspace.rows() if r.id in ahead)
+            left = words.remaining(coming, len(ahead) - coming)
+            tab.notify(words.NO_MORE_PREDICTED, left, "gray")
+        else:
+            choice.say_end()
+
+    def _waits(self, id: str) -> bool:
+        work = self._workspace.work(id)
+        return work is not None and work.document.review.state == "predicted" and (
+            self._workspace.accepting.mark(work) != "validating")  # fmt: skip
+
+    def above(self, confidence: float) -> list[int]:
+        """Sessions of predicted objects of at least that confidence, 0..1, each once."""
+        found = [
+            r.work for r in self._choice.rows
+            if r.shown == "predicted" and r.work is not None and r.confidence >= confidence
+        ]  # fmt: skip
+        return list(dict.fromkeys(found))
+
+    def accept_above(self, confidence: float) -> None:
+        """Accept all of at least that confidence, 0..1, that pass the checks."""
+        ids = self.above(confidence)
+        if not ids:
+            raise CommandError(words.NONE_ABOVE)
+        command = DecideObjects("accept", tuple(ids), above=confidence)
+        self._workspace.do(command, self._tab.user, self._tab.notify)
+
+    def undo(self) -> None:
+        """Take back the last decision about the scene."""
+        undone = self._workspace.undo(self._tab.user)
+        self._tab.notify(words.undone(undone) if undone else UNDO_EMPTY, "", "gray")
+
+    def redo(self) -> None:
+        """Do again what was taken back."""
+        if self._workspace.live.state.can_redo:
+            self._workspace.do(cmd.Redo(), self._tab.user)
+        else:
+            self._tab.notify(REDO_EMPTY, "", "gray")
