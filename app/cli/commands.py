@@ -335,7 +335,7 @@ class BackendCommand(Command):
 
     def run(self) -> int:
         """Answer requests until interrupted."""
-        return at_place("app.cli.backend:serve_backend")(self)
+        return at_place("app.cli.serve:serve_backend")(self)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from app.cli import output
-from app.cli.benchmarks.segment import bench_segment
+from app.cli.benchmarks.predictions import bench_segment
 from app.cli.output import Result, check_output
 from app.cli.research_commands import EvaluateCommand
 from app.cli.simulated_annotator import BY_HAND, AnnotatorConfig, AnnotatorScore, annotate

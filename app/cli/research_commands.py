@@ -179,6 +179,24 @@ class TrainCommand(Command):
         return at_place("app.cli.train:train")(self)
 
 
+_BENCHES = {
+    "segment": "predictions",
+    "scans": "predictions",
+    "joints": "predictions",
+    "predict": "predictions",
+    "weights": "predictions",
+    "rivals": "predictions",
+    "assets": "predictions",
+    "robot": "predictions",
+    "scene": "load",
+    "team": "load",
+    "ui": "ui",
+    "networks": "networks",
+    "faults": "faults",
+}
+"""Benchmark → file of :mod:`app.cli.benchmarks`."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class BenchCommand(Command):
     """Measure speed and accuracy."""
@@ -255,7 +273,7 @@ class BenchCommand(Command):
             from model.training.arti4urdf.config import LORA_RANK, FullConfig, require_extras
 
             require_extras(FullConfig(lora_rank=LORA_RANK))
-        bench = at_place(f"app.cli.benchmarks.{self.what}:bench")
+        bench = at_place(f"app.cli.benchmarks.{_BENCHES[self.what]}:{self.what}_bench")
         with output.session(self.json) as show:
             report, table = bench(self, show.progress)
         show.result(report, table)

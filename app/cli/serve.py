@@ -1,24 +1,29 @@
-"""``artiworld serve``: from its options to a running server."""
+"""``artiworld serve`` and ``artiworld backend``: from their options to a running server."""
 
 from __future__ import annotations
 
 import ipaddress
 import os
+import socket
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from app.cli.commands import ServeCommand
+from app.cli.commands import BackendCommand, ServeCommand
 from app.cli.options import OidcOptions
 from app.cli.predict import check_backend, chosen_predictor
+from app.server import backend_tasks
 from app.server.config import TOKEN_VARIABLE, ServeConfig
 from app.server.ending import EndSignals
+from app.server.jobs import WorkerProcess
 from app.server.login import Login, new_token
-from app.server.network import check_address, free_port, is_loopback
+from app.server.network import check_address, free_port, is_loopback, url
 from app.server.oidc import SECRET_VARIABLE, OidcSettings
 from model.core.errors import ConfigurationError, InputFileError
+from model.core.packages import install_command
 from model.io.geometry_files import STAGES, SUFFIXES
 from model.io.masks import read_masks
 from model.io.model_files import articulated_stage, find_assets, is_model
+from model.prediction import TOKEN_VARIABLE as BACKEND_TOKEN
 from model.prediction import is_backend
 from model.prediction.registry import check_predictor
 from model.scenes.articulable_finders import FinderOptions, load_finder
@@ -27,6 +32,78 @@ from model.segmentation.registry import check_segmenter
 
 if TYPE_CHECKING:
     from app.server.server import Server
+
+
+def serve_backend(options: BackendCommand) -> int:
+    """Check the options, load the predictor, then answer until interrupted.
+
+    Raises:
+        ConfigurationError: where an option can't work or the extra isn't installed.
+    """
+    token = _token(options)
+    _check(options)
+    name = options.predictor
+    try:
+        from app.server.backend_server import (  # imports an extra
+            Backend,
+            BackendSettings,
+            limited_server,
+        )
+    except ImportError as error:
+        raise ConfigurationError(
+            f"a backend needs {error.name}: {install_command('artiworld[backend]')}"
+        ) from error
+    check_address(options.host, options.port)
+    settings = BackendSettings(name, token, options.max_request_mb * 1_000_000, options.waiting)
+    threads = max(1, (os.cpu_count() or 2) // options.workers)
+    workers = [
+        WorkerProcess(
+            f"backend {i}", initializer=backend_tasks.load, arguments=(name,), threads=threads
+        )
+        for i in range(options.workers)
+    ]
+    try:
+        # Weights that don't load must fail here, not at the first client's request.
+        for job in [worker.submit(backend_tasks.ready) for worker in workers]:
+            job.result()
+        family, _, _, _, address = socket.getaddrinfo(
+            options.host, options.port, type=socket.SOCK_STREAM
+        )[0]
+        listener = socket.create_server(address[:2], family=family, backlog=128)
+        address = url(options.host, listener.getsockname()[1])
+        print(f"ArtiWorld backend is ready: {address} (predictor {name})", flush=True)
+        limited_server(Backend(settings, workers).application()).run(sockets=[listener])
+    finally:
+        for worker in workers:
+            worker.close()
+    return 0
+
+
+def _token(options: BackendCommand) -> str | None:
+    token = options.token or os.environ.get(BACKEND_TOKEN) or None
+    if token is None and not is_loopback(options.host):
+        raise ConfigurationError(
+            f"--host {options.host} lets other machines in: give --token or set {BACKEND_TOKEN}"
+        )
+    if token is not None and not (token.isascii() and token.isprintable()):
+        raise ConfigurationError("--token must have ASCII letters, digits and signs only")
+    Login(token)  # refuses one that is too short
+    return token
+
+
+def _check(options: BackendCommand) -> None:
+    for option, value in (
+        ("--workers", options.workers),
+        ("--waiting", options.waiting),
+        ("--max-request-mb", options.max_request_mb),
+    ):
+        if value < 1:
+            raise ConfigurationError(f"{option} {value} must be 1 or more")
+    if is_backend(options.predictor):
+        raise ConfigurationError(
+            f"--predictor {options.predictor}: a backend can't ask another one"
+        )
+    check_predictor(options.predictor)
 
 
 def serve(options: ServeCommand, end: EndSignals) -> int:

@@ -1,9 +1,11 @@
-"""Jobs that prepare geometry for the browser: an opened asset, its parts while joints move, and
-light in its surface.
+"""Jobs that prepare geometry for the browser: an opened asset, its parts while joints move, light
+in its surface, and thumbnails of the queue's objects.
 """
 
 from __future__ import annotations
 
+import hashlib
+import math
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -12,21 +14,26 @@ from zipfile import BadZipFile
 
 import numpy as np
 import numpy.typing as npt
+from PIL import Image
 
 from app.server.part_tasks import PartSource
 from app.server.prepare_tasks import removed_of
 from app.server.segmenting_tasks import source_regions
-from app.server.tasks import ReadOptions, arrays_of, asset_of, pixels_of, working_copy
-from model.core.articulated_object import Prediction
+from app.server.tasks import ReadOptions, arrays_of, asset_of, pixels_of, stamp, working_copy
+from model.core.articulated_object import ArticulatedObject, Part, Prediction
 from model.core.asset import Asset, ElementKind, UpAxis
 from model.core.files import draft_of
 from model.core.geometry import Mesh, PointCloud
 from model.core.progress import Progress, no_progress
+from model.core.tree import KinematicTree
+from model.evaluation import render
 from model.geometry.ambient_light import CreaseEdges, crease_edges, is_plain, with_ambient_occlusion
 from model.geometry.display import display_asset, thin
 from model.geometry.levelling import box_yaw
+from model.geometry.prepare import moved
 from model.io.masks import read_masks, with_masks
-from model.io.model_files import model_of
+from model.io.model_files import is_model, model_of
+from model.io.open_asset import open_asset as read_asset
 from model.io.write import face_order, mesh_to_glb
 from sessions.checks import NAME_LIMIT, clipped
 from sessions.provenance import MASKS
@@ -341,3 +348,40 @@ def part_payloads(
             cloud = shown.cloud.take(mine)
             out.append(PartPayload(part, None, np.asarray(cloud.points), _colors(cloud)))
     return out
+
+
+SIZE = (208, 156)
+"""Pixels of a thumbnail: a card of the gallery on a sharp screen."""
+_VIEW = render.View(azimuth=-math.pi / 2 - 0.6, width=3 * SIZE[0] // 2, height=3 * SIZE[1] // 2)
+
+
+def draw_thumbnail(path: Path, workspace: Path, options: ReadOptions) -> Path:
+    """Draw the object of ``path`` as read with some options, unless that was done before.
+
+    Returns:
+        The WebP file in the workspace, named after the content.
+
+    Raises:
+        ArtiworldError: where the file can't be read.
+    """
+    shown = (options.up_axis, options.unit_scale, options.frame, _content(path))
+    key = hashlib.sha256(repr(shown).encode()).hexdigest()[:24]
+    target = workspace / "thumbnails" / f"{key}.webp"
+    if target.exists():
+        return target
+    asset = read_asset(path, up_axis=options.up_axis, unit_scale=options.unit_scale)
+    asset = moved(asset, options.frame.object_from_read)
+    whole = Part("link_0", asset.mesh, asset.cloud)
+    obj = ArticulatedObject("thumbnail", (whole,), KinematicTree(("link_0",), ()))
+    image = render.draw(obj, view=_VIEW).resize(SIZE, Image.Resampling.LANCZOS)
+    with draft_of(target) as draft:
+        image.save(draft, "WEBP", quality=80)
+    return target
+
+
+def _content(path: Path) -> str:
+    """A key of what a file holds; of folders, and files that name others, names and times."""
+    if path.is_dir() or is_model(path) or path.suffix.lower() in (".obj", ".gltf"):
+        return repr((str(path), stamp(path)))
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

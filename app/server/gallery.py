@@ -11,11 +11,11 @@ from pathlib import Path
 from threading import Lock
 from typing import Any, Final
 
+from app.server.display_tasks import draw_thumbnail
 from app.server.job import Job
 from app.server.names import queue_names
 from app.server.object_context import Services
 from app.server.tasks import ReadOptions, stamp_if_there
-from app.server.thumbnail_tasks import draw_thumbnail
 from sessions.database import ObjectRecord
 from sessions.document import Document
 

@@ -15,8 +15,7 @@ from collections.abc import Callable, Hashable
 from multiprocessing.connection import Connection
 from typing import Any, Generic, Literal, TypeVar
 
-from app.server.worker import pack, send, unpack
-from app.server.worker_template import Process, WorkerTemplate, start_python
+from app.server.worker import Process, WorkerTemplate, pack, send, start_python, unpack
 from model.core.errors import ArtiworldError
 from model.core.progress import Cancelled
 
@@ -231,7 +230,7 @@ class Child:
             self.process = forked
         else:
             code = (
-                f"from app.server.worker import main; main({descriptor}, {os.getpid()}, {name!r})"
+                f"from app.server.worker import work; work({descriptor}, {os.getpid()}, {name!r})"
             )
             self.process = start_python(code, descriptor, threads)
         theirs.close()

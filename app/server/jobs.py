@@ -29,8 +29,7 @@ from app.server.job import (
     error_of,
     finish,
 )
-from app.server.worker import pack, receive, send, unpack
-from app.server.worker_template import WorkerTemplate
+from app.server.worker import WorkerTemplate, pack, receive, send, unpack
 from model.core.progress import own_threads
 
 T = TypeVar("T")

@@ -10,7 +10,7 @@ from typing import Any
 
 from app.server.job import Job
 from app.server.jobs import WorkerProcess
-from app.server.worker_template import WorkerTemplate
+from app.server.worker import WorkerTemplate
 from app.server.workers import READING, in_background
 from model.core.errors import CommandError, ConfigurationError
 from model.core.progress import Progress, no_progress

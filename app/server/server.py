@@ -16,6 +16,7 @@ from urllib.parse import quote
 import viser
 
 from app.server.api.application import make_application
+from app.server.api.project import WebhookSender
 from app.server.app_state import AppState
 from app.server.config import ServeConfig
 from app.server.ending import EndSignals
@@ -25,7 +26,6 @@ from app.server.guard import Route, RouteAnswer, RouteRequest, guarded_server
 from app.server.login import Login
 from app.server.network import url
 from app.server.oidc import OidcLogin
-from app.server.webhook_sender import WebhookSender
 from model.core.errors import InputFileError, StoreError
 from model.core.files import static_assets
 from model.io.model_files import find_assets, refusal

@@ -1,28 +1,42 @@
-"""The child's side of :mod:`app.server.jobs`: reads jobs from a pipe, runs them, sends results.
+"""The child's side of :mod:`app.server.jobs`: reads jobs from a pipe, runs them, sends results; and
+the template, a process that has imported what workers need and forks them: each starts in
+milliseconds, and all share the memory of the libraries.
 
 A job that arrives while another one runs preempts it between two of its steps; the parent sends
 only jobs that may. Imports nothing heavy itself.
+
+The template is only for Linux: elsewhere some of the libraries don't survive a fork. It imports and
+forks, in one thread, and computes nothing, so no library has threads or locks of its own at that
+moment (OpenBLAS ends its threads before a fork).
 """
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import faulthandler
+import gc
+import importlib
 import inspect
 import os
 import pickle
 import queue
+import selectors
+import signal
+import socket
+import struct
+import subprocess
 import sys
 import threading
 import time
 import traceback
 from collections.abc import Callable
 from multiprocessing.connection import Connection
-from typing import Any
+from typing import Any, Protocol
 
-from app.server.ending import ignore_end_signals
+from app.server.ending import ignore_end_signals, signals_blocked
 from model.core.errors import ArtiworldError
-from model.core.progress import Cancelled, die_with_parent
+from model.core.progress import Cancelled, die_with_parent, with_threads
 
 PROGRESS_PERIOD = 0.03
 """Least seconds between two progress messages."""
@@ -195,10 +209,252 @@ def _trim_memory() -> None:
             trim(0)
 
 
-def main(descriptor: int, parent: int, name: str) -> None:
+def work(descriptor: int, parent: int, name: str) -> None:
     """Run the child until the pipe closes."""
     die_with_parent(parent)
     faulthandler.enable()
     ignore_end_signals()
     threading.current_thread().name = name
     _Worker(Connection(descriptor)).run()
+
+
+MODULES = (
+    "app.server.display_tasks",
+    "app.server.part_tasks",
+    "app.server.picking_tasks",
+    "app.server.prepare_tasks",
+    "app.server.segmenting_tasks",
+)
+"""Imports of the workers' first jobs: two seconds of a processor, mostly trimesh and scipy."""
+_NUMBER = struct.Struct("<i")
+_NAME_BYTES = 200
+
+
+class Process(Protocol):
+    """A started process, as :class:`subprocess.Popen` has it."""
+
+    @property
+    def pid(self) -> int | None:
+        """Its number; None where it hasn't been forked yet."""
+        ...
+
+    @property
+    def returncode(self) -> int | None:
+        """Its exit code, minus the signal that ended it, or None."""
+        ...
+
+    def poll(self) -> int | None:
+        """Return the exit code if it has ended."""
+        ...
+
+    def kill(self) -> None:
+        """Kill it, if it hasn't ended."""
+        ...
+
+    def wait(self) -> int | None:
+        """Wait for its end, and return its exit code."""
+        ...
+
+
+def start_python(code: str, descriptor: int, threads: int) -> subprocess.Popen[bytes]:
+    """Start an interpreter that runs ``code``, with these paths and one open descriptor."""
+    paths = [os.path.abspath(p) for p in sys.path]
+    with signals_blocked():
+        return subprocess.Popen(
+            [sys.executable, "-P", "-c", f"import sys; sys.path[:] = {paths!r}; {code}"],
+            pass_fds=[descriptor],
+            stdin=subprocess.DEVNULL,
+            env=with_threads(os.environ, threads),
+        )
+
+
+class WorkerTemplate:
+    """Starts the template, and forks workers from it; for any thread.
+
+    Args:
+        threads: numeric threads in each worker.
+    """
+
+    def __init__(self, threads: int) -> None:
+        self._threads = threads
+        self._lock = threading.Lock()
+        self._socket = self._begin()
+
+    @staticmethod
+    def possible() -> bool:
+        """True if this system forks safely."""
+        return sys.platform.startswith("linux")
+
+    def _begin(self) -> socket.socket:
+        ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        started = threading.Event()
+        # Linux ties "die with the parent" to the thread that forked: this one lives as long.
+        threading.Thread(
+            target=self._keep, args=(theirs, started), name="worker template", daemon=True
+        ).start()
+        started.wait()
+        return ours
+
+    def _keep(self, theirs: socket.socket, started: threading.Event) -> None:
+        number = theirs.fileno()
+        code = f"from app.server.worker import main; main({number}, {os.getpid()})"
+        try:
+            process = start_python(code, number, self._threads)
+        finally:
+            theirs.close()
+            started.set()
+        process.wait()
+
+    def fork(self, name: str, descriptor: int) -> Process | None:
+        """Begin a worker that talks over ``descriptor``; returns before it runs.
+
+        None where the template is closed, or can't be started.
+        """
+        reader, writer = os.pipe()
+        request = [name.encode()[:_NAME_BYTES]], [descriptor, writer]
+        try:
+            with self._lock:
+                try:
+                    socket.send_fds(self._socket, *request)
+                except ConnectionError:  # it was killed, and its workers with it
+                    self._socket.close()
+                    self._socket = self._begin()
+                    socket.send_fds(self._socket, *request)
+        except OSError:
+            os.close(reader)
+            return None
+        finally:
+            os.close(writer)
+        return _Forked(reader)
+
+    def close(self) -> None:
+        """End the template and all its workers."""
+        with self._lock:
+            self._socket.close()
+
+
+class _Forked:
+    """The server's side of a forked worker.
+
+    Args:
+        reader: pipe on which the template writes the worker's number, and later its exit code.
+    """
+
+    def __init__(self, reader: int) -> None:
+        self._reader = reader
+        self._lock = threading.Lock()
+        self._pid: int | None = None
+        self.returncode: int | None = None
+
+    def __del__(self) -> None:
+        if self._reader >= 0:
+            os.close(self._reader)
+
+    @property
+    def pid(self) -> int | None:
+        self.poll()
+        return self._pid
+
+    def poll(self) -> int | None:
+        with self._lock:
+            while self._reader >= 0 and _readable(self._reader):
+                self._read()
+            return self.returncode
+
+    def _read(self) -> None:
+        data = os.read(self._reader, _NUMBER.size)
+        if data and self._pid is None:
+            self._pid = _NUMBER.unpack(data)[0]
+            return
+        # Without a word from it the template was killed, and its workers with it.
+        self.returncode = _NUMBER.unpack(data)[0] if data else -signal.SIGKILL
+        os.close(self._reader)
+        self._reader = -1
+
+    def kill(self) -> None:
+        if self.poll() is None and self._pid:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(self._pid, signal.SIGKILL)
+
+    def wait(self) -> int | None:
+        """The same; one that isn't forked yet ends itself, as nobody holds its pipe."""
+        with self._lock:
+            while self._pid and self._reader >= 0:
+                self._read()
+        return self.returncode
+
+
+def _readable(descriptor: int) -> bool:
+    with selectors.PollSelector() as selector:
+        selector.register(descriptor, selectors.EVENT_READ)
+        return bool(selector.select(0))
+
+
+# The template's own side.
+
+
+def main(descriptor: int, parent: int) -> None:
+    """Import, then fork a worker for each request until the server closes its end."""
+    die_with_parent(parent)
+    ignore_end_signals()
+    for module in MODULES:
+        with contextlib.suppress(ImportError):  # the worker's job will say so
+            importlib.import_module(module)
+    gc.collect()
+    gc.freeze()  # else collections in the workers would copy all pages
+    woken, waker = os.pipe()
+    os.set_blocking(waker, False)
+    signal.signal(signal.SIGCHLD, lambda *_: None)
+    signal.set_wakeup_fd(waker, warn_on_full_buffer=False)
+    requests = socket.socket(fileno=descriptor)
+    reports: dict[int, int] = {}  # worker → pipe to the server
+    with selectors.PollSelector() as selector:
+        selector.register(requests, selectors.EVENT_READ)
+        selector.register(woken, selectors.EVENT_READ)
+        while True:
+            for key, _ in selector.select():
+                if key.fileobj is requests:
+                    data, received, _, _ = socket.recv_fds(requests, _NAME_BYTES, 2)
+                    if not data:
+                        os._exit(0)
+                    name = data.decode(errors="replace")
+                    ours = (descriptor, woken, waker, *reports.values())
+                    pipe, report = received
+                    pid = _fork(name, pipe, report, ours)
+                    reports[pid] = report
+                    os.close(pipe)
+                    _report(reports[pid], pid)
+                else:
+                    os.read(woken, 4096)
+            _reap(reports)
+
+
+def _fork(name: str, pipe: int, report: int, ours: tuple[int, ...]) -> int:
+    me = os.getpid()
+    pid = os.fork()
+    if pid:
+        return pid
+    try:
+        signal.set_wakeup_fd(-1)
+        signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+        for descriptor in (report, *ours):
+            os.close(descriptor)
+        work(pipe, me, name)
+    finally:
+        os._exit(1)
+
+
+def _reap(reports: dict[int, int]) -> None:
+    """Tell the server how the workers ended that ended."""
+    while reports:
+        pid, status = os.waitpid(-1, os.WNOHANG)
+        if not pid:
+            return
+        report = reports.pop(pid)
+        _report(report, os.waitstatus_to_exitcode(status))
+        os.close(report)
+
+
+def _report(pipe: int, number: int) -> None:
+    with contextlib.suppress(BrokenPipeError):  # the server no longer asks
+        os.write(pipe, _NUMBER.pack(number))

@@ -13,7 +13,7 @@ from typing import Protocol
 from weakref import WeakKeyDictionary
 
 from app.server.jobs import WorkerProcess
-from app.server.worker_template import WorkerTemplate
+from app.server.worker import WorkerTemplate
 from model.core.memory import limit_memory, machine_memory
 from model.core.progress import own_threads
 

@@ -18,8 +18,7 @@ from app.viewer.navigation import Memory, Navigation
 from app.viewer.panels.comments import Comments, History
 from app.viewer.panels.exporting import Exporting
 from app.viewer.panels.queue_panel import QueuePanel
-from app.viewer.panels.step_bar import ObjectHeader, RailActions, StepBar, ToolRail
-from app.viewer.panels.tour import Tour
+from app.viewer.panels.step_bar import ObjectHeader, RailActions, StepBar, ToolRail, Tour
 from app.viewer.panels.widgets import Presses, put
 from app.viewer.picture.drawing import ObjectDrawing
 from app.viewer.picture.light import PLAIN, LightSwitch, Theme

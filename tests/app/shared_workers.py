@@ -11,7 +11,7 @@ from unittest import mock
 from app.server import workers
 from app.server.job import Job
 from app.server.jobs import WorkerProcess
-from app.server.worker_template import WorkerTemplate
+from app.server.worker import WorkerTemplate
 from model.core.progress import own_threads
 
 

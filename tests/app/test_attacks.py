@@ -16,9 +16,9 @@ from websockets.exceptions import InvalidStatus
 
 from app.client import ApiError, Client, is_genuine
 from app.server import entrance
+from app.server.api.project import check_url, is_public, send, signature
 from app.server.login import GUESSES
 from app.server.server import Server
-from app.server.webhook_sender import check_url, is_public, send, signature
 from model.core.errors import ConfigurationError
 from sessions.commands import Reject
 from sessions.live import LiveSession

@@ -7,8 +7,8 @@ import json
 import numpy as np
 import pytest
 
-from app.cli.benchmarks import joints as bench_joints
-from app.cli.benchmarks import predict as bench_predict
+from app.cli.benchmarks import predictions as bench_joints
+from app.cli.benchmarks import predictions as bench_predict
 from app.cli.benchmarks.shapes import chest
 from app.cli.main import main
 from model import write_asset

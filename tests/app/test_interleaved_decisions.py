@@ -24,7 +24,7 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, rule, run_stat
 from app.server import app_state as app_state_module
 from app.server import bulk, job, part_tasks, scene_saving_tasks
 from app.server.accepting import accept
-from app.server.api import reviews
+from app.server.api import sessions
 from app.server.app_state import AppState
 from app.server.config import ServeConfig
 from app.server.job import Job
@@ -404,17 +404,17 @@ def test_a_submission_that_waits_for_checks_is_of_what_was_there(
     strict = replace(state.store.project.settings, required=("collision",))
     monkeypatch.setattr(type(state.store.project), "settings", strict)
     person: Any = SimpleNamespace(name="ann", role=None)
-    monkeypatch.setattr(reviews, "opened", lambda *_: desk.server.opened[1])
+    monkeypatch.setattr(sessions, "opened", lambda *_: desk.server.opened[1])
 
     def submit() -> None:
         try:
-            answers.append(reviews.submit(id, reviews.CommentBody(), person, state))
+            answers.append(sessions.submit(id, sessions.CommentBody(), person, state))
         except CommandError as error:
             answers.append(str(error))
 
     for told in ("it was edited meanwhile by rob: decide again", None):
-        waits = mock.Mock(wraps=reviews.wait)
-        monkeypatch.setattr(reviews, "wait", waits)
+        waits = mock.Mock(wraps=sessions.wait)
+        monkeypatch.setattr(sessions, "wait", waits)
         thread = threading.Thread(target=submit)
         thread.start()
         wait_until(lambda waits=waits: waits.called, "it waits for the checks")

@@ -15,7 +15,7 @@ import pytest
 
 from app.server.job import OutOfTimeError, WorkerDied
 from app.server.jobs import CANCEL_SECONDS, Job, JobFailed, WorkerProcess
-from app.server.worker_template import WorkerTemplate
+from app.server.worker import WorkerTemplate
 from model.core.errors import InputFileError, KinematicsError
 from model.core.progress import Cancelled
 from tests.app import job_functions as functions

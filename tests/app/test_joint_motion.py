@@ -9,7 +9,7 @@ from unittest.mock import MagicMock
 
 import pytest
 
-from app.viewer.panels.joint_motion import JointMotion
+from app.viewer.panels.joint_editor import JointMotion
 from app.viewer.words import joints as words
 from app.viewer.words.common import NONE
 from model.core.articulated_object import Prediction

@@ -16,12 +16,11 @@ import pytest
 import trimesh
 
 from app.server import prepare_tasks, tasks
-from app.server.display_tasks import lit_mesh
+from app.server.display_tasks import draw_thumbnail, lit_mesh
 from app.server.ending import unfinished
 from app.server.part_tasks import DRAFTS_KEPT, PartSource, prepare_asset
 from app.server.scene_saving_tasks import save_scene
 from app.server.scene_tasks import SceneItem, make_working_copy, shapes
-from app.server.thumbnail_tasks import draw_thumbnail
 from app.server.uploads import keep_upload
 from model.core.errors import ArtiworldError
 from model.core.joint import Joint

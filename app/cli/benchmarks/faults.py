@@ -342,7 +342,7 @@ BAD = ("crash", "hang", "blow-up", "our fault")
 SHOWN = 20
 
 
-def bench(options: BenchCommand, progress: Progress) -> Result:
+def faults_bench(options: BenchCommand, progress: Progress) -> Result:
     """Measure with the options of the command."""
     files = FILES if options.limit is None else options.limit
     samples = fault_samples()

@@ -77,7 +77,7 @@ class NetworksConfig:
     training: FullConfig = field(default_factory=FullConfig)
 
 
-def bench(options: BenchCommand, progress: Progress) -> Result:
+def networks_bench(options: BenchCommand, progress: Progress) -> Result:
     """Measure with the options of the command.
 
     Raises:

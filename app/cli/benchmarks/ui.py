@@ -137,7 +137,7 @@ class LoopWatch:
         self._on = False
 
 
-def bench(options: BenchCommand, _: Progress) -> Result:
+def ui_bench(options: BenchCommand, _: Progress) -> Result:
     """Measure with the options of the command."""
     with tempfile.TemporaryDirectory(prefix="artiworld-bench-") as folder:
         root = Path(folder)

@@ -11,20 +11,12 @@ from fastapi.exceptions import RequestValidationError
 from fastapi.responses import HTMLResponse, JSONResponse, Response
 from starlette.types import ASGIApp
 
-from app.server.api import (
-    assets,
-    entry,
-    objects,
-    oidc,
-    people,
-    project,
-    reviews,
-    sessions,
-    statistics,
-    webhooks,
-    work,
-)
+from app.server.api.entry import entry_router, oidc_router
 from app.server.api.guard import ApiGuard, Reader
+from app.server.api.objects import assets_router, objects_router, work_router
+from app.server.api.people import people_router
+from app.server.api.project import project_router, statistics_router, webhooks_router
+from app.server.api.sessions import reviews_router, sessions_router
 from app.server.app_state import AppState
 from app.server.entrance import Entrance, Origins, TooManyAttempts
 from app.server.network import API
@@ -66,12 +58,20 @@ def make_application(app_state: AppState, entrance: Entrance, origins: Origins) 
         openapi_url=None,
     )
     app.state.app_state, app.state.entrance, app.state.origins = app_state, entrance, origins
-    parts = (
-        entry, oidc, objects, sessions, reviews, work, assets, statistics, people, project,
-        webhooks,
-    )  # fmt: skip
-    for part in parts:
-        app.include_router(part.router, prefix=API)
+    for router in (
+        entry_router,
+        oidc_router,
+        objects_router,
+        sessions_router,
+        reviews_router,
+        work_router,
+        assets_router,
+        statistics_router,
+        people_router,
+        project_router,
+        webhooks_router,
+    ):
+        app.include_router(router, prefix=API)
     app.add_api_route(f"{API}/openapi.json", _description, include_in_schema=False)
     app.add_api_route(f"{API}/docs", _page, include_in_schema=False)
     app.add_api_route(f"{API}/docs/{{name}}", _document, include_in_schema=False)

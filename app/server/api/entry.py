@@ -1,17 +1,24 @@
-"""Coming in and going out: passwords, invitations, browser sessions."""
+"""Coming in and going out: passwords, invitations, browser sessions, and login with an
+organisation's provider, there and back.
+"""
 
 from __future__ import annotations
 
 from typing import Any
 
 from fastapi import APIRouter, HTTPException, Request, Response
+from fastapi.responses import HTMLResponse, RedirectResponse
 from pydantic import BaseModel, Field
 
 from app.server.api.guard import State, TheEntrance, Visitor
 from app.server.entrance import TooManyAttempts, session_cookie
+from app.server.login import answer_page, cookie_name
+from app.server.network import API, url
+from app.server.oidc import OidcLogin
 from model.core.errors import ConfigurationError
+from sessions.credentials import LOGIN_SECONDS
 
-router = APIRouter(tags=["login"])
+entry_router = APIRouter(tags=["login"])
 
 
 class LoginBody(BaseModel):
@@ -40,7 +47,7 @@ class PasswordBody(BaseModel):
     new: str = Field(max_length=2000)
 
 
-@router.post("/login")
+@entry_router.post("/login")
 def log_in(
     body: LoginBody, request: Request, response: Response, entrance: TheEntrance
 ) -> dict[str, Any]:
@@ -55,7 +62,7 @@ def log_in(
     return {"logged_in": True}
 
 
-@router.post("/logout")
+@entry_router.post("/logout")
 def log_out(person: Visitor, request: Request, response: Response, state: State) -> dict[str, Any]:
     """End this browser session."""
     if person.session is not None:
@@ -64,14 +71,14 @@ def log_out(person: Visitor, request: Request, response: Response, state: State)
     return {"logged_in": False}
 
 
-@router.get("/me")
+@entry_router.get("/me")
 def me(person: Visitor) -> dict[str, Any]:
     """Current user and permissions."""
     role = None if person.account is None else person.account.role
     return {"name": person.name, "role": role, "scopes": sorted(person.scopes)}
 
 
-@router.post("/invitation")
+@entry_router.post("/invitation")
 def invitation(body: InvitationBody, state: State) -> dict[str, Any]:
     """Whom an invitation is for."""
     account = state.store.people.accounts.invited(body.code)
@@ -80,7 +87,7 @@ def invitation(body: InvitationBody, state: State) -> dict[str, Any]:
     return {"name": account.name, "role": account.role}
 
 
-@router.post("/invitation/accept")
+@entry_router.post("/invitation/accept")
 def accept_invitation(
     body: ClaimBody, request: Request, response: Response, state: State, entrance: TheEntrance
 ) -> dict[str, Any]:
@@ -91,7 +98,7 @@ def accept_invitation(
     return {"name": account.name, "role": account.role}
 
 
-@router.post("/password")
+@entry_router.post("/password")
 def change_password(body: PasswordBody, person: Visitor, state: State) -> dict[str, Any]:
     """Change the password; all other browser sessions and all tokens end."""
     if person.account is None or person.session is None:
@@ -111,3 +118,79 @@ def _set_cookie(request: Request, response: Response, secret: str) -> None:
     secure = request.headers.getlist("X-Forwarded-Proto") == ["https"]
     port = request.app.state.origins.port
     response.headers["Set-Cookie"] = session_cookie(secret, port, secure=secure)
+
+
+oidc_router = APIRouter(tags=["login"])
+_CALLBACK = f"{API}/oidc/callback"
+
+
+@oidc_router.get("/oidc/login")
+def log_in_there(request: Request, state: State, entrance: TheEntrance) -> Response:
+    """Go to the provider; nothing in the address decides where one comes back to."""
+    try:
+        address, browser = _need(entrance.oidc).begin(_redirect(request, state))
+    except ConfigurationError as error:
+        return _page(str(error), 502)
+    answer = RedirectResponse(address, 303)
+    answer.headers["Set-Cookie"] = _cookie(request, browser)
+    return answer
+
+
+@oidc_router.get("/oidc/callback")
+def come_back(
+    request: Request,
+    state: State,
+    entrance: TheEntrance,
+) -> Response:
+    """Take the provider's answer; a browser session begins where it is right."""
+    oidc = _need(entrance.oidc)
+    browser = request.cookies.get(_name(request), "")
+    people = state.store.people
+    try:
+        account = oidc.finish(dict(request.query_params), browser, _redirect(request, state))
+    except ConfigurationError as error:
+        people.audit.add("login_failed", "", "provider", str(error), _address_of(request))
+        return _page(str(error), 403)
+    answer = _page("", 200)
+    secure = request.headers.getlist("X-Forwarded-Proto") == ["https"]
+    secret = entrance.begin(account, _address_of(request))
+    port = request.app.state.origins.port
+    answer.headers.append("Set-Cookie", session_cookie(secret, port, secure=secure))
+    answer.headers.append("Set-Cookie", _cookie(request, ""))
+    return answer
+
+
+def _need(oidc: OidcLogin | None) -> OidcLogin:
+    if oidc is None:
+        raise HTTPException(404, "people log in with a password here")
+    return oidc
+
+
+def _redirect(request: Request, state: State) -> str:
+    """This server's address for the provider: as it is configured, not as a request says."""
+    config = state.config
+    own = url(config.host, request.app.state.origins.port)
+    return (config.allowed_origins[0].rstrip("/") if config.allowed_origins else own) + _CALLBACK
+
+
+def _name(request: Request) -> str:
+    return f"{cookie_name(request.app.state.origins.port)}_login"
+
+
+def _cookie(request: Request, secret: str) -> str:
+    # Lax: the provider's page leads back here, and a strict cookie would stay behind.
+    seconds = int(LOGIN_SECONDS) if secret else 0
+    secure = request.headers.getlist("X-Forwarded-Proto") == ["https"]
+    return (
+        f"{_name(request)}={secret}; Path={_CALLBACK}; HttpOnly; SameSite=Lax; Max-Age={seconds}"
+        + ("; Secure" if secure else "")
+    )
+
+
+def _page(problem: str, status: int) -> Response:
+    body, policy = answer_page(problem)
+    return HTMLResponse(body, status, headers={"Content-Security-Policy": policy})
+
+
+def _address_of(request: Request) -> str:
+    return "" if request.client is None else request.client.host

@@ -1,26 +1,40 @@
-"""Objects: upload, list, filter, and what is decided about one."""
+"""Objects: upload, list, filter, what is decided about one; who is given which and who is there;
+and the accepted ones as files.
+"""
 
 from __future__ import annotations
 
 import asyncio
+import io
+import secrets
+import shutil
 import time
+import zipfile
 from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
 from typing import Annotated, Any
 
 from fastapi import APIRouter, HTTPException, Query, Request
+from fastapi.responses import Response
+from pydantic import BaseModel, Field
 from starlette.concurrency import run_in_threadpool
 
-from app.server.api.guard import Annotator, Reader, State
+from app.server.api.guard import Annotator, Manager, Reader, State
 from app.server.app_state import AppState
+from app.server.export_tasks import ExportTask, export_one
 from app.server.open_object import OpenObject
 from model.core import codec
+from model.io.export.registry import exporter_names
+from model.physics.simulation_values import PhysicsSettings
+from sessions.accounts import Account
 from sessions.commands import Command
 from sessions.credentials import Person
 from sessions.database import ObjectRecord
 from sessions.document import Document
 from sessions.state import SessionState, needed_jobs
 
-router = APIRouter(tags=["objects"])
+objects_router = APIRouter(tags=["objects"])
 MOST = 500
 """Objects in one answer."""
 OPEN_SECONDS = 60.0
@@ -31,7 +45,7 @@ KEEP_SECONDS = 300.0
 """An object that a script worked on stays open so long after: it would be encoded anew else."""
 
 
-@router.get("/objects")
+@objects_router.get("/objects")
 def list_objects(
     person: Reader,
     state: State,
@@ -56,7 +70,7 @@ def list_objects(
     return {"total": len(found), "objects": [_line(r, assigned.get(r.id)) for r in shown]}
 
 
-@router.post("/objects", status_code=201)
+@objects_router.post("/objects", status_code=201)
 async def upload(request: Request, name: str, person: Annotator, state: State) -> dict[str, Any]:
     """Add a file, or a zip of one object or several; the body is its content."""
     content = await request.body()
@@ -65,7 +79,7 @@ async def upload(request: Request, name: str, person: Annotator, state: State) -
     return _line(record, None)
 
 
-@router.get("/objects/{object_id}")
+@objects_router.get("/objects/{object_id}")
 def one_object(object_id: int, person: Reader, state: State) -> dict[str, Any]:
     """Decisions about one object: parts, prompts, joints, review."""
     record = record_of(state, object_id)
@@ -176,3 +190,121 @@ def _line(record: ObjectRecord, assigned: str | None) -> dict[str, Any]:
         "assigned_to": assigned or record.assigned_to,
         "prompt_count": record.prompts, "part_count": record.parts,
     }  # fmt: skip
+
+
+work_router = APIRouter(tags=["work"])
+
+
+class AssignBody(BaseModel):
+    """Objects, and the people who get them in turn; no people: nobody has them any more."""
+
+    objects: list[int] = Field(min_length=1, max_length=10_000)
+    people: list[str] = Field(max_length=1000)
+
+
+@work_router.post("/assignments")
+def assign(body: AssignBody, person: Manager, state: State) -> dict[str, Any]:
+    """Assign objects to one person, or to several in turn."""
+    people = state.store.people
+    accounts = [people.accounts.find(name) for name in body.people]
+    given = people.work.assign(body.objects, accounts, person.name)
+    state.queue.changed()
+    return {"assigned": {str(i): name for i, name in given.items()}}
+
+
+@work_router.post("/next")
+def next_object(person: Annotator, state: State) -> dict[str, Any]:
+    """Lease the next object: first what came back, then what is assigned, then anything free."""
+    found = state.store.people.work.next(_account(person), state.queue.records())
+    return {"id": found}
+
+
+@work_router.get("/objects/{object_id}/presence")
+def presence(object_id: int, person: Reader, state: State) -> list[dict[str, Any]]:
+    """Users who have an object open, and who leased it."""
+    record_of(state, object_id)
+    return [asdict(one) for one in state.store.people.work.present(object_id)]
+
+
+@work_router.post("/objects/{object_id}/enter")
+def enter(object_id: int, person: Annotator, state: State) -> dict[str, Any]:
+    """Say that one works on an object; again within a minute."""
+    record_of(state, object_id)
+    state.store.people.work.enter(object_id, _account(person))
+    return {"here": True}
+
+
+@work_router.post("/objects/{object_id}/leave")
+def leave(object_id: int, person: Annotator, state: State) -> dict[str, Any]:
+    """Leave an object; others may take it."""
+    record_of(state, object_id)
+    state.store.people.work.leave(object_id, _account(person))
+    return {"here": False}
+
+
+def _account(person: Person) -> Account:
+    if person.account is None:
+        raise HTTPException(409, "there are no accounts here, so nothing is leased to anybody")
+    return person.account
+
+
+assets_router = APIRouter(tags=["assets"])
+DOWNLOAD_BYTES = 400_000_000
+"""Largest download: it passes through the memory of the server."""
+
+
+@assets_router.get("/assets")
+def list_assets(person: Reader, state: State) -> dict[str, Any]:
+    """All accepted objects that have an asset, and the formats in which it can be had."""
+    found = []
+    for record in state.queue.records():
+        if record.state == "accepted":
+            saved = state.session(record.id).document.saved
+            if saved is not None and state.store.assets.has(saved):
+                found.append({
+                    "id": record.id, "name": record.name, "category": record.category,
+                    "accepted_by": saved.by, "at": saved.at,
+                })  # fmt: skip
+    return {"formats": ["asset", *exporter_names()], "assets": found}
+
+
+@assets_router.get("/assets/{object_id}")
+def download(object_id: int, person: Reader, state: State, format: str = "asset") -> Response:
+    """Download an asset as a zip: "asset" as it was accepted, or in a simulator's format."""
+    name = record_of(state, object_id).name
+    if format not in ("asset", *exporter_names()):
+        raise HTTPException(422, f"format: one of asset, {', '.join(exporter_names())}")
+    folder = state.store.assets.folder(state.session(object_id).document.saved)
+    if folder is None:
+        raise HTTPException(404, "the object has no asset: it wasn't accepted yet")
+    if format == "asset":
+        return _zipped(folder, name)
+    out = state.workspace / "exports" / f".{secrets.token_hex(8)}"
+    task = ExportTask(
+        folder, ((format, out),), PhysicsSettings(), state.workspace / "collision", check=False
+    )
+    try:
+        job = state.workers.saving.submit(export_one, task, priority=-1)
+        try:
+            wait(lambda: job.done)
+        except HTTPException:
+            job.cancel()
+            raise
+        job.result(0)
+        return _zipped(out, f"{name}_{format}")
+    finally:
+        shutil.rmtree(out, ignore_errors=True)
+
+
+def _zipped(folder: Path, name: str) -> Response:
+    files = sorted(p for p in folder.rglob("*") if p.is_file())
+    if sum(p.stat().st_size for p in files) > DOWNLOAD_BYTES:
+        raise HTTPException(413, "the asset is too large to download; copy it from the server")
+    plain = "".join(c if c.isalnum() or c in "._-" else "_" for c in name)[:80] or "asset"
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+        for path in files:
+            archive.write(path, Path(plain) / path.relative_to(folder))
+    quoted = plain.encode("ascii", "replace").decode().replace("?", "_")
+    headers = {"Content-Disposition": f'attachment; filename="{quoted}.zip"'}
+    return Response(buffer.getvalue(), media_type="application/zip", headers=headers)

@@ -13,7 +13,7 @@ from sessions.account_tables import MOST_EVENTS
 from sessions.credentials import TOKEN_DAYS
 from sessions.review import Role
 
-router = APIRouter(tags=["people"])
+people_router = APIRouter(tags=["people"])
 
 
 class InviteBody(BaseModel):
@@ -37,33 +37,33 @@ class TokenBody(BaseModel):
     days: int = TOKEN_DAYS
 
 
-@router.get("/users")
+@people_router.get("/users")
 def users(person: Manager, state: State) -> list[dict[str, Any]]:
     """All accounts."""
     return [asdict(account) for account in state.store.people.accounts.all()]
 
 
-@router.post("/users", status_code=201)
+@people_router.post("/users", status_code=201)
 def invite(body: InviteBody, person: Manager, request: Request, state: State) -> dict[str, Any]:
     """Invite a person; the code is shown once, and goes behind /login#invitation=."""
     code = state.store.people.accounts.invite(body.name, body.role, person.name)
     return {"code": code, "path": f"/login#invitation={code}"}
 
 
-@router.put("/users/{name}/role")
+@people_router.put("/users/{name}/role")
 def set_role(name: str, body: RoleBody, person: Manager, state: State) -> dict[str, Any]:
     """Change what a person may do, from the next command on."""
     return asdict(state.store.people.accounts.set_role(name, body.role, person.name))
 
 
-@router.post("/users/{name}/disable")
+@people_router.post("/users/{name}/disable")
 def disable(name: str, person: Manager, state: State) -> dict[str, Any]:
     """Keep a person out; decisions stay."""
     state.store.people.accounts.disable(name, person.name)
     return {"disabled": name}
 
 
-@router.post("/users/{name}/revoke")
+@people_router.post("/users/{name}/revoke")
 def revoke(name: str, person: Manager, state: State) -> dict[str, Any]:
     """End all browser sessions and tokens of a person, who may log in again."""
     people = state.store.people
@@ -71,13 +71,13 @@ def revoke(name: str, person: Manager, state: State) -> dict[str, Any]:
     return {"revoked": name}
 
 
-@router.get("/tokens")
+@people_router.get("/tokens")
 def tokens(person: Visitor, state: State) -> list[dict[str, Any]]:
     """One's own tokens, without their secrets."""
     return [asdict(t) for t in state.store.people.credentials.tokens(person.account)]
 
 
-@router.post("/tokens", status_code=201)
+@people_router.post("/tokens", status_code=201)
 def make_token(body: TokenBody, person: Visitor, state: State) -> dict[str, Any]:
     """Make a token in a logged-in browser; its secret is shown once."""
     if person.account is None or person.session is None:
@@ -87,7 +87,7 @@ def make_token(body: TokenBody, person: Visitor, state: State) -> dict[str, Any]
     return {"token": secret}
 
 
-@router.delete("/tokens/{token_id}")
+@people_router.delete("/tokens/{token_id}")
 def revoke_token(token_id: int, person: Visitor, state: State) -> dict[str, Any]:
     """Revoke one of one's own tokens; a manager may revoke any."""
     credentials = state.store.people.credentials
@@ -98,7 +98,7 @@ def revoke_token(token_id: int, person: Visitor, state: State) -> dict[str, Any]
     return {"revoked": token_id}
 
 
-@router.get("/audit")
+@people_router.get("/audit")
 def audit(
     person: Manager,
     state: State,
@@ -114,7 +114,7 @@ def audit(
     return [asdict(event) for event in events]
 
 
-@router.get("/audit/decisions")
+@people_router.get("/audit/decisions")
 def decisions(
     person: Manager,
     state: State,

@@ -18,7 +18,6 @@ from app.viewer.picture import palette
 from app.viewer.picture.scene_picture import ScenePicture
 from app.viewer.tab import Tab, plain
 from app.viewer.words import common
-from app.viewer.words import common as common_words
 from app.viewer.words import scene as words
 from app.viewer.words.joints import confidence
 
@@ -72,13 +71,11 @@ class ObjectList:
         self._first, self._count, self._ids = 0, 0, []
         self._followed: Any = None
         gui = tab.client.gui
-        options = (common_words.ALL, *states)
-        self._filter = gui.add_dropdown(
-            common_words.FILTER, options, initial_value=common_words.ALL
-        )
-        self._search = gui.add_text(common_words.SEARCH, "", hint=search_hint)
+        options = (common.ALL, *states)
+        self._filter = gui.add_dropdown(common.FILTER, options, initial_value=common.ALL)
+        self._search = gui.add_text(common.SEARCH, "", hint=search_hint)
         self.buttons = [gui.add_button("", visible=False) for _ in range(size)]
-        self._pages = gui.add_button_group(common_words.PAGE, ("◀", "1", "▶"))
+        self._pages = gui.add_button_group(common.PAGE, ("◀", "1", "▶"))
         for k, button in enumerate(self.buttons):
             button.on_click(lambda _, k=k: tab.act(lambda: self._clicked(k)))
         self._filter.on_update(lambda _: self._turn(None))
@@ -101,11 +98,7 @@ class ObjectList:
     def page(self, entries: Iterable[Entry], current: Any) -> list[Any]:
         """Ids of the objects on the page; a new ``current`` one turns to its page."""
         search, state = self._search.value.lower(), self._filter.value
-        ids = [
-            e.id
-            for e in entries
-            if state in (common_words.ALL, e.state) and search in e.text.lower()
-        ]
+        ids = [e.id for e in entries if state in (common.ALL, e.state) and search in e.text.lower()]
         if current != self._followed:
             self._followed = current
             if current in ids:

@@ -1,5 +1,5 @@
 """Around the picture in every step: the bar of the four steps and the progress of long work, the
-object's name, state and problems, and the rail of tools.
+object's name, state and problems, the rail of tools, and a tour of a minute.
 """
 
 from __future__ import annotations
@@ -17,11 +17,13 @@ from app.server.open_object import OpenObject
 from app.server.tool_tasks import NEXT_MASK, ToolRequest
 from app.viewer.input.pointing import Pointing
 from app.viewer.panels.widgets import Place, Presses, button, icon, put
+from app.viewer.picture.motion import Motion
 from app.viewer.tab import AT_REST, STEPS, Step, Tab, plain
 from app.viewer.words import annotate as tool_words
-from app.viewer.words import common, keys
 from app.viewer.words import common as words
+from app.viewer.words import keys
 from app.viewer.words.common import TOUR, TOUR_TIP
+from model.core.files import static_assets
 
 
 class ObjectHeader:
@@ -222,11 +224,11 @@ class ToolRail:
         self._place = Place(tab, "tools")
         self.touch = False
         self._view: dict[str, Callable[[], None]] = {
-            common.HISTORY_ACTIONS[0]: actions.undo,
-            common.HISTORY_ACTIONS[1]: actions.redo,
-            common.PLAY: actions.play,
-            common.RESET_POSE: actions.reset_pose,
-            common.KEYS_BUTTON: actions.show_keys,
+            words.HISTORY_ACTIONS[0]: actions.undo,
+            words.HISTORY_ACTIONS[1]: actions.redo,
+            words.PLAY: actions.play,
+            words.RESET_POSE: actions.reset_pose,
+            words.KEYS_BUTTON: actions.show_keys,
             TOUR: actions.tour,
             keys.MEASURE: lambda: pointing.arm("measure"),
             keys.ISOLATE: actions.isolate,
@@ -274,13 +276,13 @@ class ToolRail:
             return
         step, moves = self._tab.selection.step, obj.document.tree is not None
         groups = [[
-            _view(common.HISTORY_ACTIONS[0], viser.Icon.ARROW_BACK_UP, common.UNDO_TIP),
-            _view(common.HISTORY_ACTIONS[1], viser.Icon.ARROW_FORWARD_UP, common.REDO_TIP),
+            _view(words.HISTORY_ACTIONS[0], viser.Icon.ARROW_BACK_UP, words.UNDO_TIP),
+            _view(words.HISTORY_ACTIONS[1], viser.Icon.ARROW_FORWARD_UP, words.REDO_TIP),
         ]]  # fmt: skip
         if moves and step not in AT_REST:
             groups.append([
-                _view(common.PLAY, viser.Icon.PLAYER_PLAY),
-                _view(common.RESET_POSE, viser.Icon.REFRESH),
+                _view(words.PLAY, viser.Icon.PLAYER_PLAY),
+                _view(words.RESET_POSE, viser.Icon.REFRESH),
             ])  # fmt: skip
         if step == "Annotate":
             groups += [
@@ -300,7 +302,7 @@ class ToolRail:
                 _view(keys.ISOLATE, viser.Icon.FOCUS_2, keys.ISOLATE_TIP, alone),
             ])  # fmt: skip
         groups.append([
-            _view(common.KEYS_BUTTON, viser.Icon.KEYBOARD),
+            _view(words.KEYS_BUTTON, viser.Icon.KEYBOARD),
             _view(TOUR, viser.Icon.SCHOOL, TOUR_TIP),
         ])  # fmt: skip
         self._place.show("".join(f'<div class="aw-group">{"".join(g)}</div>' for g in groups))
@@ -315,3 +317,70 @@ class ToolRail:
 
 def _view(label: str, picture: Any, tip: str = "", pressed: bool | None = None) -> str:
     return button("view", label, label, content=icon(picture), tip=tip or label, pressed=pressed)
+
+
+_LAST = len(words.STEPS) - 1
+
+
+class Tour:
+    """Says what to do next until that is done.
+
+    Args:
+        remember: is called once it ended.
+
+    Attributes:
+        over: whether this browser has had it.
+    """
+
+    def __init__(
+        self, tab: Tab, presses: Presses, motion: Motion, remember: Callable[[], None]
+    ) -> None:
+        self._tab, self._motion, self._remember = tab, motion, remember
+        self._place = Place(tab, "tour")
+        self._at: int | None = None
+        self.over = False
+        presses.on("tour next", lambda _: self._go(_LAST if self._at is None else self._at + 1))
+        presses.on("tour end", lambda _: self._go(_LAST + 1))
+
+    def begin(self) -> None:
+        """Begin, or begin anew."""
+        self._at = 0
+        self._tab.invalidate()
+
+    def begin_at_first(self, obj: OpenObject) -> None:
+        """Begin where the bundled cabinet is open in a browser that hasn't had it."""
+        cabinet = static_assets() / "examples" / "cabinet.glb"
+        if not self.over and obj.record.path == cabinet and not obj.state.seq:
+            self.begin()
+
+    def _go(self, at: int) -> None:
+        self._at = at if at <= _LAST else None
+        if self._at is None:
+            self.over = True
+            self._remember()
+        self._tab.invalidate()
+
+    def draw(self, obj: OpenObject | None) -> None:
+        """Bring it up to date; a step that is done gives way to the next one."""
+        while obj is not None and self._at is not None and self._done(self._at, obj):
+            self._at += 1
+        self._place.show("" if self._at is None else self._text(self._at))
+
+    def _done(self, at: int, obj: OpenObject) -> bool:
+        doc, step = obj.document, self._tab.selection.step
+        clicked = {p.part for p in doc.prompts if p.part}
+        steps = (
+            bool(clicked) or doc.tree is not None,
+            len(clicked) > 1 or doc.tree is not None,
+            doc.tree is not None,
+            any(self._motion.q.values()) or step == "Review",
+            doc.review.state in ("accepted", "rejected"),
+        )
+        return at < len(steps) and steps[at]
+
+    def _text(self, at: int) -> str:
+        last = at == _LAST
+        more = "" if last else button("tour next", "", words.NEXT, style="aw-small")
+        end = button("tour end", "", words.END if last else words.SKIP, style="aw-small")
+        place = words.place(at + 1, len(words.STEPS))
+        return f"<p>{escape(words.STEPS[at])}</p><div><small>{place}</small>{more}{end}</div>"

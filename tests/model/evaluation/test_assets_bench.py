@@ -111,7 +111,7 @@ def test_the_bundled_objects_are_a_data_set():
 
 
 def test_the_command_prints_the_table(one, monkeypatch, capfd, tmp_path):
-    monkeypatch.setattr("app.cli.benchmarks.assets.folder_runs", lambda *_, **__: [one])
+    monkeypatch.setattr("app.cli.benchmarks.predictions.folder_runs", lambda *_, **__: [one])
     words = ["bench", "assets", "--engine", "mujoco", "--jobs", "1"]
     assert main([*words, "--json"]) == 0
     text = capfd.readouterr().out

@@ -1,0 +1,366 @@
+"""Benchmarks of the method: the segmenter by simulated clicks, predicted joints on every source and
+on reconstructed scans, their time, what their weights read, other methods' outputs, a gripper that
+opens what is exported, and what simulators and validators accept.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import resource
+import statistics
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from app.cli.benchmarks.shapes import chest
+from app.cli.output import Result, check_output, print_records
+from app.cli.research_commands import BenchCommand
+from model.core.articulated_object import SegmentedObject
+from model.core.errors import ConfigurationError
+from model.core.files import read_json
+from model.core.packages import require
+from model.core.progress import Progress, no_progress, scaled_progress
+from model.data.registry import DatasetOptions, recognised
+from model.evaluation.assets import beside, folder_runs
+from model.evaluation.assets import run as run_assets
+from model.evaluation.assets import to_json as assets_json
+from model.evaluation.report import Report
+from model.evaluation.rivals import compare_rivals
+from model.evaluation.rivals import to_json as rivals_json
+from model.evaluation.robot import folder_runs as folders_of_robot
+from model.evaluation.robot import open_scene
+from model.evaluation.robot import run as run_robot
+from model.evaluation.robot import to_json as robot_json
+from model.evaluation.run import EvaluationConfig, evaluate
+from model.evaluation.scans import ScansConfig, table
+from model.evaluation.scans import run as run_scans
+from model.evaluation.scans import to_json as scans_json
+from model.evaluation.segmentation import BenchConfig, DataSet
+from model.evaluation.segmentation import run as run_segment
+from model.prediction.arti4urdf.decoding import decode
+from model.prediction.arti4urdf.network import load_weights
+from model.prediction.arti4urdf.predictor import Arti4UrdfPredictor, make_prompt
+from model.prediction.arti4urdf.structure import read_structure
+from model.prediction.registry import Predictor, load_predictor
+from model.training.arti4urdf.small_trainer import (
+    both,
+    foreign_wholes,
+    probe,
+    shuffled_clouds,
+    shuffled_shapes,
+    unseen_samples,
+    without_rules,
+)
+from model.validation.engines import MUJOCO, require_engines
+
+FOLDERS = (
+    ("PartNet-Mobility", "partnet-mobility", "partnet_mobility"),
+    ("Infinigen", "urdf", "infinigen"),
+    ("ReplicaCAD", "urdf", "articulated_free/habitat"),
+    ("LIBERO", "mjcf", "articulated_free/libero"),
+)
+"""Title, kind and folder below ``--data`` of each source; those that are absent are left out."""
+FAMILIES, SEED = 6, 4242
+"""Procedural objects of each held-out family, and the seed that makes them."""
+SPLITS = {"choose": "train:0.5", "table": "test:0.5", "all": "all"}
+
+
+def joints_bench(options: BenchCommand, progress: Progress) -> Result:
+    """Measure with the options of the command."""
+    before = {} if options.before is None else read_json(options.before)
+    found = sources(options.data, SPLITS[options.half or "table"])
+    runs = [(title, data, names) for title, data in found.items() for names in (True, False)]
+    rows = []
+    for k, (title, (data, split), names) in enumerate(runs):
+        config = EvaluationConfig(
+            data, split, names=names, jobs=options.jobs, limit=options.limit or None
+        )
+        span = scaled_progress(progress, k / len(runs), (k + 1) / len(runs))
+        said = f"{title}, {'names' if names else 'no names'}"
+        rows.append(row(said, evaluate(config, progress=span)))
+    title = "Predicted joints (earlier figures in brackets)" if before else "Predicted joints"
+    return {"table": rows}, lambda: print_records(title, beside(rows, before))
+
+
+def sources(folder: Path | None, split: str) -> dict[str, tuple[DatasetOptions, str]]:
+    """Title → data set and split: those in a folder, and procedural held-out families.
+
+    Raises:
+        ConfigurationError: where the folder holds none.
+    """
+    found = {
+        title: (DatasetOptions(kind, folder / below), split)
+        for title, kind, below in FOLDERS
+        if folder is not None and (folder / below).is_dir()
+    }
+    if folder is not None and not found:
+        named = ", ".join(below for *_, below in FOLDERS)
+        raise ConfigurationError(f"--data {folder} holds none of {named}")
+    made = DatasetOptions("procedural", seed=SEED, n=FAMILIES)
+    return {**found, "procedural, held-out families": (made, "held-out")}
+
+
+def row(title: str, report: Report) -> dict[str, Any]:
+    """The figures of one source; shares in %."""
+    values, count = report.summary.values, len(report.scores)
+    shares = {"TC %": "tc", "tree %": "tree", "usable joints %": "usable_joints",
+              "usable objects %": "usable"}  # fmt: skip
+    return {
+        "objects": title,
+        "number": count,
+        **{label: round(100 * values[key], 1) for label, key in shares.items()},
+        "calibration error": round(report.calibration.ece, 3),
+        "s an object": round(sum(report.seconds) / max(count, 1), 2),
+    }
+
+
+OBJECTS = 64
+"""With half as many, two decisions that turn over can hide what a whole cloud is worth."""
+
+
+def weights_bench(options: BenchCommand, progress: Progress) -> Result:
+    """Measure with the options of the command."""
+    samples = unseen_samples(OBJECTS if options.limit is None else options.limit, progress)
+    model, version = load_weights()
+    changes = {
+        "as it is": None,
+        "shapes shuffled": shuffled_shapes,
+        "without rules": without_rules,
+        "without rules, clouds shuffled": both(without_rules, shuffled_clouds),
+        "without rules, foreign wholes": both(without_rules, foreign_wholes),
+    }
+    rows = []
+    for name, change in changes.items():
+        found = probe(model, samples, change)
+        rows.append({
+            "input": name, "types": round(found.types, 3), "candidates": round(found.slots, 3),
+            "parents": round(found.trees, 3), "surprise": round(found.surprise, 4),
+        })  # fmt: skip
+    report = {"weights": version, "objects": len(samples), "rows": rows}
+    return report, lambda: print_records(f"Right decisions of {version}", rows)
+
+
+PART_COUNTS = (2, 4, 9, 16, 32)
+REPEATS = 3
+
+
+def predict_bench(options: BenchCommand, progress: Progress) -> Result:
+    """Measure with the options of the command."""
+    report = measure(progress)
+    title = "Prediction, a chest of drawers (milliseconds, medians; forward passes)"
+    return report, lambda: print_records(title, transposed(report["rows"]))
+
+
+def measure(progress: Progress = no_progress) -> dict[str, Any]:
+    """Milliseconds and forward passes by number of parts, and the process's peak memory."""
+    geometric = load_predictor("geometric")
+    network = load_predictor("arti4urdf")
+    for predictor in (geometric, network):
+        predictor.predict(chest(2))  # imports and caches
+    rows: list[dict[str, Any]] = []
+    for i, count in enumerate(PART_COUNTS):
+        progress(i / len(PART_COUNTS), f"{count} parts")
+        segmented = chest(count - 1)
+        rows.append({"parts": count, **_row(segmented, geometric, network)})
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    scale = 1 if sys.platform == "darwin" else 1024
+    return {"rows": rows, "peak memory MiB": round(peak * scale / 2**20)}
+
+
+def transposed(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """A row per figure and a column per size, as there are more figures than sizes."""
+    names = [name for name in rows[0] if name != "parts"]
+    return [{"": name, **{f"{row['parts']} parts": row[name] for row in rows}} for name in names]
+
+
+def _row(segmented: SegmentedObject, geometric: Predictor, network: Predictor) -> dict[str, Any]:
+    whole = _median_ms(lambda: network.predict(segmented))
+    yardstick = _median_ms(_yardstick)
+    return {
+        "geometry": round(_median_ms(lambda: geometric.predict(segmented)), 1),
+        "Arti4URDF": round(whole, 1),
+        **_decoding(segmented, network),
+        "yardstick": round(yardstick, 1),
+        "ratio": round(whole / yardstick, 2),
+    }
+
+
+def _decoding(segmented: SegmentedObject, network: Predictor) -> dict[str, Any]:
+    """The network's own share, with forced spans and without."""
+    predictor: Arti4UrdfPredictor = network  # type: ignore[assignment]
+    prompt = make_prompt(read_structure(segmented), segmented, 0)
+    spans = decode(predictor.model, prompt)
+    single = decode(predictor.model, prompt, span=False)
+    text = predictor.predict(segmented).raw_text
+    return {
+        "decode": round(_median_ms(lambda: decode(predictor.model, prompt)), 1),
+        "token by token": round(_median_ms(lambda: decode(predictor.model, prompt, span=False)), 1),
+        "passes": spans.passes,
+        "token by token passes": single.passes,
+        "text tokens": text_tokens(text),
+        "fewer than compact": round(single.passes / max(1, spans.passes), 1),
+        "fewer than text": round(text_tokens(text) / max(1, spans.passes), 1),
+    }
+
+
+def text_tokens(text: str) -> int:
+    """Tokens of the answer's text in Qwen's pre-tokeniser: words, single digits, runs of signs.
+
+    Its byte pairs may cut words further, never join them, so plain decoding takes at least these.
+    """
+    return len(re.findall(r" ?[A-Za-z_]+|\d| ?[^\sA-Za-z_\d]+|\s*[\r\n]+|\s+", text))
+
+
+def _yardstick() -> None:
+    points = np.random.default_rng(0).random((100_000, 3))
+    KDTree(points).query(points[:10_000], k=8)
+
+
+def _median_ms(function: Callable[[], object]) -> float:
+    times = []
+    for _ in range(REPEATS):
+        start = time.perf_counter()
+        function()
+        times.append(1e3 * (time.perf_counter() - start))
+    return statistics.median(times)
+
+
+def segment_bench(options: BenchCommand, progress: Progress) -> Result:
+    """Measure with the options of the command."""
+    return bench_segment(
+        options.data, options.sets, options.segmenter, progress, limit=options.limit,
+        offset=options.offset, parts=options.parts, first=options.first,
+    )  # fmt: skip
+
+
+def bench_segment(
+    data: Path | None,
+    sets: Sequence[str] | None,
+    segmenters: Sequence[str] | None,
+    progress: Progress,
+    **settings: Any,
+) -> Result:
+    """Measure segmenters on data sets.
+
+    Args:
+        data: folder of real data; None for procedural objects.
+        settings: fields of :class:`BenchConfig`; None leaves a default.
+
+    Raises:
+        ConfigurationError: for an unknown data set, or one without its folder.
+    """
+    chosen = sets or (["partnet"] if data is not None else ["procedural"])
+    known = get_args(DataSet)
+    for name in chosen:
+        if name not in known:
+            raise ConfigurationError(f"no data set {name!r}; there are {', '.join(known)}")
+        if data is None and not name.startswith("procedural"):
+            raise ConfigurationError(f"the data set {name!r} needs --data DIR")
+    if data is not None and not data.is_dir():
+        raise ConfigurationError(f"--data {data} is no folder")
+    settings |= {"sets": tuple(chosen), "data": data}
+    settings["segmenters"] = tuple(segmenters) if segmenters else None
+    report = run_segment(
+        BenchConfig(**{k: v for k, v in settings.items() if v is not None}), progress
+    )
+    return json.loads(report.to_json()), report.print_table
+
+
+def data_in(folder: Path) -> DatasetOptions:
+    """The data set that a folder holds, by what lies in it."""
+    if any(folder.glob("*/object.urdf")):
+        return DatasetOptions("urdf", folder)
+    return DatasetOptions(recognised(folder).name, folder)
+
+
+def scans_bench(options: BenchCommand, progress: Progress) -> Result:
+    """Measure with the options of the command."""
+    data = DatasetOptions("procedural", seed=1, n=2)
+    if options.data is not None:
+        data = data_in(options.data)
+    config = ScansConfig(
+        data, options.half or "table", 15 if options.limit is None else options.limit
+    )
+    scores = run_scans(config, progress)
+    rows = [
+        {k: v if isinstance(v, str) else round(v, 3) for k, v in row.items()}
+        for row in table(scores)
+    ]
+    title = f"Reconstructed scans of {data.name}, half {config.half!r}"
+    return json.loads(scans_json(scores)), lambda: print_records(title, rows)
+
+
+def rivals_bench(options: BenchCommand, progress: Progress) -> Result:
+    """Score with the options of the command, write the page, and print its table."""
+    if options.root is None:
+        raise ConfigurationError("--root: give the folder with a folder of URDFs a method in it")
+    require_engines(MUJOCO, "--execute")
+    data = DatasetOptions("procedural")
+    if options.data is not None:
+        data = data_in(options.data)
+    rivals = compare_rivals(
+        data, options.root, limit=options.limit or None, jobs=options.jobs, progress=progress
+    )
+    columns = ["method", *rivals[0].figures()]
+    rows = [dict(zip(columns, r.cells(), strict=True)) for r in rivals]
+    title = f"{len(rivals[0].report.scores)} objects of {data.name}; {options.root}/rivals.html"
+    return rivals_json(rivals), lambda: print_records(title, rows)
+
+
+def robot_bench(options: BenchCommand, progress: Progress) -> Result:
+    """Measure with the options of the command."""
+    require("mujoco", "artiworld[physics]", "bench robot")
+    if options.scene is not None:
+        if options.video is not None or options.data is not None:
+            raise ConfigurationError("--scene takes neither --data nor --video")
+        score = open_scene(options.scene, 3 if options.limit is None else options.limit, progress)
+        report = robot_json([(options.scene.name, [score])])
+        return report, lambda: _print(report)
+    if options.video is not None:
+        check_output(options.video, option="--video")
+    configs = folders_of_robot(
+        None if options.data is None else data_in(options.data), half=options.half or "table",
+        limit=options.limit or 0, jobs=options.jobs, pictures=options.video,
+    )  # fmt: skip
+    runs = []
+    for k, config in enumerate(configs):
+        span = scaled_progress(progress, k / len(configs), (k + 1) / len(configs))
+        runs.append((config.label, run_robot(config, span)))
+    report = robot_json(runs)
+    return report, lambda: _print(report)
+
+
+def _print(report: Mapping[str, Any]) -> None:
+    rows = [{k: _text(v) for k, v in row.items()} for row in report["table"]]
+    for row in rows:  # the columns of kinds name their own number of joints
+        print_records(f"Joints that the gripper opened: {row.pop('objects')}", [row])
+    for label, why in report["reasons"].items():
+        said = ", ".join(f"{count} × {reason}" for reason, count in why.items())
+        print(f"{label}: not opened: {said or 'none'}")
+
+
+def _text(value: Any) -> str:
+    return "–" if value is None else value if isinstance(value, str) else f"{value:.3g}"
+
+
+def assets_bench(options: BenchCommand, progress: Progress) -> Result:
+    """Measure with the options of the command."""
+    engines = require_engines(options.engine)
+    before = {} if options.before is None else read_json(options.before)
+    configs = folder_runs(
+        options.data, half=options.half or "table", limit=options.limit or 0, jobs=options.jobs,
+        engines=engines,
+    )  # fmt: skip
+    runs = []
+    for k, config in enumerate(configs):
+        span = scaled_progress(progress, k / len(configs), (k + 1) / len(configs))
+        runs.append((config, run_assets(config, span)))
+    report = assets_json(runs)
+    title = "Accepted exports (earlier figures in brackets)" if before else "Accepted exports"
+    return report, lambda: print_records(title, beside(report["table"], before))
