@@ -27,7 +27,7 @@ from hypothesis.stateful import (
 )
 
 from app.server import app_state as app_state_module
-from app.server import bulk, job, saving_tasks, scene_saving_tasks, validation_tasks
+from app.server import bulk, saving_tasks, scene_saving_tasks, validation_tasks
 from app.server.accepting import accept
 from app.server.api import reviews
 from app.server.app_state import AppState
@@ -72,8 +72,12 @@ def report_of(severity: Severity) -> ValidationReport:
 
 def callbacks_are_done() -> None:
     for _ in range(4):  # one may add another
-        reached = threading.Event()
-        job._callbacks.call(reached.set)
+        reached, last = (
+            threading.Event(),
+            Job[Any](lambda j: None, 0, "", (int, (), {}), None, None),
+        )
+        last.end("done")
+        last.add_done_callback(lambda _, reached=reached: reached.set())
         assert reached.wait(60)
 
 
