@@ -1,7 +1,7 @@
 """Accepting one open object: its asset is written, read back, and only then the decision counts.
 
-The asset stays a draft until nothing can prevent the decision any more; then it replaces the asset
-that was accepted before.
+The asset stays a draft until nothing can prevent the decision any more. One that was accepted
+before is set aside while its object is not accepted.
 """
 
 from __future__ import annotations

@@ -127,7 +127,7 @@ def test_a_broken_object_is_mended_or_accepted_with_a_reason(cupboard: OpenObjec
     assert np.isfinite(gate["joints"][0]["depth"])
 
 
-def test_an_asset_stays_where_the_next_one_is_not_accepted(cupboard: OpenObject) -> None:
+def test_an_asset_comes_back_where_the_next_one_is_not_accepted(cupboard: OpenObject) -> None:
     obj = cupboard
     notes: list[str] = []
     obj.watch(lambda: None, lambda *note: notes.append(note[0]))
@@ -146,6 +146,9 @@ def test_an_asset_stays_where_the_next_one_is_not_accepted(cupboard: OpenObject)
     obj.do(cmd.SetJoint(replace(DOOR, upper=1.1)), "tester")
     wait_until(lambda: "Not accepted" in notes, "it is told")
     assert obj.document.review.state != "accepted"
+    assert not Path(saved.folder).exists(), "it is reopened"
+    while obj.document.review.state != "accepted":
+        obj.do(cmd.Undo(), "tester")
     assert (Path(saved.folder) / "provenance.json").read_bytes() == before
 
 
