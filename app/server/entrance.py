@@ -1,4 +1,4 @@
-"""Who comes in: by an account, by the server's token, or everybody of this machine; and from which
+"""Entrance by an account, by the server's token, or to everybody of this machine, and from which
 pages, by the headers that browsers set.
 
 Accounts take over from the token as soon as there is one, also while the server runs.

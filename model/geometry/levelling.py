@@ -292,14 +292,16 @@ def _reach(low: Array, high: Array) -> float:
 
 
 def _both_faces(height: Array, flat: Array, least: float) -> bool:
-    """Whether level points are on the two faces of a plate, equally wide and ``least`` apart."""
+    """Return whether level points are on the two faces of a plate, equally wide and ``least`` apart."""
     if len(height) < 50:
         return False
     low, high = np.percentile(height, [1, 99])
-    share = (height - low) / max(float(high - low), least)
-    upper = share > 0.5
-    apart = upper.any() and (np.abs(share - 0.5) < 1 / 6).mean() < 0.1
-    return bool(apart and _reach(flat[~upper], flat[upper]) < 0.1)
+    count, edges = np.histogram(height, 12, (low, high))
+    between = np.convolve(count, np.ones(3), "valid")  # a quarter of the range
+    k = int(between.argmin())
+    upper = height > (edges[k + 1] + edges[k + 2]) / 2
+    apart = high - low > least and between[k] < 0.075 * len(height)
+    return bool(apart and 0.05 < upper.mean() < 0.95 and _reach(flat[~upper], flat[upper]) < 0.1)
 
 
 def _boards(points: Array, normals: Array, up: Array) -> float:

@@ -22,7 +22,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule, run_state_machine_as_test
 
 from app.server import app_state as app_state_module
-from app.server import bulk, job, part_tasks, scene_saving_tasks
+from app.server import bulk, part_tasks, scene_saving_tasks
 from app.server.accepting import accept
 from app.server.api import sessions
 from app.server.app_state import AppState
