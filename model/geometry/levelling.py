@@ -292,7 +292,7 @@ def _reach(low: Array, high: Array) -> float:
 
 
 def _both_faces(height: Array, flat: Array, least: float) -> bool:
-    """Return whether level points are on the two faces of a plate, equally wide and ``least`` apart."""
+    """True if level points lie on a plate's two faces, equally wide and ``least`` apart."""
     if len(height) < 50:
         return False
     low, high = np.percentile(height, [1, 99])
