@@ -89,9 +89,11 @@ def _read(lines: Iterable[str]) -> Iterable[TimedJob]:
         try:
             fields = json.loads(line)
             job = TimedJob(
-                int(fields["object"]), str(fields["kind"]), float(fields["at"]),
+                int(fields["object"]),
+                str(fields["kind"]),
+                float(fields["at"]),
                 float(fields["seconds"]),
-            )  # fmt: skip
+            )
         except (ValueError, KeyError, TypeError):
             continue
         if math.isfinite(job.at) and 0 <= job.seconds < math.inf:
@@ -192,9 +194,13 @@ def read_work_from(database: Database, workspace: Path) -> WorkLog:
         (commands.c.kind == _PREDICTION, commands.c.payload), else_=sql_cast(null(), Text)
     )
     wanted = select(
-        commands.c.object_id, commands.c.seq, commands.c.at, commands.c.who, commands.c.kind,
+        commands.c.object_id,
+        commands.c.seq,
+        commands.c.at,
+        commands.c.who,
+        commands.c.kind,
         predicted.label("payload"),
-    ).order_by(commands.c.object_id, commands.c.seq)  # fmt: skip
+    ).order_by(commands.c.object_id, commands.c.seq)
     known = select(objects.c.id, objects.c.name, objects.c.category, objects.c.state)
     with database.reading() as connection:
         rows = connection.execute(wanted).all()

@@ -282,9 +282,10 @@ class Document:
             return ()
         new = self.new_joints
         return tuple(
-            j.child for j in self.tree.joints
+            j.child
+            for j in self.tree.joints
             if self.prediction.joint(j.child) != j and j not in new
-        )  # fmt: skip
+        )
 
     @property
     def new_joints(self) -> tuple[Joint, ...]:
@@ -293,9 +294,10 @@ class Document:
             return ()
         known = self.prediction.tree.links
         return tuple(
-            j for j in self.tree.joints
+            j
+            for j in self.tree.joints
             if j.child not in known and j.name.startswith("fixed_") and j.type == "fixed"
-        )  # fmt: skip
+        )
 
     @property
     def joints_file(self) -> str | None:

@@ -358,9 +358,11 @@ def _set_frame(document: Document, command: SetFrame) -> Document:
 
 def _prepare(document: Document, command: Prepare) -> Document:
     after = replace(
-        document, unit_scale=command.unit_scale, frame=command.frame,
+        document,
+        unit_scale=command.unit_scale,
+        frame=command.frame,
         left_out=_left_out(command.leave_out),
-    )  # fmt: skip
+    )
     return document if after == document else _afresh(after)
 
 
@@ -506,9 +508,14 @@ def _decide_objects(document: Document, command: DecideObjects, context: Context
     if context.role == "annotator":
         raise CommandError("only a reviewer may accept and reject objects")
     record = DecisionRecord(
-        command.decision, command.objects, command.above, command.reason, context.who, context.at,
+        command.decision,
+        command.objects,
+        command.above,
+        command.reason,
+        context.who,
+        context.at,
         command.looked,
-    )  # fmt: skip
+    )
     return replace(document, decided=(*document.decided, record))
 
 

@@ -61,9 +61,14 @@ class LiveSession:
             return seq in self._issued_here
 
     def do(
-        self, command: Command, who: str, *, role: Role | None = None,
-        since: SessionState | None = None, at: str = "",
-    ) -> SessionState:  # fmt: skip
+        self,
+        command: Command,
+        who: str,
+        *,
+        role: Role | None = None,
+        since: SessionState | None = None,
+        at: str = "",
+    ) -> SessionState:
         """Apply ``command``, store it, and notify the subscribers.
 
         Args:

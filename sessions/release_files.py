@@ -50,14 +50,14 @@ _USE: Final = {
         "`shards/*.tar` are WebDataset shards. A sample has `json` (what stands in "
         "`release.json`), `urdf`, `tree.json` and `tar` (all files of the asset).",
         '```python\nimport webdataset\n\nwebdataset.WebDataset("shards/FILE.tar", '
-        'shardshuffle=False)\n```',
+        "shardshuffle=False)\n```",
     ),
     "huggingface": (
         "`metadata.jsonl` has a row for each asset; its column `urdf` leads to the file.",
         '```python\nfrom datasets import load_dataset\n\nload_dataset("json", '
         'data_files="metadata.jsonl")\n```',
     ),
-}  # fmt: skip
+}
 
 
 def card(release: Release) -> str:
@@ -170,8 +170,9 @@ def write_release(
 
 
 def _refuse(out: Path) -> NoReturn:
-    raise ConfigurationError(f"{out} is there already; a release never changes: give a new "
-                             "--version")  # fmt: skip
+    raise ConfigurationError(
+        f"{out} is there already; a release never changes: give a new --version"
+    )
 
 
 def _write(
@@ -310,8 +311,9 @@ def read_release(folder: Path) -> Release:
     if not isinstance(said, dict) or not isinstance(said.get("format"), int):
         raise InputFileError(path, "is no release", "give the folder of a release")
     if said["format"] > FORMAT:
-        raise InputFileError(path, f"has format {said['format']}, newer than {FORMAT}",
-                             "update ArtiWorld")  # fmt: skip
+        raise InputFileError(
+            path, f"has format {said['format']}, newer than {FORMAT}", "update ArtiWorld"
+        )
     fields: dict[str, Any] = {k: v for k, v in said.items() if k not in ("format", "assets")}
     try:
         assets = tuple(ReleasedAsset(**a) for a in said["assets"])
@@ -377,9 +379,12 @@ def is_inside(name: str) -> bool:
     path = PurePosixPath(name)
     parts = name.split("/")
     return (
-        bool(name) and not path.is_absolute() and all(p not in ("", ".", "..") for p in parts)
-        and not any(c in name for c in '\\:\0') and name.isprintable()
-    )  # fmt: skip
+        bool(name)
+        and not path.is_absolute()
+        and all(p not in ("", ".", "..") for p in parts)
+        and not any(c in name for c in "\\:\0")
+        and name.isprintable()
+    )
 
 
 def _is_link(folder: Path, name: str) -> bool:
@@ -444,9 +449,10 @@ def _unpack(tar: tarfile.TarFile, folder: Path) -> None:
     for member in tar:
         if not member.isfile() or not is_inside(member.name):
             raise InputFileError(
-                folder.name, f"holds {member.name[:80]!r}, which is no file of an asset",
+                folder.name,
+                f"holds {member.name[:80]!r}, which is no file of an asset",
                 "don't import this release",
-            )  # fmt: skip
+            )
         target = folder / member.name
         target.parent.mkdir(parents=True, exist_ok=True)
         content = tar.extractfile(member)

@@ -12,7 +12,7 @@ RejectReason = Literal["range", "axis", "type", "parts", "not_articulated", "oth
 Role = Literal["annotator", "reviewer", "manager"]
 Action = Literal[
     "annotate", "adjust", "predict", "submit", "accept", "reject", "reopen", "comment", "resolve"
-]  # fmt: skip
+]
 
 
 class NotPermittedError(CommandError):

@@ -69,9 +69,14 @@ _CORRECTIONS = frozenset({"undo", "remove_prompt", "clear_prompts", "delete_part
 _JOINT_EDITS = frozenset({"set_joint", "set_composite", "set_root"})
 """Corrections where joints were predicted before."""
 _JOB_OF: Final[Mapping[str, str]] = {
-    "record_prediction": "predict", "apply_tool": "tool", "leave_out": "room", "crop_out": "room",
-    "accept": ACCEPT, "add_click": PICK, "add_region": PICK,
-}  # fmt: skip
+    "record_prediction": "predict",
+    "apply_tool": "tool",
+    "leave_out": "room",
+    "crop_out": "room",
+    "accept": ACCEPT,
+    "add_click": PICK,
+    "add_region": PICK,
+}
 """Command that holds a job's result → kind of the job."""
 BY: Final = ("person", "category", "predictor", "step", "object", "day")
 

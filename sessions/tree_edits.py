@@ -45,8 +45,9 @@ def with_chain_of(tree: KinematicTree, other: KinematicTree, child: str) -> Kine
     gone = {tree.joint_of[link].name for link in now} - {j.name for j in added}
     kept = [
         replace(j, mimic=None) if j.mimic is not None and j.mimic.joint in gone else j
-        for j in tree.joints if j.child not in now
-    ]  # fmt: skip
+        for j in tree.joints
+        if j.child not in now
+    ]
     links = (*(x for x in tree.links if x not in now[:-1]), *then[:-1])
     return KinematicTree(links, (*kept, *added))
 

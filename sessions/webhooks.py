@@ -89,10 +89,13 @@ class Webhooks:
                 raise ConfigurationError(f"there are {count} webhooks already; remove one first")
             connection.execute(
                 insert(webhooks).values(
-                    account_id=account.id, url=url, secret=secret, events=" ".join(asked),
+                    account_id=account.id,
+                    url=url,
+                    secret=secret,
+                    events=" ".join(asked),
                     created=now(),
                 )
-            )  # fmt: skip
+            )
             record(connection, "webhook_added", by, account.name, url)
         return secret
 
@@ -187,8 +190,14 @@ def enqueue(connection: Connection, line: Mapping[str, Any]) -> None:
     of = objects.c.id == line["object_id"]
     name = connection.execute(select(objects.c.name).where(of)).scalar()
     payload = json.dumps(
-        {"event": event, "object": line["object_id"], "name": name, "seq": line["seq"],
-         "at": line["at"], "who": line["who"]}
-    )  # fmt: skip
+        {
+            "event": event,
+            "object": line["object_id"],
+            "name": name,
+            "seq": line["seq"],
+            "at": line["at"],
+            "who": line["who"],
+        }
+    )
     values = {"event": event, "payload": payload, "attempts": 0, "due": now(), "problem": ""}
     connection.execute(insert(deliveries), [{"webhook_id": i, **values} for i in wanted])

@@ -108,9 +108,12 @@ def _readable_formats(given: tuple[str, ...]) -> list[str]:
 
 def _failed(task: CheckTask, error: Exception) -> dict[str, Any]:
     return {
-        "asset": str(task.asset), "name": task.name, "fine": False, "readable": False,
+        "asset": str(task.asset),
+        "name": task.name,
+        "fine": False,
+        "readable": False,
         "error": error_text(error),
-    }  # fmt: skip
+    }
 
 
 def check_one(task: CheckTask) -> dict[str, Any]:
@@ -135,9 +138,10 @@ def check_one(task: CheckTask) -> dict[str, Any]:
         "inertia_problems": inertial_problems(physics.inertials),
         "formats": [_format(obj, physics, name) for name in task.formats],
         "collision": _collision(obj, physics, seconds, task.coacd_seconds)
-        if physics.collision else None,
+        if physics.collision
+        else None,
         "gate": _validation(obj, task) if task.validate else None,
-    }  # fmt: skip
+    }
     row["readable"] = not row["inertia_problems"] and all(f["fine"] for f in row["formats"])
     row["fine"] = row["readable"] and not (row["gate"] and row["gate"]["verdict"] == "broken")
     return row
@@ -148,9 +152,12 @@ def _format(obj: ArticulatedObject, physics: Physics, name: str) -> dict[str, An
     start = time.perf_counter()
     back = write_and_read(obj, physics, name)
     return {
-        "format": name, "fine": back.fine, "readers": list(back.readers),
-        "problems": list(back.problems), "seconds": round(time.perf_counter() - start, 3),
-    }  # fmt: skip
+        "format": name,
+        "fine": back.fine,
+        "readers": list(back.readers),
+        "problems": list(back.problems),
+        "seconds": round(time.perf_counter() - start, 3),
+    }
 
 
 def _collision(
@@ -227,10 +234,11 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
         "joints": len(ranges),
         "joints_overlapping_over_range": sum(d > 0 for d in ranges),
         "collision_processor_seconds": mean([c["processor_seconds"] for c in shaped]),
-        "gate": {v: sum(1 for r in read if r["gate"] and r["gate"]["verdict"] == v)
-                 for v in VERDICTS},
+        "gate": {
+            v: sum(1 for r in read if r["gate"] and r["gate"]["verdict"] == v) for v in VERDICTS
+        },
         "engines": _engines([r["gate"]["engines"] for r in read if r["gate"]]),
-    }  # fmt: skip
+    }
 
 
 def _engines(found: list[dict[str, bool]]) -> dict[str, int]:
@@ -241,9 +249,16 @@ def _engines(found: list[dict[str, bool]]) -> dict[str, int]:
 
 def _print(report: dict[str, Any]) -> None:
     columns = (
-        "asset", "read back", "shapes", "free kept", "one hull", "rest mm", "range mm",
-        "validation", "errors",
-    )  # fmt: skip
+        "asset",
+        "read back",
+        "shapes",
+        "free kept",
+        "one hull",
+        "rest mm",
+        "range mm",
+        "validation",
+        "errors",
+    )
     out = output.console()
     out.print(output.table_of(None, columns, map(_cells, report["assets"])))
     for row in report["assets"]:
@@ -267,10 +282,12 @@ def _cells(row: dict[str, Any]) -> list[str | Text]:
     if collision := row["collision"]:
         over_range = max(collision["overlap_over_range_m"].values(), default=0)
         figures = [
-            str(collision["shapes"]), f"{100 * collision['free_kept']:.1f} %",
+            str(collision["shapes"]),
+            f"{100 * collision['free_kept']:.1f} %",
             f"{100 * collision['free_kept_by_one_hull']:.1f} %",
-            f"{1000 * collision['overlap_at_rest_m']:.1f}", f"{1000 * over_range:.1f}",
-        ]  # fmt: skip
+            f"{1000 * collision['overlap_at_rest_m']:.1f}",
+            f"{1000 * over_range:.1f}",
+        ]
     fine = sum(f["fine"] for f in row["formats"])
     verdict = VERDICTS[row["gate"]["verdict"]] if row["gate"] else ""
     read = f"{fine} of {len(row['formats'])}"

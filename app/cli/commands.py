@@ -96,8 +96,9 @@ class ServeCommand(Command):
     prediction: PredictorOptions = group(PredictorOptions)
     storage: str | None = option(
         "where accepted assets are kept, such as s3://bucket/prefix; or set ARTIWORLD_STORAGE "
-        "(default: the workspace)", "URL",
-    )  # fmt: skip
+        "(default: the workspace)",
+        "URL",
+    )
     oidc: OidcOptions = group(OidcOptions)
     open: bool = flag("open a browser", negatable=True)
 
@@ -114,14 +115,16 @@ class PrepareCommand(Command):
     scan: Path = argument("a mesh or a point cloud, in any rotation and unit", "SCAN")
     out: Path = required("folder for the prepared object", "DIR")
     up: Vector | None = option(
-        "up in the file: auto, an axis, or a direction X,Y,Z (default: auto)", "UP",
+        "up in the file: auto, an axis, or a direction X,Y,Z (default: auto)",
+        "UP",
         parse=direction,
-    )  # fmt: skip
+    )
     height: float | None = option("metres of the object along z", "METRES", parse=positive_number)
     length: tuple[Vector, Vector, float] | None = option(
-        "two places in the file and the metres between them", "X1,Y1,Z1,X2,Y2,Z2=METRES",
+        "two places in the file and the metres between them",
+        "X1,Y1,Z1,X2,Y2,Z2=METRES",
         parse=measured,
-    )  # fmt: skip
+    )
     unit_scale: float = option(
         "metres per unit of the file, where neither is given", "METRES", 1.0, parse=positive_number
     )
@@ -165,10 +168,15 @@ class SegmentCommand(Command):
 
         with output.session(self.json) as show:
             report = segment.segment(
-                self.scan, self.prompts, self.out, masks=self.masks, segmenter=self.segmenter,
-                up_axis=self.reading.up_axis, unit_scale=self.reading.unit_scale,
+                self.scan,
+                self.prompts,
+                self.out,
+                masks=self.masks,
+                segmenter=self.segmenter,
+                up_axis=self.reading.up_axis,
+                unit_scale=self.reading.unit_scale,
                 progress=show.progress,
-            )  # fmt: skip
+            )
         show.result(report, lambda: output.print_parts(report, self.out))
         return 0
 
@@ -188,8 +196,9 @@ class PredictCommand(Command):
 
     folder: Path = argument(
         "folder with link_0, link_1, … or an object.json; or a URDF or MJCF, or a GLB whose "
-        "meshes are named after parts", "DIR",
-    )  # fmt: skip
+        "meshes are named after parts",
+        "DIR",
+    )
     out: Path = required("folder for the URDF and its meshes", "DIR")
     prediction: PredictPredictorOptions = group(PredictPredictorOptions)
     category: str | None = option("category of the object, such as cabinet", "NAME")
@@ -209,11 +218,17 @@ class PredictCommand(Command):
 
         with output.session(self.json) as show:
             report = predict.predict(
-                self.folder, self.out, predictor=chosen_predictor(self.prediction),
-                category=self.category, seed=self.seed, up_axis=self.reading.up_axis,
-                unit_scale=self.reading.unit_scale, collision=self.collision,
-                complete=self.complete, progress=show.progress,
-            )  # fmt: skip
+                self.folder,
+                self.out,
+                predictor=chosen_predictor(self.prediction),
+                category=self.category,
+                seed=self.seed,
+                up_axis=self.reading.up_axis,
+                unit_scale=self.reading.unit_scale,
+                collision=self.collision,
+                complete=self.complete,
+                progress=show.progress,
+            )
         show.result(report, lambda: output.print_joints(report, self.out))
         return 0
 
@@ -259,8 +274,10 @@ class SceneInspectCommand(Command):
     json: bool = json_flag()
     finder: str = option(
         "finder of articulable objects: lexicon, openai:MODEL (any server with OpenAI's "
-        "protocol; key in OPENAI_API_KEY) or qwen3:FOLDER", "NAME", "lexicon",
-    )  # fmt: skip
+        "protocol; key in OPENAI_API_KEY) or qwen3:FOLDER",
+        "NAME",
+        "lexicon",
+    )
     finder_url: str | None = option(
         "openai: address of the server, such as http://localhost:11434/v1", "URL"
     )
@@ -287,9 +304,11 @@ class SceneConvertCommand(SceneInspectCommand):
         "folder for the articulated scene; a run that was killed is resumed there", "DIR"
     )
     jobs: int = option(
-        "processes (default: as many as processors)", "N", os.cpu_count() or 1,
+        "processes (default: as many as processors)",
+        "N",
+        os.cpu_count() or 1,
         parse=positive_count,
-    )  # fmt: skip
+    )
     predictor: str = option("predictor of the joints", "NAME", DEFAULT_PREDICTOR)
     seed: int = seed_option()
     formats: tuple[str, ...] = option(
@@ -297,8 +316,10 @@ class SceneConvertCommand(SceneInspectCommand):
     )
     clicks: tuple[tuple[str, Path], ...] = repeated(
         "cut the object ID into parts by the clicks in FILE (as segment's --prompts, but in "
-        "the scene's metres, +z up) and articulate it", "ID=FILE", parse=object_clicks,
-    )  # fmt: skip
+        "the scene's metres, +z up) and articulate it",
+        "ID=FILE",
+        parse=object_clicks,
+    )
     segmenter: str = option(SEGMENTER_HELP, "NAME", "default")
     ray: str | None = option("let a Ray cluster do the work (host:port, auto, or local)", "ADDRESS")
     keep_limits: bool = flag("leave joint limits as predicted where the motion hits neighbours")
@@ -356,8 +377,10 @@ class ExportCommand(Command):
     check: bool = flag("read each file back and compare link poses")
     complete: bool | None = flag(
         "complete scanned parts as of predict, or take away what was made up "
-        "(default: as they were saved)", None, negatable=True,
-    )  # fmt: skip
+        "(default: as they were saved)",
+        None,
+        negatable=True,
+    )
     profile: Literal["robotics-prop"] | None = option(
         "with usd: a SimReady package of this profile, with thumbnail and metadata"
     )

@@ -36,9 +36,16 @@ from model.segmentation.registry import load_segmenter
 from model.validation.engines import MUJOCO, require_engines
 
 COLUMNS = (
-    "predictor", "objects", "right %", "clicks", "part IoU", "wrong joints %", "corrections",
-    "commands", "saved %",
-)  # fmt: skip
+    "predictor",
+    "objects",
+    "right %",
+    "clicks",
+    "part IoU",
+    "wrong joints %",
+    "corrections",
+    "commands",
+    "saved %",
+)
 
 
 @dataclass(frozen=True)
@@ -257,10 +264,14 @@ def _annotate(options: EvaluateCommand, progress: Progress) -> Result:
         require_predictor(name, options.jobs)
     load_segmenter(options.segmenter)
     config = AnnotatorConfig(
-        configs[0].data, names, segmenter=options.segmenter, names=options.names,
-        seed=options.seed, timeout=max(options.timeout, 300.0),
+        configs[0].data,
+        names,
+        segmenter=options.segmenter,
+        names=options.names,
+        seed=options.seed,
+        timeout=max(options.timeout, 300.0),
         points=options.points or AnnotatorConfig.points,
-    )  # fmt: skip
+    )
     report = annotate_all(config, chosen_ids(configs[0]), options.jobs, progress)
     if options.out is not None:
         write_json(options.out / "person.json", report.to_json())
@@ -275,9 +286,13 @@ def _bench_segmentation(options: EvaluateCommand, progress: Progress) -> Result:
         rooms = any(options.root.glob("*_labels.npz"))
         sets += ["room"] if rooms else ["partnet", "partnet-one-sided"]
     report, table = bench_segment(
-        options.root, sets, [options.segmenter], progress, limit=options.limit,
+        options.root,
+        sets,
+        [options.segmenter],
+        progress,
+        limit=options.limit,
         points=options.points,
-    )  # fmt: skip
+    )
     if options.out is not None:
         write_json(options.out / "segmentation.json", report)
     return report, table

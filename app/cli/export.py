@@ -273,13 +273,15 @@ def _print_batch(report: dict[str, Any]) -> None:
             rows.append((row["asset"], "", "", "", Text(row["error"], "bold red")))
             continue
         wrong = [p for f in row["formats"] for p in f.get("problems", [])]
-        rows.append((
-            row["asset"],
-            ", ".join(f["format"] for f in row["formats"]),
-            str(sum(row["collision_shapes"].values())),
-            str(sum(len(f["files"]) for f in row["formats"])),
-            Text("; ".join(wrong), "bold red"),
-        ))  # fmt: skip
+        rows.append(
+            (
+                row["asset"],
+                ", ".join(f["format"] for f in row["formats"]),
+                str(sum(row["collision_shapes"].values())),
+                str(sum(len(f["files"]) for f in row["formats"])),
+                Text("; ".join(wrong), "bold red"),
+            )
+        )
     columns = ("asset", "formats", "collision shapes", "files", "wrong")
     output.console().print(output.table_of(None, columns, rows))
     for row in report["assets"]:

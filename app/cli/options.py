@@ -141,10 +141,12 @@ def add_options(parser: Any, options: type) -> None:
             continue
         name = spec.flag or f"--{each.name.replace('_', '-')}"
         parser.add_argument(
-            name, dest=each.name, required=each.default is MISSING,
+            name,
+            dest=each.name,
+            required=each.default is MISSING,
             default=list(default) if isinstance(default, tuple) else default,
             **_settings(spec, hint, default),
-        )  # fmt: skip
+        )
         if (also := spec.synonym) is not None:
             settings = _settings(also, hint, None)
             parser.add_argument(also.flag, dest=each.name, default=argparse.SUPPRESS, **settings)
@@ -352,7 +354,9 @@ def seed_option(help: str = "the only source of randomness") -> Any:
 def segmenter_option() -> Any:
     """``--segmenter NAME``; ``--point-sam PATH`` stands for ``--segmenter point-sam:PATH``."""
     point_sam = Option(
-        "use Point-SAM, with the published weights at PATH", "PATH", "--point-sam",
+        "use Point-SAM, with the published weights at PATH",
+        "PATH",
+        "--point-sam",
         "point-sam:{}".format,
-    )  # fmt: skip
+    )
     return option(SEGMENTER_HELP, "NAME", "default", synonym=point_sam)

@@ -124,9 +124,11 @@ def console(pipe_width: int = PIPE_WIDTH) -> Console:
 
 
 def table_of(
-    title: str | None, columns: Iterable[str], rows: Iterable[Iterable[str | Text]],
+    title: str | None,
+    columns: Iterable[str],
+    rows: Iterable[Iterable[str | Text]],
     numbers: Iterable[str] = (),
-) -> Table:  # fmt: skip
+) -> Table:
     """A table; columns among ``numbers`` are flush right."""
     right = set(numbers)
     table = Table(title=None if title is None else Text(title))
@@ -167,13 +169,19 @@ def print_joints(report: dict[str, Any], out: Path) -> None:
     rows = []
     for joint in report["joints"]:
         moves, confidence = joint["type"] != "fixed", joint["confidence"]
-        rows.append((
-            joint["name"], joint["type"], joint["parent"], joint["child"],
-            names.get(joint["child"]) or "",
-            _vector(joint["axis"]) if moves else "", _vector(joint["origin"]) if moves else "",
-            limits_text(joint["type"], joint["limits"]),
-            "" if confidence is None else f"{100 * confidence:.0f} %",
-        ))  # fmt: skip
+        rows.append(
+            (
+                joint["name"],
+                joint["type"],
+                joint["parent"],
+                joint["child"],
+                names.get(joint["child"]) or "",
+                _vector(joint["axis"]) if moves else "",
+                _vector(joint["origin"]) if moves else "",
+                limits_text(joint["type"], joint["limits"]),
+                "" if confidence is None else f"{100 * confidence:.0f} %",
+            )
+        )
     title = (
         f"{report['name']}: base {report['base']}, {report['backend']}, {report['seconds']:.2f} s"
     )

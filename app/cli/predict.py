@@ -153,9 +153,12 @@ def predict(
     provenance["versions"] = installed_versions("artiworld", "numpy", "scipy")
     (out / PREDICTION_JSON).unlink(missing_ok=True)  # of a failed run
     write_asset(
-        obj, out.absolute(), provenance=provenance, physics=physics,
+        obj,
+        out.absolute(),
+        provenance=provenance,
+        physics=physics,
         progress=scaled_progress(progress, 0.8, 1.0),
-    )  # fmt: skip
+    )
     write_json(out / PREDICTION_JSON, report)
     progress(1.0, "done")
     return report
@@ -202,8 +205,9 @@ def _points(segmented: SegmentedObject) -> npt.NDArray[np.float32]:
     rng = np.random.default_rng(0)
     sampled = [
         sample_surface(m, 1 + int(_SAMPLES * m.face_areas.sum() / area), rng)[0].points
-        for m in meshes if m.face_areas.sum() > 0
-    ]  # fmt: skip
+        for m in meshes
+        if m.face_areas.sum() > 0
+    ]
     scans = [p.cloud.points for p in segmented.parts if p.mesh is None and p.cloud is not None]
     return np.concatenate([*sampled, *scans])
 

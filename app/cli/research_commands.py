@@ -38,14 +38,18 @@ class EvaluateCommand(Command):
     root: Path | None = option("folder of the data set", "DIR")
     split: str = option(
         "all, held-out (the paper's five categories), known, train[:SHARE], test[:SHARE] or "
-        "category:NAME,NAME", "WHICH", "all",
-    )  # fmt: skip
+        "category:NAME,NAME",
+        "WHICH",
+        "all",
+    )
     n: int = option("procedural without --root: objects per family", "N", 1)
     family: tuple[str, ...] = option("procedural without --root: families", "NAME", (), nargs="+")
     fault: str = option(
         "procedural without --root: fault of the input: clouds, noise, heavy-noise, outliers, "
-        "one-sided, split, merge, bleed, turned or mixed (default: clean meshes)", "NAME", "",
-    )  # fmt: skip
+        "one-sided, split, merge, bleed, turned or mixed (default: clean meshes)",
+        "NAME",
+        "",
+    )
     predictor: str | None = option(
         f"predictors of the joints (default: {DEFAULT_PREDICTOR}); truth gives the ground truth",
         "NAME,NAME",
@@ -140,18 +144,22 @@ class TrainCommand(Command):
 
     preset: str = option(
         "configuration: nano, or of the paper-size model qwen3-0.6b, qwen3-1.7b, qwen3-4b, paper "
-        "(Qwen3-8B), qwen3 (any size); confidence fits the predictors' confidence", "NAME", "nano",
-    )  # fmt: skip
+        "(Qwen3-8B), qwen3 (any size); confidence fits the predictors' confidence",
+        "NAME",
+        "nano",
+    )
     out: Path = option("folder of the run; run again to resume", "DIR", Path("training"))
     workspace: Path | None = option(
         "learn from this workspace's accepted objects instead; its predictions use what they "
-        "say where that helps", "DIR",
-    )  # fmt: skip
+        "say where that helps",
+        "DIR",
+    )
     without: tuple[str, ...] = repeated("--workspace: object to learn nothing from", "NAME")
     use: int | None = option(
-        "--workspace: go back to a version that was learned earlier; 0 for none", "VERSION",
+        "--workspace: go back to a version that was learned earlier; 0 for none",
+        "VERSION",
         parse=count,
-    )  # fmt: skip
+    )
     database: str | None = option(
         "--workspace: its SQLite or PostgreSQL database (default: one in the workspace)", "URL"
     )
@@ -240,9 +248,10 @@ class BenchCommand(Command):
     seed: int = option("faults: seed of the first file; each has the next one", "SEED", 0)
     kills: int = option("faults: also kill a server at so many moments", "N", 0)
     clients: int = option(
-        "faults: also let six people click for so long while one opens the worst files", "SECONDS",
+        "faults: also let six people click for so long while one opens the worst files",
+        "SECONDS",
         0,
-    )  # fmt: skip
+    )
     people: int = option("team: people, each with a scan", "N", 20, parse=positive_count)
     seconds: int = option("team: how long they work", "N", 120, parse=positive_count)
     database: str | None = option("team: URL of an empty database (default: SQLite)", "URL")

@@ -40,10 +40,17 @@ def convert(options: SceneConvertCommand) -> int:
         show.progress(0.0, f"reading {options.scene.name}")
         scene = read_scene(options.scene, options.format)
         settings = ConvertSettings(
-            options.jobs, options.predictor, options.seed, options.keep_limits, options.collision,
-            options.time_limit, options.formats, _object_clicks(options),
-            partial(_clicks_beside, options.segmenter), options.ray,
-        )  # fmt: skip
+            options.jobs,
+            options.predictor,
+            options.seed,
+            options.keep_limits,
+            options.collision,
+            options.time_limit,
+            options.formats,
+            _object_clicks(options),
+            partial(_clicks_beside, options.segmenter),
+            options.ray,
+        )
         assets = _assets(scene, options.assets)
         summary = convert_scene(scene, assets, options.out, finder, settings, show.progress)
         summary |= _usage(options, finder)
@@ -68,13 +75,14 @@ def inspect(options: SceneInspectCommand) -> int:
         for o in outcomes
     ]  # fmt: skip
     report = {
-        "scene": scene.name, "reader": scene.reader, "objects": objects, "finder": finder.name,
+        "scene": scene.name,
+        "reader": scene.reader,
+        "objects": objects,
+        "finder": finder.name,
         "sim_id": dict(sim_id(outcomes)),
-        "missing_assets": sorted(
-            {o["asset"] for o in objects if o["asset"] and o["file"] is None}
-        ),
+        "missing_assets": sorted({o["asset"] for o in objects if o["asset"] and o["file"] is None}),
         "problems": [asdict(p) for p in scene.problems],
-    } | _usage(options, finder)  # fmt: skip
+    } | _usage(options, finder)
     show.result(report, lambda: _print_inspection(report))
     return 0
 
@@ -124,9 +132,12 @@ def _object_clicks(options: SceneConvertCommand) -> dict[str, ObjectClicks]:
 
 def _finder(options: SceneInspectCommand, progress: Progress) -> ArticulableFinder:
     settings = FinderOptions(
-        options.finder_url, options.finder_batch, options.finder_timeout,
-        cache=options.finder_cache or default_cache(), asks=not options.dry_run,
-    )  # fmt: skip
+        options.finder_url,
+        options.finder_batch,
+        options.finder_timeout,
+        cache=options.finder_cache or default_cache(),
+        asks=not options.dry_run,
+    )
     return load_finder(options.finder, settings, progress)
 
 
@@ -155,10 +166,15 @@ def _print_estimate(report: dict[str, Any]) -> None:
 
 def _print_inspection(report: dict[str, Any]) -> None:
     rows = [
-        (o["id"], "yes" if o["articulable"] else "no", ", ".join(o["parts"]), o["reason"],
-         "yes" if o["file"] else "no")
+        (
+            o["id"],
+            "yes" if o["articulable"] else "no",
+            ", ".join(o["parts"]),
+            o["reason"],
+            "yes" if o["file"] else "no",
+        )
         for o in report["objects"]
-    ]  # fmt: skip
+    ]
     columns = ("object", "articulable", "parts", "reason", "asset found")
     title = f"{report['scene']} ({report['reader']})"
     output.console().print(output.table_of(title, columns, rows))
@@ -171,10 +187,16 @@ def _print_summary(summary: dict[str, Any], out: Path) -> None:
         f"{summary['scene']}: {summary['objects']} objects, {summary['articulable']} articulable"
     )
     rows = [
-        (o["id"], o["kind"] or "", o["state"], str(o["joints"] or ""), str(o["shortened"] or ""),
-         o["reason"] or "")
+        (
+            o["id"],
+            o["kind"] or "",
+            o["state"],
+            str(o["joints"] or ""),
+            str(o["shortened"] or ""),
+            o["reason"] or "",
+        )
         for o in summary["results"]
-    ]  # fmt: skip
+    ]
     columns = ("object", "kind", "state", "joints", "shortened", "reason")
     output.console().print(output.table_of(title, columns, rows))
     output.print_notes(f"{o['id']}: {note}" for o in summary["results"] for note in o["notes"])

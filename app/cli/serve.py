@@ -200,11 +200,14 @@ def oidc_settings(options: OidcOptions) -> OidcSettings | None:
     if options.oidc_issuer is None:
         return None
     return OidcSettings(
-        options.oidc_issuer, options.oidc_client,
+        options.oidc_issuer,
+        options.oidc_client,
         options.oidc_secret or os.environ.get(SECRET_VARIABLE) or None,
-        options.oidc_name_claim, options.oidc_role_claim, options.oidc_anybody,
+        options.oidc_name_claim,
+        options.oidc_role_claim,
+        options.oidc_anybody,
         options.oidc_label,
-    )  # fmt: skip
+    )
 
 
 def scene_to_open(options: ServeCommand) -> Path | None:
@@ -215,10 +218,13 @@ def scene_to_open(options: ServeCommand) -> Path | None:
     """
     first = options.paths[0] if options.paths else None
     if not (options.assets or options.scene) and (
-        first is None or first.is_dir() or is_model(first)
+        first is None
+        or first.is_dir()
+        or is_model(first)
         or (first.suffix.lower() in SUFFIXES and first.suffix.lower() not in STAGES)
-        or not recognised(first) or articulated_stage(first) is not None
-    ):  # fmt: skip
+        or not recognised(first)
+        or articulated_stage(first) is not None
+    ):
         return None
     if first is None or len(options.paths) > 1 or first.is_dir():
         raise ConfigurationError("a scene is opened alone: give one scene file, and its --assets")

@@ -118,17 +118,23 @@ def create(options: ReleaseCreateCommand) -> int:
             pairs, _ = pairs_of(store, again, show.progress)
             wanted = store.project.settings
             release = Release(
-                name, version, options.form or wanted.form,
+                name,
+                version,
+                options.form or wanted.form,
                 options.license or wanted.license or license,
-                options.author or wanted.author or author, summaries(pairs)["all"]["all"],
-            )  # fmt: skip
+                options.author or wanted.author or author,
+                summaries(pairs)["all"]["all"],
+            )
             store.assets.check_release(out.name)
             found = accepted_assets(store, {second.object for second in again})
             assets = _wanted(found, options.category)
             release = write_release(
-                release, assets, out, shard_bytes=options.shard_mb * 1_000_000,
+                release,
+                assets,
+                out,
+                shard_bytes=options.shard_mb * 1_000_000,
                 progress=show.progress,
-            )  # fmt: skip
+            )
             place = store.assets.keep_release(out)
     finally:
         store.close()
@@ -258,12 +264,15 @@ def _print_quality(
             console.print(output.table_of(None, columns, cells, columns[1:]))
     rows = [
         (
-            f"{p.name} ({p.object}, {p.second})", p.kind, p.first_by, p.second_by,
+            f"{p.name} ({p.object}, {p.second})",
+            p.kind,
+            p.first_by,
+            p.second_by,
             "–" if p.agreement is None else f"{p.agreement.disagreement:.3f}",
             p.problem if p.agreement is None else "; ".join(p.agreement.what),
         )
         for p in pairs
-    ]  # fmt: skip
+    ]
     columns = ("object", "", "first by", "second by", "disagreement", "what")
     console.print(output.table_of("Disagreements, largest first", columns, rows))
     console.print(f"{len(pairs)} pairs compared, {len(waiting)} wait to be accepted")
@@ -297,9 +306,12 @@ def repeat(options: RepeatCommand) -> int:
     try:
         with output.session(options.json) as show:
             new = plant(
-                store, database, share=options.double, honeypots=options.honeypots,
+                store,
+                database,
+                share=options.double,
+                honeypots=options.honeypots,
                 seed=options.seed,
-            )  # fmt: skip
+            )
         rows = [{"name": store.object(s.of).name, **asdict(s)} for s in new]
     finally:
         store.close()
@@ -399,9 +411,12 @@ def show_audit(asked: options.AuditCommand) -> int:
 def _show_decisions(asked: options.AuditCommand) -> int:
     with _people(asked) as people:
         found = people.audit.decisions(
-            who=asked.name, object_id=asked.object, kind=asked.kind, since=asked.since,
+            who=asked.name,
+            object_id=asked.object,
+            kind=asked.kind,
+            since=asked.since,
             count=asked.count,
-        )  # fmt: skip
+        )
     lines = [f"{d.at[:19]}  {d.who}  {d.kind}  {d.name} ({d.object})" for d in found]
     return _say(asked, [asdict(d) for d in found], *(lines or ["Nothing"]))
 

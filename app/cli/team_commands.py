@@ -62,9 +62,11 @@ class StatsCommand(Command):
     csv: Path | None = option("write the rows into this file, too", "FILE")
     quality: bool = flag("say instead how well second annotations agree with the first")
     sample: int = option(
-        "list instead this many objects of each person's day, for a reviewer", "N", 0,
+        "list instead this many objects of each person's day, for a reviewer",
+        "N",
+        0,
         parse=count,
-    )  # fmt: skip
+    )
     day: str | None = option("with --sample: the day (default: yesterday)", "DAY", parse=day)
     seed: int = seed_option("of the choice of a sample")
     database: str | None = option(
@@ -120,12 +122,14 @@ class ReleaseCreateCommand(Command):
     license: str = option(
         "licence of the assets, such as CC-BY-4.0 (default: the project's, or that of the last "
         "SimReady package)",
-        "NAME", "",
-    )  # fmt: skip
+        "NAME",
+        "",
+    )
     author: str = option(
         "author or organisation (default: the project's, or that of the last SimReady package)",
-        "NAME", "",
-    )  # fmt: skip
+        "NAME",
+        "",
+    )
     category: tuple[str, ...] = repeated("release objects of this category only", "NAME")
     shard_mb: int = option("with webdataset: largest shard", "MB", 500, parse=positive_count)
     database: str | None = option(

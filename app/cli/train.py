@@ -90,9 +90,13 @@ def train_full_model(options: TrainCommand, config: FullConfig) -> int:
     with bar as progress:
         progress(0.0, "reading weights")
         done = train_full(
-            config, _sources(options, config), options.out, seconds=options.minutes * 60,
-            weights=options.weights, progress=progress,
-        )  # fmt: skip
+            config,
+            _sources(options, config),
+            options.out,
+            seconds=options.minutes * 60,
+            weights=options.weights,
+            progress=progress,
+        )
     if not prints:
         return 0
     loss = "" if math.isnan(done.loss) else f", loss {done.loss:.4f}"
@@ -168,9 +172,13 @@ def _fit_confidence(options: TrainCommand) -> int:
     with progress_bar() as progress:
         jobs = options.jobs or os.cpu_count() or 1
         fitted = fit_confidence(
-            options.out, options.weights, samples=options.samples, seed=options.seed, jobs=jobs,
+            options.out,
+            options.weights,
+            samples=options.samples,
+            seed=options.seed,
+            jobs=jobs,
             progress=progress,
-        )  # fmt: skip
+        )
     for name in PREDICTORS:
         found = fitted["record"][name]
         print(
@@ -193,22 +201,34 @@ def _train_small(options: TrainCommand) -> int:
     few = min(MOST_HELD_OUT, options.samples)
     with progress_bar() as progress:
         make_shards(
-            data, options.samples, seed=options.seed + 1, jobs=options.jobs, families=families,
+            data,
+            options.samples,
+            seed=options.seed + 1,
+            jobs=options.jobs,
+            families=families,
             progress=progress,
-        )  # fmt: skip
+        )
         make_shards(validation, few, seed=options.seed + 900, progress=progress)
         make_shards(held_out, few, seed=options.seed + 901, families=HELD_OUT, progress=progress)
         for root in options.data:
             _, bad = write_dataset(
-                root, data, held_out=options.all_categories, test_share=options.test_share,
+                root,
+                data,
+                held_out=options.all_categories,
+                test_share=options.test_share,
                 progress=progress,
-            )  # fmt: skip
+            )
             for problem in bad:
                 print(f"left out: {problem}", file=sys.stderr)
         small_trainer.train(
-            config, data, options.out, validation=validation, held_out=held_out,
-            seconds=options.minutes * 60, progress=progress,
-        )  # fmt: skip
+            config,
+            data,
+            options.out,
+            validation=validation,
+            held_out=held_out,
+            seconds=options.minutes * 60,
+            progress=progress,
+        )
     if options.weights is not None:
         version = options.version_name or options.preset
         small_trainer.export_weights(options.out, options.weights, version=version)
@@ -229,9 +249,13 @@ def _full_config(options: TrainCommand, preset: FullConfig) -> FullConfig:
             "--point-encoder, a checkpoint of ULIP-2"
         )
     config = replace(
-        preset, samples=options.samples, seed=options.seed, steps=options.steps or 0,
-        held_out=options.all_categories, test_share=options.test_share,
-    )  # fmt: skip
+        preset,
+        samples=options.samples,
+        seed=options.seed,
+        steps=options.steps or 0,
+        held_out=options.all_categories,
+        test_share=options.test_share,
+    )
     if large.lora:
         config = replace(config, lora_rank=LORA_RANK, learning_rate=LORA_RATE)
     config = with_settings(config, large.settings)

@@ -27,9 +27,13 @@ from sessions.store import Entry, ObjectRecord, PendingAcceptance, Store, now
 
 
 def carry_out(
-    live: LiveSession, asked: SessionState, command: cmd.Accept, who: str, draft: Path,
+    live: LiveSession,
+    asked: SessionState,
+    command: cmd.Accept,
+    who: str,
+    draft: Path,
     record: dict[str, Any],
-) -> str:  # fmt: skip
+) -> str:
     """Let a draft take its place and accept the object, or neither; returns the asset's folder.
 
     Args:
@@ -159,8 +163,9 @@ def _resume(store: Store, hub: SessionHub, workspace: Path) -> dict[int, Pending
             if not pending.hold_reason:
                 log.warning(
                     "%s: its acceptance was begun and not finished; accept it again, unless "
-                    "another server is at it", record.name,
-                )  # fmt: skip
+                    "another server is at it",
+                    record.name,
+                )
             continue
         doc = live.document
         if doc.review.state == "accepted" and doc.saved is None and folder.is_dir():

@@ -90,10 +90,14 @@ def accept(
     report = obj.validation.report
     command = cmd.Accept(comment, obj.validation.known_problems(), override)
     record = acceptance_record(
-        apply(state, command, Context(who, "")), services.store.history(obj.record.id),
-        _source_record(obj), report, override, warnings_seen=report is not None and report is seen,
+        apply(state, command, Context(who, "")),
+        services.store.history(obj.record.id),
+        _source_record(obj),
+        report,
+        override,
+        warnings_seen=report is not None and report is seen,
         scene=None if obj.in_scene is None else obj.in_scene.source(),
-    )  # fmt: skip
+    )
     services.acceptances.begin(obj.record.id, pending)
     job = services.drafts.finish(source, doc.tree, obj.jobs.progress("save"))
 

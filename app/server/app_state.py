@@ -114,9 +114,14 @@ class AppState:
         self.review_order = ReviewOrder(lambda i: store.load(i).present)
         self._recent: deque[LiveSession] = deque(maxlen=RECENT_SESSIONS)
         self._services = Services(
-            config, store, self.hub, self.workers, AssetDrafts(self.workers.saving), self.queue,
+            config,
+            store,
+            self.hub,
+            self.workers,
+            AssetDrafts(self.workers.saving),
+            self.queue,
             self.acceptances,
-        )  # fmt: skip
+        )
         self._lock = threading.RLock()
         self._open: OrderedDict[int, OpenObject] = OrderedDict()  # the one used last is last
         self._closed = threading.Event()

@@ -84,9 +84,14 @@ def limited_server(application: ASGIApp) -> uvicorn.Server:
     for name in ("asyncio", "uvicorn.error"):
         logging.getLogger(name).addFilter(OncePerMinute())
     config = uvicorn.Config(
-        application, log_level="warning", access_log=False, server_header=False,
-        timeout_graceful_shutdown=3, http=LimitedProtocol, ws="none",
-    )  # fmt: skip
+        application,
+        log_level="warning",
+        access_log=False,
+        server_header=False,
+        timeout_graceful_shutdown=3,
+        http=LimitedProtocol,
+        ws="none",
+    )
     return uvicorn.Server(config)
 
 

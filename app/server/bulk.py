@@ -106,9 +106,12 @@ class BulkWork:
         self._start("Accept", ids, one, notify)
 
     def export(
-        self, ids: Sequence[int], task_of: Callable[[Path], ExportTask], notify: Notify,
+        self,
+        ids: Sequence[int],
+        task_of: Callable[[Path], ExportTask],
+        notify: Notify,
         done: Callable[[], None],
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Export the saved assets of accepted objects; ``done`` once all files are there."""
 
         def one(id: int) -> None:
@@ -132,9 +135,13 @@ class BulkWork:
     # --- running
 
     def _start(
-        self, what: str, ids: Sequence[int], one: Callable[[int], None], notify: Notify,
+        self,
+        what: str,
+        ids: Sequence[int],
+        one: Callable[[int], None],
+        notify: Notify,
         done: Callable[[], None] | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         with self._lock:
             if self.progress is not None:
                 raise CommandError(f"“{self.progress[1]}” still runs: wait for it or cancel it")
@@ -146,9 +153,13 @@ class BulkWork:
         threading.Thread(target=self._run, args=args, name="bulk work", daemon=True).start()
 
     def _run(
-        self, what: str, ids: tuple[int, ...], one: Callable[[int], None], notify: Notify,
+        self,
+        what: str,
+        ids: tuple[int, ...],
+        one: Callable[[int], None],
+        notify: Notify,
         done: Callable[[], None] | None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         refused: Counter[str] = Counter()
         count = 0
         try:

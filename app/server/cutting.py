@@ -154,10 +154,14 @@ class Picking:
             done(record.id)
 
         job = scene.services.workers.reading.submit(
-            scene_tasks.prepare_for_picking, item, scene.services.workspace,
-            on_progress=scene.jobs.progress("copy"), priority=8, preempted_by=CLICKS,
+            scene_tasks.prepare_for_picking,
+            item,
+            scene.services.workspace,
+            on_progress=scene.jobs.progress("copy"),
+            priority=8,
+            preempted_by=CLICKS,
             most_seconds=READ_SECONDS,
-        )  # fmt: skip
+        )
         scene.start("copy", job, keep, files=(item.path or copy,))
         scene.changed()
 
@@ -185,9 +189,15 @@ class Picking:
             stands = world @ pose(np.asarray(found.crop.position))
             fresh = self._free(words)
             command = PickOut(
-                id, fresh, words, str(found.crop.path), str(found.rest), found.crop.count,
-                *_position_and_rotation(stands), *_position_and_rotation(world),
-            )  # fmt: skip
+                id,
+                fresh,
+                words,
+                str(found.crop.path),
+                str(found.rest),
+                found.crop.count,
+                *_position_and_rotation(stands),
+                *_position_and_rotation(world),
+            )
             scene.live.do(command, who)
             done(fresh)
 
@@ -205,19 +215,29 @@ class Picking:
             if old is None or pick.id in out:
                 continue  # the scene's file changed since
             rest = replace(
-                old.obj, world_from_object=_pose(pick.rest_position, pick.rest_wxyz),
-                scale=np.ones(3), fit=None, anchor="origin",
-            )  # fmt: skip
-            out[pick.object] = replace(old, obj=rest, path=Path(pick.rest),
-                                       copy=self._copy(pick.rest), truth=None)  # fmt: skip
+                old.obj,
+                world_from_object=_pose(pick.rest_position, pick.rest_wxyz),
+                scale=np.ones(3),
+                fit=None,
+                anchor="origin",
+            )
+            out[pick.object] = replace(
+                old, obj=rest, path=Path(pick.rest), copy=self._copy(pick.rest), truth=None
+            )
             out[pick.id] = SceneItem(
                 SceneObject(
-                    pick.id, pick.name, _pose(pick.position, pick.wxyz), np.ones(3),
-                    asset=f"{self._scene.record.path.name}#{pick.id}", room=old.obj.room,
+                    pick.id,
+                    pick.name,
+                    _pose(pick.position, pick.wxyz),
+                    np.ones(3),
+                    asset=f"{self._scene.record.path.name}#{pick.id}",
+                    room=old.obj.room,
                     base=old.obj.base,
                 ),
-                self._decision(pick.name), Path(pick.path), self._copy(pick.path),
-            )  # fmt: skip
+                self._decision(pick.name),
+                Path(pick.path),
+                self._copy(pick.path),
+            )
         return out
 
     def _decision(self, name: str) -> Decision:

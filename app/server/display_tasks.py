@@ -89,9 +89,14 @@ def _store(folder: Path, mesh: Mesh) -> None:
     assert shaded.vertex_colors is not None
     with draft_of(folder / _FILE) as draft:
         np.savez(
-            draft, vertices=shaded.vertices, faces=shaded.faces, material=shaded.face_material,
-            colors=shaded.vertex_colors, face=face, count=len(mesh.faces),
-        )  # fmt: skip
+            draft,
+            vertices=shaded.vertices,
+            faces=shaded.faces,
+            material=shaded.face_material,
+            colors=shaded.vertex_colors,
+            face=face,
+            count=len(mesh.faces),
+        )
 
 
 def _stored(folder: Path, mesh: Mesh) -> tuple[Mesh, npt.NDArray[np.int32]] | None:
@@ -203,9 +208,12 @@ class PartPayload:
 
 
 def open_asset(
-    path: Path, workspace: Path, options: ReadOptions, masks: Path | None = None,
+    path: Path,
+    workspace: Path,
+    options: ReadOptions,
+    masks: Path | None = None,
     progress: Progress = no_progress,
-) -> OpenedAsset:  # fmt: skip
+) -> OpenedAsset:
     """Read ``path``, save its arrays for the other workers, and prepare its display.
 
     Args:

@@ -102,8 +102,14 @@ DRAW_SECONDS = 120.0
 """Longest drawing of one."""
 _STATES = ("rejected", "in_progress", "todo", "predicted", "submitted", "accepted")
 SORTS: Final[tuple[str, ...]] = (
-    "order", "name", "category", "state", "who", "confidence", "recent",
-)  # fmt: skip
+    "order",
+    "name",
+    "category",
+    "state",
+    "who",
+    "confidence",
+    "recent",
+)
 
 
 class Gallery:
@@ -168,10 +174,11 @@ class Gallery:
         """The objects whose name or category holds the words, in order."""
         names, words = self.names(), search.lower().split()
         found = [
-            r for r in self._services.queue.records()
+            r
+            for r in self._services.queue.records()
             if (not state or r.state == state)
             and all(w in f"{names.get(r.id, '')} {r.category or ''}".lower() for w in words)
-        ]  # fmt: skip
+        ]
         key = self._key(sort, names)
         return found if key is None else sorted(found, key=key, reverse=sort == "recent")
 
@@ -195,10 +202,15 @@ class Gallery:
     def _row(self, record: ObjectRecord, name: str) -> dict[str, Any]:
         shown, why = self._shown(record)
         return {
-            "id": record.id, "name": name, "state": record.state, "shown": shown, "why": why,
-            "category": record.category or "", "who": record.who if record.seq else "",
+            "id": record.id,
+            "name": name,
+            "state": record.state,
+            "shown": shown,
+            "why": why,
+            "category": record.category or "",
+            "who": record.who if record.seq else "",
             "confidence": self.confidence(record),
-        }  # fmt: skip
+        }
 
     # --- thumbnails
 

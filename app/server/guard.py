@@ -371,9 +371,13 @@ def _text(status: HTTPStatus, text: str, kind: str = "text/plain; charset=utf-8"
 
 
 def _page(
-    status: HTTPStatus = HTTPStatus.OK, problem: str = "", *, accounts: bool = False,
-    person: Person | None = None, provider: str = "",
-) -> Response:  # fmt: skip
+    status: HTTPStatus = HTTPStatus.OK,
+    problem: str = "",
+    *,
+    accounts: bool = False,
+    person: Person | None = None,
+    provider: str = "",
+) -> Response:
     if accounts:
         body, policy = account_page("" if person is None else person.name, provider)
     else:

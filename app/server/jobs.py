@@ -247,10 +247,13 @@ class WorkerProcess:
             return self._queue[0][2] if self._queue else None
         self._tally()
         levels = [
-            job._preempted_by for job in self._running
-            if job._preempted_by is not None and job._begun and job._kill_at is None
+            job._preempted_by
+            for job in self._running
+            if job._preempted_by is not None
+            and job._begun
+            and job._kill_at is None
             and job._waited <= job._ran + PATIENCE
-        ]  # fmt: skip
+        ]
         if len(levels) < len(self._running):
             return None
         in_use = {job._works_on for job in self._running} - {None}

@@ -21,9 +21,12 @@ from sessions.store import Store
 
 
 def learn_from(
-    workspace: Path, database: str | None, without: Sequence[str] = (), jobs: int = 1,
+    workspace: Path,
+    database: str | None,
+    without: Sequence[str] = (),
+    jobs: int = 1,
     progress: Progress = no_progress,
-) -> dict[str, Any]:  # fmt: skip
+) -> dict[str, Any]:
     """Learn from the accepted objects of a workspace; second annotations are left out.
 
     Returns:
@@ -74,9 +77,11 @@ class Learning:
             if self._worker is not None:
                 raise CommandError("it is learning already")
             worker = self._worker = WorkerProcess(
-                "learning", initializer=in_background, arguments=(READING,),
+                "learning",
+                initializer=in_background,
+                arguments=(READING,),
                 template=self._template,
-            )  # fmt: skip
+            )
         job = worker.submit(learn_from, self._workspace, self._database)
 
         def ended(job: Job[dict[str, Any]]) -> None:

@@ -94,9 +94,10 @@ class Likeness:
     def _accepted(self, doc: Document) -> tuple[Path, ...]:
         obj = self._obj
         records = [
-            r for r in obj.services.queue.records()
+            r
+            for r in obj.services.queue.records()
             if r.state == "accepted" and r.id != obj.record.id
-        ]  # fmt: skip
+        ]
         records.sort(key=lambda r: r.updated, reverse=True)
         records.sort(key=lambda r: doc.category is None or r.category != doc.category)
         folders = (asset_folder(obj.services.workspace, r) for r in records[:MOST])

@@ -247,9 +247,12 @@ def answer_page(problem: str = "") -> tuple[bytes, str]:
     """
     nonce = secrets.token_urlsafe(16)
     page = _ANSWER.format(
-        nonce=nonce, style=page_style(), problem=html.escape(problem),
-        target="/login" if problem else "/", wait="" if problem else "location.replace('/');",
-    )  # fmt: skip
+        nonce=nonce,
+        style=page_style(),
+        problem=html.escape(problem),
+        target="/login" if problem else "/",
+        wait="" if problem else "location.replace('/');",
+    )
     return page.encode(), page_policy(nonce)
 
 
@@ -264,7 +267,10 @@ def account_page(name: str, provider: str = "") -> tuple[bytes, str]:
     person = json.dumps(name).replace("<", "\\u003c")
     link = f'<a class="button" href="{API}/oidc/login">{html.escape(provider)}</a>'
     page = _ACCOUNT_PAGE.format(
-        nonce=nonce, style=page_style(), api=json.dumps(API), person=person,
+        nonce=nonce,
+        style=page_style(),
+        api=json.dumps(API),
+        person=person,
         provider=link if provider else "",
-    )  # fmt: skip
+    )
     return page.encode(), page_policy(nonce)

@@ -135,10 +135,17 @@ class ApiConnections:
 
     def __init__(self, application: Any, proxies: tuple[str, ...] = ()) -> None:
         self._config = Config(
-            application, http="h11", ws="none", lifespan="off", log_config=None, access_log=False,
-            server_header=False, proxy_headers=bool(proxies), forwarded_allow_ips=list(proxies),
+            application,
+            http="h11",
+            ws="none",
+            lifespan="off",
+            log_config=None,
+            access_log=False,
+            server_header=False,
+            proxy_headers=bool(proxies),
+            forwarded_allow_ips=list(proxies),
             h11_max_incomplete_event_size=65536,
-        )  # fmt: skip
+        )
         self._config.load()
         self._state = ServerState()
 

@@ -94,9 +94,10 @@ class ObjectQueue:
         Where that is all there is, it stays: an empty queue would explain nothing.
         """
         removed = tuple(
-            i for i, stamp in self._store.removed_objects().items()
+            i
+            for i, stamp in self._store.removed_objects().items()
             if i in self._ids and stamp == _stamp(self._records[i].path)
-        )  # fmt: skip
+        )
         if len(removed) < len(self._ids):
             self._ids = [i for i in self._ids if i not in removed]
             self.removed = removed

@@ -99,10 +99,16 @@ class OidcLogin:
         state, browser, nonce, verifier = (secrets.token_urlsafe(32) for _ in range(4))
         metadata, _ = self._provider()
         address = prepare_grant_uri(
-            metadata["authorization_endpoint"], self.settings.client, "code",
-            redirect_uri=redirect, scope=SCOPE, state=state, nonce=nonce,
-            code_challenge=create_s256_code_challenge(verifier), code_challenge_method="S256",
-        )  # fmt: skip
+            metadata["authorization_endpoint"],
+            self.settings.client,
+            "code",
+            redirect_uri=redirect,
+            scope=SCOPE,
+            state=state,
+            nonce=nonce,
+            code_challenge=create_s256_code_challenge(verifier),
+            code_challenge_method="S256",
+        )
         self._people.identities.begin(state, browser, nonce, verifier)
         return address, browser
 
@@ -133,9 +139,12 @@ class OidcLogin:
         if not isinstance(name, str) or not name or unproven:
             raise OidcError(f"The provider says no {self.settings.name_claim} of yours.")
         return self._people.identities.account(
-            metadata["issuer"], claims["sub"], name, self._role(claims),
+            metadata["issuer"],
+            claims["sub"],
+            name,
+            self._role(claims),
             anybody=self.settings.anybody,
-        )  # fmt: skip
+        )
 
     def _token(self, code: str, verifier: str, redirect: str) -> str:
         """Exchange a code for an ID token."""
@@ -144,9 +153,11 @@ class OidcLogin:
         metadata, _ = self._provider()
         client, secret = self.settings.client, self.settings.secret
         fields = {
-            "grant_type": "authorization_code", "code": code, "redirect_uri": redirect,
+            "grant_type": "authorization_code",
+            "code": code,
+            "redirect_uri": redirect,
             "code_verifier": verifier,
-        }  # fmt: skip
+        }
         proof: Any = None
         if secret is None:
             fields["client_id"] = client
@@ -177,9 +188,11 @@ class OidcLogin:
                 leeway=LEEWAY,
                 iss={"essential": True, "value": metadata["issuer"]},
                 aud={"essential": True, "value": self.settings.client},
-                exp={"essential": True}, iat={"essential": True}, sub={"essential": True},
+                exp={"essential": True},
+                iat={"essential": True},
+                sub={"essential": True},
                 nonce={"essential": True, "value": nonce},
-            ).validate(found.claims)  # fmt: skip
+            ).validate(found.claims)
         except (errors.JoseError, ValueError, TypeError, KeyError) as error:
             raise OidcError("The provider's ID token is not valid for this login.") from error
         claims, several = found.claims, isinstance(found.claims["aud"], list)

@@ -134,10 +134,13 @@ def _complete(
 def _uncompleted(source: PartSource, tree: KinematicTree) -> ArticulatedObject:
     inertials, shapes = _declared_physics(source)
     return ArticulatedObject(
-        source.title, parts_of(source), tree, source.category,
+        source.title,
+        parts_of(source),
+        tree,
+        source.category,
         {k: i for k, i in inertials.items() if k in tree.links},
         {k: s for k, s in shapes.items() if k in tree.links},
-    )  # fmt: skip
+    )
 
 
 def _declared_physics(
@@ -247,9 +250,16 @@ def validate_joints(
 
 def _cache_file(source: PartSource, tree: KinematicTree) -> Path:
     key = fingerprint(
-        "gate", validation_version(), source.folder.name, source.labels,
-        sorted(source.names.items()), source.category, source.complete, tree.links, tree.joints,
-    )  # fmt: skip
+        "gate",
+        validation_version(),
+        source.folder.name,
+        source.labels,
+        sorted(source.names.items()),
+        source.category,
+        source.complete,
+        tree.links,
+        tree.joints,
+    )
     return source.workspace / "cache" / "gate" / f"{key}.json"
 
 
@@ -314,10 +324,17 @@ def prepare_asset(
 
 def _draft_name(source: PartSource, tree: KinematicTree) -> Path:
     key = fingerprint(
-        "draft", version("artiworld"), source.folder.name, source.labels,
-        sorted(source.names.items()), source.category, source.title, source.complete, tree.links,
+        "draft",
+        version("artiworld"),
+        source.folder.name,
+        source.labels,
+        sorted(source.names.items()),
+        source.category,
+        source.title,
+        source.complete,
+        tree.links,
         tree.joints,
-    )  # fmt: skip
+    )
     return source.workspace / "drafts" / key
 
 

@@ -278,9 +278,11 @@ def _room_kinds(asset: Asset, frame: Array) -> Kinds:
 
 
 def propose(
-    folder: Path, element: npt.NDArray[np.int32], up: Vector | None,
+    folder: Path,
+    element: npt.NDArray[np.int32],
+    up: Vector | None,
     progress: Progress = no_progress,
-) -> ScanProposal:  # fmt: skip
+) -> ScanProposal:
     """Find the up direction, unless ``up`` gives it, and what isn't the object."""
     found = _found(folder, up, progress)
     counts = np.bincount(found.kinds, minlength=OUTLIER + 1).tolist()
@@ -290,9 +292,13 @@ def propose(
 
 
 def marked_elements(
-    workspace: Path, left_out: str | None, folder: Path, up: Vector | None, marks: Marks,
+    workspace: Path,
+    left_out: str | None,
+    folder: Path,
+    up: Vector | None,
+    marks: Marks,
     progress: Progress = no_progress,
-) -> Removal:  # fmt: skip
+) -> Removal:
     """Elements of an open scan to leave out: the marked ones, and those left out already.
 
     Raises:
@@ -315,9 +321,13 @@ def chosen_elements(workspace: Path, left_out: str | None, folder: Path, chosen:
 
 
 def restored_elements(
-    workspace: Path, left_out: str, path: Path, options: ReadOptions, camera: Camera,
+    workspace: Path,
+    left_out: str,
+    path: Path,
+    options: ReadOptions,
+    camera: Camera,
     stroke: Stroke | tuple[Any, Any],
-) -> Removal | None:  # fmt: skip
+) -> Removal | None:
     """Elements that stay left out after those under a stroke or box are restored, or None."""
     gone = arrays_of(workspace).get(left_out)
     picker = Picker(removed_of(path, workspace, options))

@@ -79,9 +79,14 @@ class Preparing:
         obj.jobs.cancel("prepare")
         self._asset, self.proposal = asset, None
         job = obj.lane.geometry.submit(
-            prepare_tasks.propose, asset.folder, asset.element, up,
-            on_progress=obj.jobs.progress("prepare"), priority=priority, preempted_by=CLICKS,
-        )  # fmt: skip
+            prepare_tasks.propose,
+            asset.folder,
+            asset.element,
+            up,
+            on_progress=obj.jobs.progress("prepare"),
+            priority=priority,
+            preempted_by=CLICKS,
+        )
 
         def keep(proposal: ScanProposal) -> None:
             if self._asset is asset:
@@ -183,9 +188,15 @@ class Preparing:
         self._obj.do(self._command(np.eye(4), None, what, metres), who)
 
     def apply(
-        self, matrix: Array, marks: Marks, what: str, who: str, done: Callable[[], None],
-        *, metres: float | None = None,
-    ) -> None:  # fmt: skip
+        self,
+        matrix: Array,
+        marks: Marks,
+        what: str,
+        who: str,
+        done: Callable[[], None],
+        *,
+        metres: float | None = None,
+    ) -> None:
         """Move the object, leave out what is marked and set the unit as one step; then ``done``.
 
         Args:
@@ -206,9 +217,13 @@ class Preparing:
 
         # The process that made the proposal has it still.
         self._job(
-            keep, prepare_tasks.marked_elements, asset.folder, found.up, marks,
+            keep,
+            prepare_tasks.marked_elements,
+            asset.folder,
+            found.up,
+            marks,
             worker=obj.lane.geometry,
-        )  # fmt: skip
+        )
 
     def _command(
         self, matrix: Array, leave_out: LeaveOut | None, what: str, metres: float | None = None
@@ -251,15 +266,23 @@ class Preparing:
         )
 
     def _job(
-        self, keep: Callable[[Any], None], task: Callable[..., Any], *arguments: Any,
+        self,
+        keep: Callable[[Any], None],
+        task: Callable[..., Any],
+        *arguments: Any,
         worker: WorkerProcess | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         obj, left = self._obj, self._obj.document.left_out
         if obj.document.face_cuts:
             raise CommandError("faces were split by a cut: undo it first")
         job = (worker or obj.services.workers.reading).submit(
-            task, obj.services.workspace, None if left is None else left.elements, *arguments,
-            on_progress=obj.jobs.progress("room"), priority=6, preempted_by=CLICKS,
-        )  # fmt: skip
+            task,
+            obj.services.workspace,
+            None if left is None else left.elements,
+            *arguments,
+            on_progress=obj.jobs.progress("room"),
+            priority=6,
+            preempted_by=CLICKS,
+        )
         obj.start("room", job, keep)
         obj.changed()

@@ -293,9 +293,11 @@ class Accepting:
             settings = scene.services.store.project.settings
             report = with_unknown_names(report, tree, *unknown_names(doc, settings))
             required = required_problem(doc, report, settings.required)
-            if required or report.severity == Severity.ERROR or (
-                report.severity == Severity.WARNING and not entry[1].looked
-            ):  # fmt: skip
+            if (
+                required
+                or report.severity == Severity.ERROR
+                or (report.severity == Severity.WARNING and not entry[1].looked)
+            ):
                 self._refuse(entry, required or self._worst(doc, report), report)
             else:
                 self._save(work, entry, source, report)
@@ -308,10 +310,13 @@ class Accepting:
         assert asked.present.tree is not None and drawn is not None
         command = cmd.Accept("", problems_of(report), decided_at=record.at)
         provenance = acceptance_record(
-            apply(asked, command, Context(record.by, "")), scene.services.store.history(work.id),
-            drawn.source, report, warnings_seen=record.looked,
+            apply(asked, command, Context(record.by, "")),
+            scene.services.store.history(work.id),
+            drawn.source,
+            report,
+            warnings_seen=record.looked,
             scene=work.source(scene.path, scene.services.workspace),
-        )  # fmt: skip
+        )
         job = scene.services.drafts.finish(source, asked.present.tree, _silent)
 
         def keep(draft: Path) -> None:
@@ -390,8 +395,11 @@ class Accepting:
 def _same(one: Document, other: Document) -> bool:
     """True if both have the same validation report."""
     return (one.tree, one.segmentation, one.parts, one.predicted_confidence) == (
-        other.tree, other.segmentation, other.parts, other.predicted_confidence,
-    )  # fmt: skip
+        other.tree,
+        other.segmentation,
+        other.parts,
+        other.predicted_confidence,
+    )
 
 
 def _objects(count: int) -> str:

@@ -149,8 +149,9 @@ def _saved_entries(folder: Path | None) -> dict[str, dict[str, Any]]:
             if shortened := entry.get("shortened"):  # under the names of the asset's files
                 kept = read_provenance(folder / entry["asset_folder"])["asset"].get("names", {})
                 own = kept.get("joints", {})
-                entry["shortened"] = [{**c, "joint": own.get(c["joint"], c["joint"])}
-                                      for c in shortened]  # fmt: skip
+                entry["shortened"] = [
+                    {**c, "joint": own.get(c["joint"], c["joint"])} for c in shortened
+                ]
     except (InputFileError, OSError, ValueError, KeyError, TypeError):
         return {}
     return found
@@ -248,9 +249,12 @@ def _thumbnail(row: ReportRow) -> bytes | None:
         return None
     colors = render.part_colors([p.link for p in obj.parts], obj.tree.root)
     shown = render.draw(
-        obj, colors=colors, q=render.half_open(obj), joints=True,
+        obj,
+        colors=colors,
+        q=render.half_open(obj),
+        joints=True,
         view=render.View(azimuth=-math.pi / 2 - 0.6, width=220, height=180),
-    )  # fmt: skip
+    )
     return render.png(shown)
 
 
@@ -415,12 +419,22 @@ def _moving_asset(item: SceneItem, moving: MovingCopy, out: Path) -> dict[str, A
         names = FileNames.stored(read_provenance(folder)["asset"])
     else:
         source = {"path": item.path.name, "sha256": asset_digest(item.path)}
-        write_asset(obj, folder, physics=physics,
-                    provenance={"source": source, "review": "predicted, not accepted"})  # fmt: skip
+        write_asset(
+            obj,
+            folder,
+            physics=physics,
+            provenance={"source": source, "review": "predicted, not accepted"},
+        )
     obj, confidence = names.object(obj), names.by_link(moving.confidence)
     write_formats(obj, folder, _formats(), names.physics(physics))
-    joints = [{**asdict(j), "confidence": confidence.get(j.child)}
-              for j in obj.tree.joints if j.moves]  # fmt: skip
+    joints = [
+        {**asdict(j), "confidence": confidence.get(j.child)} for j in obj.tree.joints if j.moves
+    ]
     state = PREDICTED if moving.accepted is None else ACCEPTED
-    return {"key": key, "state": state if joints else STATIC, "reason": moving.reason,
-            "bounds": moving.bounds, "joints": joints}  # fmt: skip
+    return {
+        "key": key,
+        "state": state if joints else STATIC,
+        "reason": moving.reason,
+        "bounds": moving.bounds,
+        "joints": joints,
+    }

@@ -35,9 +35,16 @@ HELD = "on hold"
 Shown = Status | Literal["validating", "on_hold"]
 """A status, or of an object to be accepted: being validated, or on hold."""
 SHOWN: tuple[Shown, ...] = (
-    "predicted", "on_hold", "todo", "validating", "rejected", "accepted", "static", "failed",
+    "predicted",
+    "on_hold",
+    "todo",
+    "validating",
+    "rejected",
+    "accepted",
+    "static",
+    "failed",
     "missing",
-)  # fmt: skip
+)
 """In the order of a reviewer's interest."""
 
 
@@ -78,9 +85,14 @@ class Work:
             return None
         doc = self.document
         return PartSource(
-            self.drawn.folder, workspace, self.drawn.labels, doc.part_names, doc.category,
-            self.name, doc.complete,
-        )  # fmt: skip
+            self.drawn.folder,
+            workspace,
+            self.drawn.labels,
+            doc.part_names,
+            doc.category,
+            self.name,
+            doc.complete,
+        )
 
     def source(self, scene: Path, workspace: Path) -> dict[str, Any]:
         """Return its source for ``provenance.json``: the asset, not the copy in the workspace.
@@ -97,9 +109,13 @@ class Work:
         with suppress(InputFileError):  # the file is gone
             sha256 = asset_digest(path)
         return {
-            "path": str(path), "sha256": sha256, "scene": str(scene), "objects": list(self.ids),
-            "asset": obj.asset or self.name, "scale": obj.scale.tolist(),
-        }  # fmt: skip
+            "path": str(path),
+            "sha256": sha256,
+            "scene": str(scene),
+            "objects": list(self.ids),
+            "asset": obj.asset or self.name,
+            "scale": obj.scale.tolist(),
+        }
 
 
 def names_for(items: Iterable[SceneItem], works: Iterable[Work]) -> list[str]:
@@ -245,9 +261,13 @@ class SceneState(Observable):
         )
 
     def _ended(
-        self, kind: str, job: Job[Any], keep: Callable[[Any], None], work: Work | None,
+        self,
+        kind: str,
+        job: Job[Any],
+        keep: Callable[[Any], None],
+        work: Work | None,
         files: Sequence[Path],
-    ) -> None:  # fmt: skip
+    ) -> None:
         raise NotImplementedError
 
 
@@ -308,9 +328,7 @@ class Saving:
 
     def _plan(
         self, loose: bool
-    ) -> tuple[
-        OpenedScene, tuple[SceneItem, ...], dict[Path, MovingCopy], dict[str, Decided]
-    ]:  # fmt: skip
+    ) -> tuple[OpenedScene, tuple[SceneItem, ...], dict[Path, MovingCopy], dict[str, Decided]]:
         scene = self._scene
         if scene.scene is None:
             raise CommandError("the scene is still being read")
@@ -319,9 +337,14 @@ class Saving:
             found = self._moving(work, loose)
             if found is not None and work.item.copy is not None:
                 copies[work.item.copy] = found
-        items = [replace(i, copy=i.copy if scene.articulable(i) else None,
-                         decision=replace(i.decision, articulable=scene.articulable(i)))
-                 for i in scene.items.values()]  # fmt: skip
+        items = [
+            replace(
+                i,
+                copy=i.copy if scene.articulable(i) else None,
+                decision=replace(i.decision, articulable=scene.articulable(i)),
+            )
+            for i in scene.items.values()
+        ]
         decided = {
             i: self._decided(w, w.item.copy in copies) for w in scene.wanted() for i in w.ids
         }
@@ -365,11 +388,18 @@ class Saving:
         record = scene.record
         path = scene.services.workspace / "scenes" / f"report-{record.id}" / f"{record.name}.html"
         job = scene.services.workers.reading.submit(
-            write_report, path, scene.scene.name, tuple(rows), scene.scene.problems,
-            dict(scene.shapes), scene.services.workspace,
+            write_report,
+            path,
+            scene.scene.name,
+            tuple(rows),
+            scene.scene.problems,
+            dict(scene.shapes),
+            scene.services.workspace,
             saved=None if scene.document.saved is None else Path(scene.document.saved.folder),
-            on_progress=scene.jobs.progress("report"), priority=6, preempted_by=CLICKS,
-        )  # fmt: skip
+            on_progress=scene.jobs.progress("report"),
+            priority=6,
+            preempted_by=CLICKS,
+        )
         scene.start("report", job, lambda _: done(path))
         scene.changed()
 
@@ -383,14 +413,19 @@ class Saving:
         notes = [] if work is None else [work.reason, self._why_refused(work)]
         notes.append(scene.missing_reason(item))
         return ReportRow(
-            item, "on_hold" if row.shown == "on_hold" else row.status, row.confidence,
+            item,
+            "on_hold" if row.shown == "on_hold" else row.status,
+            row.confidence,
             scene.document.articulable.get(item.obj.id),
             None if doc is None else doc.tree,
             {} if doc is None or doc.prediction is None else dict(doc.prediction.confidence),
-            {} if doc is None else {
-                p.link: link_display_name(p.link, p.name, root=False) for p in doc.parts
-            },
-            "" if doc is None else doc.review.by, "" if doc is None else doc.review.at,
+            {}
+            if doc is None
+            else {p.link: link_display_name(p.link, p.name, root=False) for p in doc.parts},
+            "" if doc is None else doc.review.by,
+            "" if doc is None else doc.review.at,
             "" if doc is None else (doc.review.reason or "").replace("_", " "),
-            tuple(n for n in notes if n), source, None if work is None else work.id,
-        )  # fmt: skip
+            tuple(n for n in notes if n),
+            source,
+            None if work is None else work.id,
+        )

@@ -299,9 +299,13 @@ def _cut_by_prompts(
     )
     names = tuple((p, prompts.names.get(p)) for p in sorted({c.part for c in clicks} - {BASE}))
     return Prepared(
-        names=names, clicks=tuple(clicks), labels=answer.labels,
-        counts=tuple(answer.counts.items()), segmenter=answer.segmenter, seconds=answer.seconds,
-    )  # fmt: skip
+        names=names,
+        clicks=tuple(clicks),
+        labels=answer.labels,
+        counts=tuple(answer.counts.items()),
+        segmenter=answer.segmenter,
+        seconds=answer.seconds,
+    )
 
 
 def _cut_by_source(asset: Asset, element_part: npt.NDArray[np.int32], workspace: Path) -> Prepared:
@@ -401,9 +405,12 @@ def _shape_of(path: Path, workspace: Path, max_faces: int) -> Shape:
     try:
         with np.load(kept, allow_pickle=False) as data:
             return Shape(
-                data["bounds"], data["vertices"], data.get("faces"), data.get("colors"),
+                data["bounds"],
+                data["vertices"],
+                data.get("faces"),
+                data.get("colors"),
                 float(data["spacing"]),
-            )  # fmt: skip
+            )
     except (OSError, ValueError, KeyError, EOFError):
         pass
     part = whole(path)

@@ -248,8 +248,9 @@ class SceneWorkspace(SceneState):
             names = names_for(fresh, self.works.values())
             records = self.services.store.open_objects(
                 (item.copy, None, name)
-                for item, name in zip(fresh, names, strict=True) if item.copy
-            )  # fmt: skip
+                for item, name in zip(fresh, names, strict=True)
+                if item.copy
+            )
             for item, record in zip(fresh, records, strict=True):
                 assert item.copy is not None
                 live = self.services.hub.session(record.id)
@@ -317,9 +318,14 @@ class SceneWorkspace(SceneState):
                 continue
             assert work.item.copy is not None
             job = self.services.workers.geometry.submit(
-                scene_tasks.drawn_parts, work.item.copy, self.services.workspace, ref,
-                self._max_faces, _options(doc), priority=4,
-            )  # fmt: skip
+                scene_tasks.drawn_parts,
+                work.item.copy,
+                self.services.workspace,
+                ref,
+                self._max_faces,
+                _options(doc),
+                priority=4,
+            )
 
             def keep(drawn: DrawnParts, work: Work = work) -> None:
                 work.drawn = drawn
@@ -342,10 +348,15 @@ class SceneWorkspace(SceneState):
             return
         work = next((w for w in waiting if w.id == self._preferred), waiting[0])
         job = self.services.workers.prediction.submit(
-            scene_tasks.prepare, work.item, self.services.workspace, self.services.config.segmenter,
-            self.services.predictor, priority=-5, preempted_by=0,
+            scene_tasks.prepare,
+            work.item,
+            self.services.workspace,
+            self.services.config.segmenter,
+            self.services.predictor,
+            priority=-5,
+            preempted_by=0,
             most_seconds=READ_SECONDS,
-        )  # fmt: skip
+        )
 
         def keep(prepared: Prepared) -> None:
             work.prepared, work.reason = True, prepared.reason
@@ -371,11 +382,14 @@ class SceneWorkspace(SceneState):
             do(cmd.SetCategory(work.item.category[:80]), AUTHOR)
         do(
             cmd.RecordSegmentation(
-                work.document.key, prepared.labels, prepared.segmenter, prepared.seconds,
+                work.document.key,
+                prepared.labels,
+                prepared.segmenter,
+                prepared.seconds,
                 dict(prepared.counts),
             ),
             AUTHOR,
-        )  # fmt: skip
+        )
         if prepared.prediction is not None:
             do(cmd.RecordPrediction(prepared.prediction, prepared.labels), AUTHOR)
 
@@ -392,9 +406,13 @@ class SceneWorkspace(SceneState):
         self.go_on()
 
     def _ended(
-        self, kind: str, job: Job[Any], keep: Callable[[Any], None], work: Work | None,
+        self,
+        kind: str,
+        job: Job[Any],
+        keep: Callable[[Any], None],
+        work: Work | None,
         files: Sequence[Path],
-    ) -> None:  # fmt: skip
+    ) -> None:
         with self._lock:  # no undo while a result is recorded
             error = self.jobs.deliver(kind, job, keep)
         at = _stopped_at(job, files)

@@ -155,9 +155,13 @@ class Segmenting:
                 self.labels, self._labels_ref, self.shares = None, None, {}
                 return
         job = obj.lane.segmentation.submit(
-            segmenting_tasks.display_labels, obj.services.workspace, ref, asset.element,
-            priority=9, repeated=True,
-        )  # fmt: skip
+            segmenting_tasks.display_labels,
+            obj.services.workspace,
+            ref,
+            asset.element,
+            priority=9,
+            repeated=True,
+        )
         obj.start("labels", job, self._if_current(asset, lambda labels: self._show(ref, labels)))
 
     def _segment(self, asset: OpenedAsset, doc: Document) -> None:

@@ -60,9 +60,11 @@ def session_of(folder: Path, segmenter: str, progress: Progress = no_progress) -
     """Return the encoded asset, from this process's cache where it is there."""
     asset = asset_of(folder)
     return _encodings.get(
-        (folder, segmenter), lambda: load_segmenter(segmenter).encode(asset, progress),
-        _weight(asset), lambda session: max(_weight(asset), _nodes(session)),
-    )  # fmt: skip
+        (folder, segmenter),
+        lambda: load_segmenter(segmenter).encode(asset, progress),
+        _weight(asset),
+        lambda session: max(_weight(asset), _nodes(session)),
+    )
 
 
 def _weight(asset: Asset) -> int:

@@ -74,9 +74,11 @@ class Server:
             self.app_state.open_scene(config.scene, config.assets)
         people = self.app_state.store.people
         self.entrance = Entrance(
-            people, Login(config.token), config.user,
+            people,
+            Login(config.token),
+            config.user,
             None if config.oidc is None else OidcLogin(config.oidc, people),
-        )  # fmt: skip
+        )
         self._webhooks = WebhookSender(people.webhooks)
         self.viser: viser.ViserServer = guarded_server(
             config.host,

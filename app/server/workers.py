@@ -95,16 +95,18 @@ class Lanes:
         names = [f"{'heavy ' * heavy}%s{number}" for number in numbers]
         taken = {lane.geometry.name for lane in lanes}
         name = next(name for name in names if name % "geometry" not in taken)
-        lane = Lane(*(
-            WorkerProcess(
-                name % work,
-                initializer=in_background if heavy else None,
-                arguments=(HEAVY,) if heavy else (),
-                lazy=heavy or bool(lanes),
-                template=self._template,
+        lane = Lane(
+            *(
+                WorkerProcess(
+                    name % work,
+                    initializer=in_background if heavy else None,
+                    arguments=(HEAVY,) if heavy else (),
+                    lazy=heavy or bool(lanes),
+                    template=self._template,
+                )
+                for work in ("geometry", "segmentation")
             )
-            for work in ("geometry", "segmentation")
-        ))  # fmt: skip
+        )
         lanes.append(lane)
         return lane
 

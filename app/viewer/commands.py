@@ -35,8 +35,12 @@ _VIEW_KEYS: Final[dict[int, View]] = {1: "front", 3: "side", 7: "top"}
 """As in Blender."""
 
 TOOL_KEYS: Final[dict[str, str]] = {
-    "merge": "M", "connected": "O", "grow": "U", "shrink": "J", "same shape": "Z",
-}  # fmt: skip
+    "merge": "M",
+    "connected": "O",
+    "grow": "U",
+    "shrink": "J",
+    "same shape": "Z",
+}
 """Keys of tools. L and I are handled in the page: a drag may begin before a message arrives."""
 _WITHOUT_COMMAND = ("cut", "rectangle", NEXT_MASK)
 """Tools that have commands of their own."""

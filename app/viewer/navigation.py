@@ -186,10 +186,12 @@ class Navigation:
         """Those that came back to this person, and that weren't passed since."""
         assigned = self._app_state.store.people.work.assigned()
         return [
-            r for r in records
-            if r.state == "rejected" and r.id not in self._skipped
+            r
+            for r in records
+            if r.state == "rejected"
+            and r.id not in self._skipped
             and assigned.get(r.id, r.assigned_to) == self._tab.user
-        ]  # fmt: skip
+        ]
 
     def remove(self) -> None:
         """Remove what can't be read from the queue, and go on with the next object."""

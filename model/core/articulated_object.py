@@ -74,8 +74,10 @@ class Affordance:
 
     def to_json(self) -> dict[str, Any]:
         """Everything but the joint and the link, whose entry holds it."""
-        values = {name: [round(v, 6) for v in getattr(self, name)]
-                  for name in ("center", "normal", "closing")}  # fmt: skip
+        values = {
+            name: [round(v, 6) for v in getattr(self, name)]
+            for name in ("center", "normal", "closing")
+        }
         return {"kind": self.kind, **values, "width": round(self.width, 6)}
 
     @classmethod

@@ -23,8 +23,13 @@ CompositeKind = Literal["single", "screw", "lift_and_swivel", "ball", "universal
 COMPOSITE_KINDS: tuple[CompositeKind, ...] = get_args(CompositeKind)
 Axis = tuple[float, float, float]
 HELPERS = {
-    "single": 0, "screw": 1, "lift_and_swivel": 1, "universal": 1, "ball": 2, "planar": 2,
-}  # fmt: skip
+    "single": 0,
+    "screw": 1,
+    "lift_and_swivel": 1,
+    "universal": 1,
+    "ball": 2,
+    "planar": 2,
+}
 """Kind → helper links between the parent and the part."""
 SWING = math.pi / 4
 """Radians by which a ball or universal joint tilts either way where nothing is said: the usual
@@ -60,9 +65,13 @@ class Composite:
 
 
 def composite_joints(
-    composite: Composite, joint: Joint, helpers: Sequence[str], *, swing: float = SWING,
+    composite: Composite,
+    joint: Joint,
+    helpers: Sequence[str],
+    *,
+    swing: float = SWING,
     slide: tuple[float, float] | None = None,
-) -> tuple[Joint, ...]:  # fmt: skip
+) -> tuple[Joint, ...]:
     """The joints of a motion, from the parent down to the part.
 
     Args:
@@ -79,8 +88,9 @@ def composite_joints(
     x, y = _across(joint.axis)
     own = replace(turn, parent=above[-1])
 
-    def step(k: int, kind: JointType, axis: Axis, low: float, high: float,
-             mimic: Mimic | None = None) -> Joint:  # fmt: skip
+    def step(
+        k: int, kind: JointType, axis: Axis, low: float, high: float, mimic: Mimic | None = None
+    ) -> Joint:
         name = f"joint_{helpers[k]}"
         return Joint(name, kind, above[k], helpers[k], axis, joint.origin, low, high, mimic)
 
@@ -98,8 +108,10 @@ def composite_joints(
             return step(0, "revolute", x, -swing, swing), tilt
         case "ball":
             return (
-                step(0, "revolute", x, -swing, swing), step(1, "revolute", y, -swing, swing), own,
-            )  # fmt: skip
+                step(0, "revolute", x, -swing, swing),
+                step(1, "revolute", y, -swing, swing),
+                own,
+            )
         case _:
             low, high = slide or (-LIFT, LIFT)
             return step(0, "prismatic", x, low, high), step(1, "prismatic", y, low, high), own
@@ -133,8 +145,9 @@ def with_composite(
     lost = {j.name for j in joints_now} - {j.name for j in made}
     kept = [
         replace(j, mimic=None) if j.mimic is not None and j.mimic.joint in lost else j
-        for j in tree.joints if j.child not in chain
-    ]  # fmt: skip
+        for j in tree.joints
+        if j.child not in chain
+    ]
     at = min(i for i, j in enumerate(tree.joints) if j.child in chain)
     links = [link for link in tree.links if link not in gone]
     return KinematicTree((*links, *helpers), (*kept[:at], *made, *kept[at:]))
@@ -157,8 +170,9 @@ def composite_of(tree: KinematicTree, child: str, holds: Callable[[str], bool]) 
     if types in ("tt", "ttt", "sst") and all(j.mimic is None for j in joints):
         square = all(
             abs(float(np.dot(a.axis, b.axis))) < PARALLEL
-            for k, a in enumerate(joints) for b in joints[:k]
-        )  # fmt: skip
+            for k, a in enumerate(joints)
+            for b in joints[:k]
+        )
         one_point = all(_same(j.origin, own.origin) for j in joints)
         if square and (one_point or types == "sst"):
             return Composite({"tt": "universal", "ttt": "ball", "sst": "planar"}[types])  # type: ignore[arg-type]

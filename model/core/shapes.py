@@ -188,8 +188,9 @@ class Primitive:
     @cached_property
     def hull(self) -> Hull:
         """A polyhedron that encloses the primitive."""
-        found = hull_of(self._corners() @ self.object_from_shape[:3, :3].T
-                        + self.object_from_shape[:3, 3])  # fmt: skip
+        found = hull_of(
+            self._corners() @ self.object_from_shape[:3, :3].T + self.object_from_shape[:3, 3]
+        )
         assert found is not None
         return found
 

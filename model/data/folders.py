@@ -111,9 +111,14 @@ def read_partnet_mobility(folder: Path, *, shapes: bool = False) -> GroundTruth:
     if not parts:
         raise InputFileError(model.path, "no link has a mesh", "at least one is needed")
     obj, merged = merge_rigid(
-        folder.name, model.tree, parts, names=names, category=partnet_category(folder),
-        inertials=model.declared.inertials, collision=model.declared.collision if shapes else None,
-    )  # fmt: skip
+        folder.name,
+        model.tree,
+        parts,
+        names=names,
+        category=partnet_category(folder),
+        inertials=model.declared.inertials,
+        collision=model.declared.collision if shapes else None,
+    )
     notes = (*model.notes, *merged, *_disagreements(folder, model))
     return GroundTruth(folder.name, obj, notes)
 
@@ -226,10 +231,14 @@ class UrdfFolders:
         }
         category = self.category(object_id)
         obj, notes = merge_rigid(
-            object_id, model.tree, parts, names=named, category=category,
+            object_id,
+            model.tree,
+            parts,
+            names=named,
+            category=category,
             inertials=model.declared.inertials,
             collision=model.declared.collision if shapes else None,
-        )  # fmt: skip
+        )
         return GroundTruth(object_id, obj, (*model.notes, *notes))
 
     def _path(self, object_id: str) -> Path:

@@ -52,8 +52,14 @@ class Agreement:
         return not self.what
 
 
-FIGURES = ("part_iou", "type_agreement", "axis_angle", "origin_distance", "range_iou",
-           "disagreement")  # fmt: skip
+FIGURES = (
+    "part_iou",
+    "type_agreement",
+    "axis_angle",
+    "origin_distance",
+    "range_iou",
+    "disagreement",
+)
 
 
 def agreement(

@@ -115,9 +115,14 @@ def score_object(config: AssetsConfig, name: str) -> AssetScore:
             readers[reader if reader == VALIDATOR else f"{reader} ({format})"] = not said
     seconds = (shaped - start, done - shaped, time.perf_counter() - done)
     return AssetScore(
-        name, driven.engines, readers, len(obj.parts), sum(map(len, physics.collision.values())),
-        tuple(round(s, 2) for s in seconds), tuple(problems),
-    )  # fmt: skip
+        name,
+        driven.engines,
+        readers,
+        len(obj.parts),
+        sum(map(len, physics.collision.values())),
+        tuple(round(s, 2) for s in seconds),
+        tuple(problems),
+    )
 
 
 def _object(config: AssetsConfig, name: str) -> ArticulatedObject:
@@ -173,10 +178,12 @@ def beside(rows: Sequence[Mapping[str, Any]], before: Mapping[str, Any]) -> list
     out: list[dict[str, str]] = []
     for new in rows:
         was = old.get(new["objects"], {})
-        out.append({
-            k: _text(v) + (f" ({_text(was[k])})" if k in was and k != "objects" else "")
-            for k, v in new.items()
-        })  # fmt: skip
+        out.append(
+            {
+                k: _text(v) + (f" ({_text(was[k])})" if k in was and k != "objects" else "")
+                for k, v in new.items()
+            }
+        )
     return out
 
 

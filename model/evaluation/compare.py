@@ -85,13 +85,16 @@ class Comparison:
                 },
                 "changes": [
                     {
-                        "id": c.object_id, "category": c.category, "kind": c.kind,
-                        "gone": c.gone, "new": c.new,
+                        "id": c.object_id,
+                        "category": c.category,
+                        "kind": c.kind,
+                        "gone": c.gone,
+                        "new": c.new,
                     }
                     for c in self.changes
                 ],
             }
-        )  # fmt: skip
+        )
 
     def rows(self) -> list[tuple[str, ...]]:
         """Figure, before, after, difference with interval, and whether that is better."""
@@ -252,9 +255,11 @@ def _console() -> Console:
     from rich.console import Console
 
     console = Console(markup=False, highlight=False, emoji=False)
-    return console if console.is_terminal else Console(
-        width=WIDTH, markup=False, highlight=False, emoji=False
-    )  # fmt: skip
+    return (
+        console
+        if console.is_terminal
+        else Console(width=WIDTH, markup=False, highlight=False, emoji=False)
+    )
 
 
 def _words(report: Report) -> str:

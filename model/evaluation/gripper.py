@@ -99,8 +99,11 @@ class GripperBench:
     def joints(self) -> list[str]:
         """Names of the object's joints that move on their own."""
         model, mujoco = self.model, self._mujoco
-        led = {int(model.eq_obj1id[k]) for k in range(model.neq)
-               if model.eq_type[k] == int(mujoco.mjtEq.mjEQ_JOINT)}  # fmt: skip
+        led = {
+            int(model.eq_obj1id[k])
+            for k in range(model.neq)
+            if model.eq_type[k] == int(mujoco.mjtEq.mjEQ_JOINT)
+        }
         kinds = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
         own = (j for j in range(model.njnt) if model.jnt_type[j] in kinds and j not in led)
         names = [model.joint(j).name for j in own if abs(self.end(j)) > 1e-6]
@@ -179,8 +182,7 @@ class _Run:
         self.turns = int(self.model.jnt_type[self.joint.id]) == hinge
         self.deepest, self.time = 0.0, 0.0
         self.pinch = affordance.kind in ("grasp", "turn")
-        self.parts = {self.body, *(b for b in range(self.model.nbody)
-                                   if self._below(b))}  # fmt: skip
+        self.parts = {self.body, *(b for b in range(self.model.nbody) if self._below(b))}
         self.start = 0.0
 
     def _below(self, body: int) -> bool:
@@ -236,8 +238,9 @@ class _Run:
     def _result(self, why: Why) -> Try:
         moved = self.bench.opened(self.affordance.joint)
         moved = moved if math.isfinite(moved) else 0.0
-        return Try(self.affordance.kind, round(moved, 3), round(self.deepest, 5),
-                   round(self.time, 2), why)  # fmt: skip
+        return Try(
+            self.affordance.kind, round(moved, 3), round(self.deepest, 5), round(self.time, 2), why
+        )
 
     # -- the hand
 
@@ -339,34 +342,59 @@ def _add_gripper(mujoco: Any, spec: Any) -> None:
     spec.option.impratio = 10.0
     box, slide = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtJoint.mjJNT_SLIDE
     hand = spec.worldbody.add_body(
-        name="robot_hand", gravcomp=1.0, mass=MASS - 0.1, ipos=[0, 0, -COM],
-        inertia=[INERTIA] * 3, explicitinertial=True,
-    )  # fmt: skip
+        name="robot_hand",
+        gravcomp=1.0,
+        mass=MASS - 0.1,
+        ipos=[0, 0, -COM],
+        inertia=[INERTIA] * 3,
+        explicitinertial=True,
+    )
     hand.add_freejoint(name="robot_free")
     thick, wide, long = FINGER
     palm = [s / 2 for s in PALM]
     grey = [0.25, 0.27, 0.3, 1.0]
-    touch = {"solref": CONTACT[0], "solimp": CONTACT[1], "priority": 1, "condim": 4,
-             "friction": [1.0, 0.01, 0.0001]}  # fmt: skip
+    touch = {
+        "solref": CONTACT[0],
+        "solimp": CONTACT[1],
+        "priority": 1,
+        "condim": 4,
+        "friction": [1.0, 0.01, 0.0001],
+    }
     hand.add_geom(type=box, size=palm, pos=[0, 0, -long - palm[2]], rgba=grey, **touch)
     for name, sign in (("left", 1.0), ("right", -1.0)):
         finger = hand.add_body(name=f"robot_{name}", gravcomp=1.0)
         finger.add_joint(
-            name=f"robot_{name}_slide", type=slide, axis=[sign, 0, 0], range=[0, OPENING / 2],
-            limited=True, damping=20.0, armature=0.1,
-        )  # fmt: skip
+            name=f"robot_{name}_slide",
+            type=slide,
+            axis=[sign, 0, 0],
+            range=[0, OPENING / 2],
+            limited=True,
+            damping=20.0,
+            armature=0.1,
+        )
         finger.add_geom(
-            type=box, size=[thick / 2, wide / 2, long / 2], pos=[sign * thick / 2, 0, -long / 2],
-            mass=0.05, rgba=grey, **touch,
-        )  # fmt: skip
+            type=box,
+            size=[thick / 2, wide / 2, long / 2],
+            pos=[sign * thick / 2, 0, -long / 2],
+            mass=0.05,
+            rgba=grey,
+            **touch,
+        )
         spec.add_exclude(bodyname1="robot_hand", bodyname2=f"robot_{name}")
     spec.add_exclude(bodyname1="robot_left", bodyname2="robot_right")
     drive = spec.add_actuator(
-        name="robot_drive", target="robot_left_slide", trntype=mujoco.mjtTrn.mjTRN_JOINT,
-        forcelimited=True, forcerange=[-2 * GRIP, 2 * GRIP],
-    )  # fmt: skip
+        name="robot_drive",
+        target="robot_left_slide",
+        trntype=mujoco.mjtTrn.mjTRN_JOINT,
+        forcelimited=True,
+        forcerange=[-2 * GRIP, 2 * GRIP],
+    )
     drive.set_to_position(kp=40_000.0)
     spec.add_equality(  # one drive moves both fingers, so the hand pulls with either
-        type=mujoco.mjtEq.mjEQ_JOINT, objtype=mujoco.mjtObj.mjOBJ_JOINT, name1="robot_right_slide",
-        name2="robot_left_slide", data=[0.0, 1.0, *[0.0] * 10], solref=[0.004, 1],
-    )  # fmt: skip
+        type=mujoco.mjtEq.mjEQ_JOINT,
+        objtype=mujoco.mjtObj.mjOBJ_JOINT,
+        name1="robot_right_slide",
+        name2="robot_left_slide",
+        data=[0.0, 1.0, *[0.0] * 10],
+        solref=[0.004, 1],
+    )

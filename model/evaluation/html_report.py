@@ -31,9 +31,12 @@ def write_page(path: Path, template: Path, **values: Any) -> Path:
         InputFileError: where it can't be written.
     """
     environment = Environment(
-        autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined,
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=StrictUndefined,
         loader=FileSystemLoader(template.parent),
-    )  # fmt: skip
+    )
     environment.filters["png"] = _png
     page = environment.get_template(template.name).render(values)
     with written_to(path), draft_of(path) as draft:
@@ -75,10 +78,16 @@ def write_html(runs: Sequence[tuple[EvaluationConfig, Report]], path: Path, pict
         objects = [(o, drawn.get(o.object_id) or Pictures(None, None, None)) for o in worst]
         sections.append((report, objects, _reliability(report.calibration)))
     return write_page(
-        path, TEMPLATE, sections=sections, metrics=METRICS, columns=list(COLUMNS),
-        paper=paper_rows(), figure=figure_row, cells=lambda s: list(summary_cells(s)),
+        path,
+        TEMPLATE,
+        sections=sections,
+        metrics=METRICS,
+        columns=list(COLUMNS),
+        paper=paper_rows(),
+        figure=figure_row,
+        cells=lambda s: list(summary_cells(s)),
         faults=faults,
-    )  # fmt: skip
+    )
 
 
 def worst_objects(scores: Sequence[ObjectScore], count: int) -> list[ObjectScore]:
@@ -133,7 +142,11 @@ def _reliability(c: Calibration) -> list[tuple[str, str, str, int]]:
     """Points x, y of the reliability curve in a square of 200 units, their radii, and joints."""
     most = max((b.joints for b in c.bins), default=1)
     return [
-        (f"{40 + 200 * b.confidence:.1f}", f"{40 + 200 * (1 - b.usable):.1f}",
-         f"{3 + 6 * (b.joints / most) ** 0.5:.1f}", b.joints)
+        (
+            f"{40 + 200 * b.confidence:.1f}",
+            f"{40 + 200 * (1 - b.usable):.1f}",
+            f"{3 + 6 * (b.joints / most) ** 0.5:.1f}",
+            b.joints,
+        )
         for b in c.bins
-    ]  # fmt: skip
+    ]

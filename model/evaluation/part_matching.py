@@ -121,8 +121,9 @@ def _shares(one: SampledPart, others: Sequence[SampledPart], diagonal: float) ->
         near = ((one.points >= low) & (one.points <= high)).all(axis=1)
         if near.any():
             distance[near, j] = other.surface.distance(one.points[near])[0]
-    tie = np.array([max(TIE * diagonal, o.surface.resolution, one.surface.resolution)
-                    for o in others])  # fmt: skip
+    tie = np.array(
+        [max(TIE * diagonal, o.surface.resolution, one.surface.resolution) for o in others]
+    )
     nearest = distance.min(axis=1, keepdims=True)
     lies = (distance <= nearest + tie) & (distance <= reach + tie)
     return lies.mean(axis=0)

@@ -79,10 +79,13 @@ class Rival:
 
     def cells(self) -> list[str]:
         """The row as text."""
-        return [self.label, *(
-            "–" if not math.isfinite(v) else f"{100 * v:.1f}" if "%" in k else f"{v:.3g}"
-            for k, v in self.figures().items()
-        )]  # fmt: skip
+        return [
+            self.label,
+            *(
+                "–" if not math.isfinite(v) else f"{100 * v:.1f}" if "%" in k else f"{v:.3g}"
+                for k, v in self.figures().items()
+            ),
+        ]
 
 
 def methods_in(root: Path) -> dict[str, Path]:
@@ -95,9 +98,10 @@ def methods_in(root: Path) -> dict[str, Path]:
     if not root.is_dir():
         raise InputFileError(root, "no such folder", "give one with a folder a method in it")
     found = {
-        folder.name: folder for folder in sorted(root.iterdir())
+        folder.name: folder
+        for folder in sorted(root.iterdir())
         if folder.is_dir() and not folder.name.startswith(".") and urdf_files(folder)
-    }  # fmt: skip
+    }
     own = sorted(set(found) & set(OURS))
     if own:
         raise ConfigurationError(f"{root / own[0]}: {own[0]!r} is in every page; rename the folder")
@@ -105,9 +109,15 @@ def methods_in(root: Path) -> dict[str, Path]:
 
 
 def compare_rivals(
-    data: DatasetOptions, root: Path, *, limit: int | None = None, pictures: int = 8,
-    jobs: int = 2, drive: bool = True, progress: Progress = no_progress,
-) -> list[Rival]:  # fmt: skip
+    data: DatasetOptions,
+    root: Path,
+    *,
+    limit: int | None = None,
+    pictures: int = 8,
+    jobs: int = 2,
+    drive: bool = True,
+    progress: Progress = no_progress,
+) -> list[Rival]:
     """Score every method and write ``rivals.html`` and ``rivals.json`` into ``root``.
 
     Args:
@@ -127,12 +137,17 @@ def compare_rivals(
         rivals.append(_rival(label, replace(config, out=out), ids, spread(ids, pictures), span))
         progress((i + 1) / len(configs), f"{label} is done")
     write_page(
-        root / "rivals.html", TEMPLATE, rivals=rivals, drawn=spread(ids, pictures),
-        data=data.name, count=len(ids), columns=["method", *rivals[0].figures()],
+        root / "rivals.html",
+        TEMPLATE,
+        rivals=rivals,
+        drawn=spread(ids, pictures),
+        data=data.name,
+        count=len(ids),
+        columns=["method", *rivals[0].figures()],
         # The paper has no other column.
         paper=[[f"{n} (paper)", *row, *["–"] * (len(FIGURES) - 3)] for n, *row in PAPER_ROWS],
         definitions=[m for m in METRICS if m.key in FIGURES],
-    )  # fmt: skip
+    )
     write_json(root / "rivals.json", to_json(rivals), indent=1)
     return rivals
 
@@ -141,10 +156,13 @@ def to_json(rivals: Sequence[Rival]) -> dict[str, Any]:
     """Figures by method; None where there is nothing to average."""
     return {
         r.label: {k: v if math.isfinite(v) else None for k, v in r.figures().items()}
-        | {"objects": len(r.report.scores), "failed": r.report.summary.failed,
-           "frame": r.report.frame}
+        | {
+            "objects": len(r.report.scores),
+            "failed": r.report.summary.failed,
+            "frame": r.report.frame,
+        }
         for r in rivals
-    }  # fmt: skip
+    }
 
 
 def _rival(

@@ -56,14 +56,18 @@ class Film:
         bodies = {model.body(k).name: k for k in range(model.nbody)}
         colors = part_colors([p.link for p in obj.parts], obj.tree.root)
         self._colors = {**colors, "robot": (60, 64, 72)}
-        self._bounds = np.stack([
-            np.min([p.bounds[0] for p in obj.parts], 0), np.max([p.bounds[1] for p in obj.parts], 0)
-        ])  # fmt: skip
+        self._bounds = np.stack(
+            [
+                np.min([p.bounds[0] for p in obj.parts], 0),
+                np.max([p.bounds[1] for p in obj.parts], 0),
+            ]
+        )
         posed = bench.bodies_from_world()
         self._shown: list[tuple[str, int, Mesh]] = [
             (p.link, bodies[p.link], moved_mesh(part_mesh(p), posed[bodies[p.link]]))
-            for p in obj.parts if p.link in bodies
-        ]  # fmt: skip
+            for p in obj.parts
+            if p.link in bodies
+        ]
         self._shown += [("robot", body, box) for body, box in bench.robot_boxes()]
         self._try: list[Image.Image] = []
         self._kept: list[Image.Image] = []

@@ -408,10 +408,15 @@ def score_prediction(config: EvaluationConfig, truth: GroundTruth) -> ScoredPred
         found = resolve(truth.object, written, config.frame or Frame())
         seconds = time.perf_counter() - start
         score = score_object(
-            truth.object, found.tree, limits=config.limits, matches=found.matches,
-            faulty=found.faulty, swapped=found.swapped, confidence=found.confidence,
+            truth.object,
+            found.tree,
+            limits=config.limits,
+            matches=found.matches,
+            faulty=found.faulty,
+            swapped=found.swapped,
+            confidence=found.confidence,
             unmatched_parts=len(written.object.parts) - len(found.matches),
-        )  # fmt: skip
+        )
         note = "; ".join(n for n in written.notes if not n.startswith("link_"))[:500]
         return ScoredPrediction(
             truth, found.object, replace(score, object_id=truth.id, note=note), seconds
@@ -427,9 +432,12 @@ def score_prediction(config: EvaluationConfig, truth: GroundTruth) -> ScoredPred
     seconds = time.perf_counter() - start
     problem = "" if prediction.tree is not None else "; ".join(prediction.problems) or "no tree"
     score = score_object(
-        truth.object, prediction.tree, limits=config.limits, problem=problem,
+        truth.object,
+        prediction.tree,
+        limits=config.limits,
+        problem=problem,
         confidence=prediction.confidence,
-    )  # fmt: skip
+    )
     predicted = None
     if prediction.tree is not None:
         predicted = replace(truth.object, tree=prediction.tree)

@@ -65,9 +65,13 @@ def with_ambient_occlusion(mesh: Mesh) -> tuple[Mesh, npt.NDArray[np.int32]]:
     """
     vertices, faces, face = _refined(mesh)
     fine = replace(
-        mesh, vertices=vertices, faces=faces, face_material=mesh.face_material[face], uv=None,
+        mesh,
+        vertices=vertices,
+        faces=faces,
+        face_material=mesh.face_material[face],
+        uv=None,
         vertex_colors=None,
-    )  # fmt: skip
+    )
     group, normals = corner_normals(fine)
     look = fine.face_material.astype(np.int64)[:, None].repeat(3, axis=1)
     key = (faces.astype(np.int64) * len(normals) + group) * len(mesh.materials) + look

@@ -122,8 +122,9 @@ def _solids(
     clouds = _clouds(obj, progress)
     if not clouds:
         return {}
-    diagonal = float(np.linalg.norm(np.ptp(np.concatenate(
-        [c.points for c in clouds.values()]), axis=0)))  # fmt: skip
+    diagonal = float(
+        np.linalg.norm(np.ptp(np.concatenate([c.points for c in clouds.values()]), axis=0))
+    )
     gap = GAP * diagonal
     panels = {
         link: panel
@@ -276,13 +277,13 @@ def _outline(flat: Array, low: Array, high: Array, cell: float) -> CrossSection:
     mask = np.zeros(index.max(axis=0) + 4, bool)
     mask[tuple(index.T)] = True
     mask = np.asarray(binary_fill_holes(binary_closing(mask, iterations=2)))
-    rectangle = CrossSection([np.array(
-        [low, (high[0], low[1]), high, (low[0], high[1])])])  # fmt: skip
+    rectangle = CrossSection([np.array([low, (high[0], low[1]), high, (low[0], high[1])])])
     if mask.sum() * cell**2 > 0.88 * rectangle.area():
         return rectangle
     corner = low - 3 * cell
-    cells = [corner + (i + np.array([(0, 0), (1, 0), (1, 1), (0, 1)])) * cell
-             for i in np.argwhere(mask)]  # fmt: skip
+    cells = [
+        corner + (i + np.array([(0, 0), (1, 0), (1, 1), (0, 1)])) * cell for i in np.argwhere(mask)
+    ]
     # Rounded by opening and closing: cells are squares.
     shape = CrossSection(cells, FillRule.NonZero).offset(cell).offset(-2 * cell).offset(cell)
     return shape.simplify(cell / 4) ^ rectangle

@@ -270,11 +270,17 @@ def describe(points: Array, normals: Array, up: Array) -> Described:
     width = float(np.linalg.norm(np.ptp(np.percentile(flat, [1, 99], axis=0), axis=0)))
     features = np.array(
         [
-            float(on.mean()) * (below < 0.03), min(below, 0.5), float(np.clip(reach, -2, 3)),
-            float(level.mean()), float(upright.mean()), breadth, margin,
-            float(np.log((top + 0.01) / (bottom + 0.01))), float(np.log(extent / max(width, 1e-9))),
+            float(on.mean()) * (below < 0.03),
+            min(below, 0.5),
+            float(np.clip(reach, -2, 3)),
+            float(level.mean()),
+            float(upright.mean()),
+            breadth,
+            margin,
+            float(np.log((top + 0.01) / (bottom + 0.01))),
+            float(np.log(extent / max(width, 1e-9))),
         ]
-    )  # fmt: skip
+    )
     support = float(np.median(height[on])) if on.any() else at
     # A slab whose underside is seen too is part of the object: a laptop's base under its screen.
     scatter = float(np.median(np.abs(height[on] - support))) if on.any() else 0.0
@@ -313,9 +319,12 @@ def _boards(points: Array, normals: Array, up: Array) -> float:
 
 
 BARE_FEATURES = (
-    *FEATURES[5:8], "mirror image upside down", "middle height", "level surface at the top",
+    *FEATURES[5:8],
+    "mirror image upside down",
+    "middle height",
+    "level surface at the top",
     "height against diagonal",
-)  # fmt: skip
+)
 _MIRRORED = 0.025
 """Share of the diagonal: greatest distance of a point from its mirror image."""
 

@@ -275,10 +275,16 @@ def carried_joint(
     if joint.slides:
         limits = tuple(None if v is None else v * growth for v in limits)  # type: ignore[assignment]
     return replace(
-        joint, name=f"joint_{child}", child=child, parent=parent,
-        axis=tuple(axis.tolist()), origin=tuple(origin.tolist()), lower=limits[0], upper=limits[1],
+        joint,
+        name=f"joint_{child}",
+        child=child,
+        parent=parent,
+        axis=tuple(axis.tolist()),
+        origin=tuple(origin.tolist()),
+        lower=limits[0],
+        upper=limits[1],
         mimic=None,
-    )  # fmt: skip
+    )
 
 
 def _corners(bounds: npt.ArrayLike) -> Points:

@@ -235,9 +235,14 @@ def moved(asset: Asset, target_from_asset: Array) -> Asset:
     if asset.inertials or asset.shapes:
         warnings = (*warnings, "was turned: its declared masses and collision shapes aren't used")
     return replace(
-        asset, mesh=mesh, cloud=cloud, inertials={}, shapes={}, warnings=warnings,
+        asset,
+        mesh=mesh,
+        cloud=cloud,
+        inertials={},
+        shapes={},
+        warnings=warnings,
         tree=None if asset.tree is None else _moved_tree(asset.tree, rotation, scale, shift),
-    )  # fmt: skip
+    )
 
 
 def _moved_tree(tree: KinematicTree, rotation: Array, scale: float, shift: Array) -> KinematicTree:

@@ -212,9 +212,8 @@ _M = tuple(("m", k) for k in range(3))
 _PIECES = {
     1: ((_V[0], _M[0], _V[2]), (_M[0], _V[1], _V[2])),
     2: ((_M[0], _V[1], _M[1]), (_V[0], _M[0], _M[1]), (_V[0], _M[1], _V[2])),
-    3: ((_V[0], _M[0], _M[2]), (_M[0], _V[1], _M[1]), (_M[2], _M[1], _V[2]),
-        (_M[0], _M[1], _M[2])),
-}  # fmt: skip
+    3: ((_V[0], _M[0], _M[2]), (_M[0], _V[1], _M[1]), (_M[2], _M[1], _V[2]), (_M[0], _M[1], _M[2])),
+}
 """Corners (v) and new vertices (m) of the pieces of a face with so many new vertices."""
 
 

@@ -112,9 +112,11 @@ def open_model(
     meshes = [v.file for v in model.visuals if v.file is not None]
     collision = model.declared.collision
     meshes += [
-        v.file for c in collision.values() for v in c.pieces
+        v.file
+        for c in collision.values()
+        for v in c.pieces
         if v.file is not None and v.file.is_file()
-    ]  # fmt: skip
+    ]
     listed = declared_links(path.parent, "collision") if path.name == URDF else None
     if listed is not None:  # a saved asset computes the others from its geometry
         collision = {
@@ -205,12 +207,14 @@ def _opened(
         tuple(names) if len(number) > 1 or moves else (),
         _numbered(tree, groups, head, number, matrix) if moves else None,
         obj.category,
-        (*said[:_NOTES_SHOWN], *([f"and {len(said) - _NOTES_SHOWN} remarks more"]
-                                 if len(said) > _NOTES_SHOWN else [])),
+        (
+            *said[:_NOTES_SHOWN],
+            *([f"and {len(said) - _NOTES_SHOWN} remarks more"] if len(said) > _NOTES_SHOWN else []),
+        ),
         tuple(dict.fromkeys(files)),
         _weighed(obj, declared_groups, number, matrix),
         shapes,
-    )  # fmt: skip
+    )
 
 
 def _geometry(path: Path, parts: Sequence[Part]) -> tuple[list[Mesh], list[PointCloud]]:
@@ -221,9 +225,10 @@ def _geometry(path: Path, parts: Sequence[Part]) -> tuple[list[Mesh], list[Point
     if meshes:
         cloud = next(p.link for p in parts if p.mesh is None)
         raise InputFileError(
-            path, f"link {cloud!r} is a cloud among meshes",
+            path,
+            f"link {cloud!r} is a cloud among meshes",
             "give all links as meshes or all as clouds",
-        )  # fmt: skip
+        )
     return [], [p.cloud for p in parts if p.cloud is not None]
 
 
@@ -238,8 +243,10 @@ def _without_bare_ends(tree: KinematicTree, holding: set[str], notes: list[str])
     bare = [j for j in tree.joints if j.child not in needed]
     moving = [j.name for j in bare if j.moves]
     if moving:
-        notes.append(f"joints that carry nothing were left out: {', '.join(moving[:5])}"
-                     + (", …" if len(moving) > 5 else ""))  # fmt: skip
+        notes.append(
+            f"joints that carry nothing were left out: {', '.join(moving[:5])}"
+            + (", …" if len(moving) > 5 else "")
+        )
     if not bare:
         return tree
     gone = {j.child for j in bare}

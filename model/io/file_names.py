@@ -68,10 +68,12 @@ class FileNames:
         """Those of :meth:`to_json` in a saved asset; none in one of an earlier version."""
         kept = entry.get("names")
         found = kept if isinstance(kept, dict) else {}
-        return cls(*(
-            {str(own): str(name) for name, own in found.get(kind, {}).items()}
-            for kind in ("links", "joints")
-        ))  # fmt: skip
+        return cls(
+            *(
+                {str(own): str(name) for name, own in found.get(kind, {}).items()}
+                for kind in ("links", "joints")
+            )
+        )
 
     def to_json(self) -> dict[str, dict[str, str]]:
         """Names in the files → names in the session, of those that differ."""

@@ -183,9 +183,11 @@ def _solid(loaded: Loaded) -> Loaded:
     if not cross.any():
         warning = f"none of its {len(loaded.faces)} faces has an area{_AS_POINTS}"
         return replace(
-            loaded, faces=loaded.faces[:0], face_material=loaded.face_material[:0],
+            loaded,
+            faces=loaded.faces[:0],
+            face_material=loaded.face_material[:0],
             warnings=(*loaded.warnings, warning),
-        )  # fmt: skip
+        )
     used = np.zeros(len(loaded.vertices), bool)
     used[loaded.faces.reshape(-1)] = True
     if not used.all():
@@ -340,9 +342,13 @@ def _asset_of(
     if is_solid(loaded):
         parts, names = _named_parts(loaded)
         return Asset(
-            name, mesh=to_mesh(loaded), source=source, element_part=parts, part_names=names,
+            name,
+            mesh=to_mesh(loaded),
+            source=source,
+            element_part=parts,
+            part_names=names,
             warnings=loaded.warnings,
-        )  # fmt: skip
+        )
     cloud = to_cloud(loaded)
     return Asset(name, cloud=cloud, source=source, warnings=loaded.warnings)
 

@@ -216,10 +216,13 @@ def _painted(loaded: list[Loaded]) -> bool:
     it."""
     first = loaded[0].vertices
     return all(
-        not len(p.faces) and p.colors is not None and not p.colors[:, :3].any(axis=1).all()
-        and p.vertices.shape == first.shape and np.allclose(p.vertices, first, equal_nan=True)
+        not len(p.faces)
+        and p.colors is not None
+        and not p.colors[:, :3].any(axis=1).all()
+        and p.vertices.shape == first.shape
+        and np.allclose(p.vertices, first, equal_nan=True)
         for p in loaded
-    )  # fmt: skip
+    )
 
 
 def _instances(loaded: list[Loaded], names: list[str]) -> tuple[Labels, dict[int, str]]:
@@ -304,10 +307,11 @@ def _on_elements(asset: Asset, masks: Masks) -> Labels:
         if own is None:
             count, kind = len(masks.labels), asset.element_kind
             raise InputFileError(
-                masks.path, f"has {count:,} labels for {asset.element_count:,} {kind}s of "
-                f"{asset.name}", f"give one a {kind}, or put the mesh or cloud that they belong to "
+                masks.path,
+                f"has {count:,} labels for {asset.element_count:,} {kind}s of {asset.name}",
+                f"give one a {kind}, or put the mesh or cloud that they belong to "
                 f"beside it as {masks.path.stem}.ply",
-            )  # fmt: skip
+            )
         return own
     points, labels = _labelled_points(masks, masks.geometry)
     element = np.arange(asset.element_count)

@@ -117,9 +117,10 @@ class _Reader:
         visuals = tuple(v for g in self._seen() if (v := self._piece(g)) is not None)
         if not visuals:
             raise InputFileError(
-                self.path, "no body has a geom that can be seen",
+                self.path,
+                "no body has a geom that can be seen",
                 "planes and height fields are none",
-            )  # fmt: skip
+            )
         felt = self._felt()
         links = [*self.links, *(j.child for j in joints if j.child not in set(self.links))]
         links, joints = self._without_world(links, joints, {v.link for v in visuals} | set(felt))
@@ -150,11 +151,16 @@ class _Reader:
         affordances = tuple(replace(a, link=now(a.link)) for a in sites_of(self.model, self.links))
         notes = tuple(dict.fromkeys([*self.notes, *renotes]))
         return UrdfModel(
-            self.path, self.source.name, tree, visuals, notes, renamed=tuple(renotes),
+            self.path,
+            self.source.name,
+            tree,
+            visuals,
+            notes,
+            renamed=tuple(renotes),
             declared=DeclaredPhysics(inertials, dynamics, (), collision, affordances),
             files=(*self.source.files, *dict.fromkeys(self.looks.used)),
             part_names=self.source.part_names,
-        )  # fmt: skip
+        )
 
     def _compiled(self, mujoco: Any) -> tuple[Any, Any, Any]:
         try:
@@ -200,9 +206,10 @@ class _Reader:
                 link = self.links[int(owner[np.flatnonzero(wrong)[0]])]
                 where = f"body {link!r}" if what == "body" else f"a {what} of body {link!r}"
                 raise InputFileError(
-                    self.path, f"{where} is larger or farther off than can be",
+                    self.path,
+                    f"{where} is larger or farther off than can be",
                     f"{LARGEST:g} m is the most",
-                )  # fmt: skip
+                )
 
     # -- joints ----------------------------------------------------------------------------------
 
@@ -218,9 +225,16 @@ class _Reader:
                 last = i == len(motions) - 1
                 below = child if last else _unused(f"helper_{child}_{i}", self.links)
                 out.append(
-                    Joint(motion.name, motion.type, above, below, motion.axis, motion.origin,
-                          *motion.limits)
-                )  # fmt: skip
+                    Joint(
+                        motion.name,
+                        motion.type,
+                        above,
+                        below,
+                        motion.axis,
+                        motion.origin,
+                        *motion.limits,
+                    )
+                )
                 if motion.dynamics is not None:
                     declared[motion.name] = motion.dynamics
                 above = below
@@ -249,10 +263,16 @@ class _Reader:
             self.notes.append(f"joint {name!r} is a ball: read as three turns")
             axes = [tuple(axis) for axis in np.eye(3).tolist()]
             return [
-                _Motion(_unused(f"{name}_{w}", names), "revolute", a, origin,
-                        (-math.pi, math.pi), dynamics)
+                _Motion(
+                    _unused(f"{name}_{w}", names),
+                    "revolute",
+                    a,
+                    origin,
+                    (-math.pi, math.pi),
+                    dynamics,
+                )
                 for w, a in zip("xyz", axes, strict=True)
-            ]  # fmt: skip
+            ]
         axis = tuple(data.xaxis[j].tolist())
         reference = float(model.qpos0[model.jnt_qposadr[j]])
         low, high = (float(v) - reference for v in model.jnt_range[j])
@@ -357,9 +377,11 @@ class _Reader:
             mesh = ellipsoid((a, b, c))
             return UrdfVisual(link, None, pose, mesh=mesh, material=material)
         shape: tuple[str, tuple[float, ...]] = {
-            _SPHERE: ("sphere", (a,)), _CAPSULE: ("capsule", (a, 2 * b)),
-            _CYLINDER: ("cylinder", (a, 2 * b)), _BOX: ("box", (2 * a, 2 * b, 2 * c)),
-        }[kind]  # fmt: skip
+            _SPHERE: ("sphere", (a,)),
+            _CAPSULE: ("capsule", (a, 2 * b)),
+            _CYLINDER: ("cylinder", (a, 2 * b)),
+            _BOX: ("box", (2 * a, 2 * b, 2 * c)),
+        }[kind]
         return UrdfVisual(link, None, pose, primitive=shape, material=material)
 
     def _of_mesh(self, number: int, link: str, pose: FloatArray, material: Any) -> UrdfVisual:

@@ -53,11 +53,16 @@ def write_sites(body: ET.Element, affordances: Sequence[Affordance]) -> None:
         z, x = -np.asarray(affordance.normal), np.asarray(affordance.closing)
         turn = np.stack([x, np.cross(z, x), z], axis=1)
         ET.SubElement(
-            body, "site", name=xml_name(f"affordance_{affordance.kind}_{rank}_{affordance.joint}"),
-            type="box", group=str(GROUP), rgba="0.1 0.6 0.2 0.5",
-            pos=vector(affordance.center), quat=vector(quaternion_wxyz(turn)),
+            body,
+            "site",
+            name=xml_name(f"affordance_{affordance.kind}_{rank}_{affordance.joint}"),
+            type="box",
+            group=str(GROUP),
+            rgba="0.1 0.6 0.2 0.5",
+            pos=vector(affordance.center),
+            quat=vector(quaternion_wxyz(turn)),
             size=vector([max(affordance.width / 2, LEAST), 0.006, 0.001]),
-        )  # fmt: skip
+        )
 
 
 def sites_of(model: Any, links: Sequence[str]) -> Iterator[Affordance]:
@@ -197,8 +202,9 @@ class _Source:
         self._check(top)
         said = _said(top)
         mimics = self._mimics(top)
-        lost = dict.fromkeys(LOST[e.tag] for e in top.iter() if e.tag in LOST and len(e) + len(
-            e.attrib))  # fmt: skip
+        lost = dict.fromkeys(
+            LOST[e.tag] for e in top.iter() if e.tag in LOST and len(e) + len(e.attrib)
+        )
         if lost:
             self.notes.append(f"not kept: {', '.join(lost)}")
         self.notes += MJCF.unread(top)
@@ -241,9 +247,10 @@ class _Source:
                 read += file.stat().st_size
                 if len(self.files) > MOST_FILES or read > MAX_BYTES:
                     raise InputFileError(
-                        self.path, f"includes more than {MOST_FILES} files or 64 MiB",
+                        self.path,
+                        f"includes more than {MOST_FILES} files or 64 MiB",
                         "a file can't include itself",
-                    )  # fmt: skip
+                    )
                 brought = parse(file, ROOTS, "what an MJCF includes")
                 self.home |= dict.fromkeys(brought.iter(), file.parent)
                 parent[i : i + 1] = list(brought)
@@ -256,13 +263,16 @@ class _Source:
         try:
             tried = [
                 resolve(f"{folder}/{name}" if folder else name, start, self.root)
-                for start in (self.path.parent, home) if start is not None
+                for start in (self.path.parent, home)
+                if start is not None
                 for folder in folders
-            ]  # fmt: skip
+            ]
         except ReferenceRefused as error:
-            remedy = "keep it in the model's folder" if "outside" in str(error) else (
-                "write it as seen from the model"
-            )  # fmt: skip
+            remedy = (
+                "keep it in the model's folder"
+                if "outside" in str(error)
+                else ("write it as seen from the model")
+            )
             raise InputFileError(self.path, f"{what} {error}", remedy) from None
         return next((p for p in tried if p.is_file()), tried[0])
 
@@ -284,9 +294,10 @@ class _Source:
                 if key not in _TEXTS and not _finite(text):
                     name = f" {element.get('name')!r}" if element.get("name") else ""
                     raise InputFileError(
-                        self.path, f"{key}={text[:80]!r} of <{element.tag}>{name} is not a number",
+                        self.path,
+                        f"{key}={text[:80]!r} of <{element.tag}>{name} is not a number",
                         "write finite numbers",
-                    )  # fmt: skip
+                    )
             element.text = element.tail = "\n"  # stray words that MuJoCo passes over
 
     def _mimics(self, top: Element) -> dict[str, Mimic]:
@@ -365,8 +376,11 @@ class _Source:
             what = f"the height field {own!r} has {sides[0]:,} x {sides[1]:,} cells"
             raise InputFileError(self.path, what, f"{MOST_CELLS:,} are the most")
         element.attrib = {
-            "name": own, "nrow": "2", "ncol": "2", "size": element.get("size", "1 1 1 1"),
-        }  # fmt: skip
+            "name": own,
+            "nrow": "2",
+            "ncol": "2",
+            "size": element.get("size", "1 1 1 1"),
+        }
 
     def _texture(
         self, element: Element, name: str | None, folders: list[str], source: MjcfSource
@@ -380,8 +394,12 @@ class _Source:
             home = self.home.get(element)
             source.textures[own] = self._found(name, folders, home, f"texture {own!r}:")
         element.attrib = {
-            "name": own, "type": "2d", "builtin": "flat", "width": "1", "height": "1",
-        }  # fmt: skip
+            "name": own,
+            "type": "2d",
+            "builtin": "flat",
+            "width": "1",
+            "height": "1",
+        }
 
     def _count(self, kept: list[Element]) -> None:
         """Bodies and geoms, with those that are repeated."""
@@ -396,9 +414,10 @@ class _Source:
             ahead += ((child, times) for child in element)
         if found["body"] > MOST_BODIES or found["geom"] > MOST_GEOMS:
             raise InputFileError(
-                self.path, f"has {found['body']:,} bodies and {found['geom']:,} geoms",
+                self.path,
+                f"has {found['body']:,} bodies and {found['geom']:,} geoms",
                 f"an object has {MOST_BODIES:,} bodies and {MOST_GEOMS:,} geoms at most",
-            )  # fmt: skip
+            )
 
 
 def _said(top: Element) -> dict[str, str]:

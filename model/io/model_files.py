@@ -120,9 +120,11 @@ def _files(folder: Path, suffixes: tuple[str, ...], prefix: str) -> list[Path]:
     found = [
         p
         for p in entries
-        if p.suffix.lower() in suffixes and p.name.startswith(prefix) and p.is_file()
+        if p.suffix.lower() in suffixes
+        and p.name.startswith(prefix)
+        and p.is_file()
         and not p.name.startswith(".")
-    ]  # fmt: skip
+    ]
     return sorted(found, key=natural_key)
 
 
@@ -359,9 +361,10 @@ def _without_pieces(found: list[Path]) -> list[Path]:
     ``found`` names."""
     models = [model_of(p) if p.is_dir() else p for p in found]
     outside = (  # files in a model's own folder aren't separate assets
-        m for m, p in zip(models, found, strict=True)
+        m
+        for m, p in zip(models, found, strict=True)
         if m is not None and is_model(m) and (m == p or package_root(m) != m.parent)
-    )  # fmt: skip
+    )
     pieces = {piece for model in outside for piece in files_named_by(model)}
     homes = {piece.parent for piece in pieces}
 

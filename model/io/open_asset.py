@@ -90,9 +90,13 @@ def open_asset(
 
 
 def _opened(
-    path: Path, up_axis: UpAxis | None, unit_scale: float, max_bytes: int,
-    files: MaterialFiles | None, progress: Progress,
-) -> Asset:  # fmt: skip
+    path: Path,
+    up_axis: UpAxis | None,
+    unit_scale: float,
+    max_bytes: int,
+    files: MaterialFiles | None,
+    progress: Progress,
+) -> Asset:
     try:
         if path.is_dir():
             model = model_of(path)
@@ -105,9 +109,13 @@ def _opened(
         if stage is not None:
             return _read_model(path, path, up_axis, unit_scale, max_bytes, progress, stage)
         return read_geometry_file(
-            path, up_axis=up_axis, unit_scale=unit_scale, max_bytes=max_bytes, files=files,
+            path,
+            up_axis=up_axis,
+            unit_scale=unit_scale,
+            max_bytes=max_bytes,
+            files=files,
             progress=progress,
-        )  # fmt: skip
+        )
     except (GeometryError, KinematicsError) as error:
         raise InputFileError(path, str(error), "the file is damaged or holds no object") from None
     except MemoryError:
@@ -115,9 +123,14 @@ def _opened(
 
 
 def _read_model(
-    path: Path, model: Path, up_axis: UpAxis | None, scale: float, max_bytes: int,
-    progress: Progress, read: UrdfModel | None = None,
-) -> Asset:  # fmt: skip
+    path: Path,
+    model: Path,
+    up_axis: UpAxis | None,
+    scale: float,
+    max_bytes: int,
+    progress: Progress,
+    read: UrdfModel | None = None,
+) -> Asset:
     progress(0.0, f"reading {model.name}")
     matrix = turned_up(up_axis or "z")
     matrix[:3, :3] *= scale
@@ -138,9 +151,13 @@ def _read_model(
 
 
 def _read_parts(
-    folder: Path, manifest: Manifest, up_axis: UpAxis | None, scale: float, max_bytes: int,
+    folder: Path,
+    manifest: Manifest,
+    up_axis: UpAxis | None,
+    scale: float,
+    max_bytes: int,
     progress: Progress,
-) -> tuple[list[Loaded], Source]:  # fmt: skip
+) -> tuple[list[Loaded], Source]:
     """Every part in the object's frame, and where they came from."""
     files = MaterialFiles(folder)
     out = []

@@ -148,8 +148,9 @@ def read_back(
     every = [*modules, *programs_for(format)]
     found = {
         name: tuple(dict.fromkeys(reader(path, obj, settings)))
-        for name, installed, reader in every if installed
-    }  # fmt: skip
+        for name, installed, reader in every
+        if installed
+    }
     missing = tuple(name for name, installed, _ in every if not installed)
     return ReadBack(format, tuple(found), missing, _all_of(found), found)
 

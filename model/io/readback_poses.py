@@ -294,8 +294,9 @@ class _Stage:
         self.cache = geometry.XformCache()
         self.body = {
             prim.GetCustomDataByKey(NAME_KEY): prim
-            for prim in stage.Traverse() if prim.HasAPI(physics.RigidBodyAPI)
-        }  # fmt: skip
+            for prim in stage.Traverse()
+            if prim.HasAPI(physics.RigidBodyAPI)
+        }
         joints = [physics.Joint(p) for p in stage.Traverse() if p.IsA(physics.Joint)]
         self.joints = [j for j in joints if j.GetBody0Rel().GetTargets()]
         self.link_at = {prim.GetPath(): name for name, prim in self.body.items()}
@@ -352,8 +353,10 @@ class _Stage:
     def _motion(self, prim: Any, value: float) -> FloatArray:
         """Along or about x, y or z of the joint's frame."""
         out = np.eye(4)
-        kind = next((k for k in (self.physics.RevoluteJoint, self.physics.PrismaticJoint)
-                     if prim.IsA(k)), None)  # fmt: skip
+        kind = next(
+            (k for k in (self.physics.RevoluteJoint, self.physics.PrismaticJoint) if prim.IsA(k)),
+            None,
+        )
         if kind is None:
             return out
         axis = "XYZ".index(str(kind(prim).GetAxisAttr().Get()))

@@ -80,14 +80,19 @@ class XmlSchema:
 
     @classmethod
     def of(
-        cls, rows: tuple[tuple[str, str | None, str | None], ...], passed_over: str,
-        repeated: str | None = None, choices: str = "",
-    ) -> XmlSchema:  # fmt: skip
+        cls,
+        rows: tuple[tuple[str, str | None, str | None], ...],
+        passed_over: str,
+        repeated: str | None = None,
+        choices: str = "",
+    ) -> XmlSchema:
         """A schema from (element, its elements, its attributes), names with blanks between."""
         return cls(
             {tag: (_names(below), _names(said)) for tag, below, said in rows},
-            frozenset(passed_over.split()), _names(repeated), frozenset(choices.split()),
-        )  # fmt: skip
+            frozenset(passed_over.split()),
+            _names(repeated),
+            frozenset(choices.split()),
+        )
 
     def unread(self, root: Element) -> list[str]:
         """A remark that counts the elements and attributes that aren't known; else nothing."""
@@ -98,9 +103,10 @@ class XmlSchema:
             below, said = self.elements.get(element.tag, (None, None))
             if said is not None:
                 found.update(
-                    f"attribute {key!r} of <{element.tag}>" for key in element.attrib
+                    f"attribute {key!r} of <{element.tag}>"
+                    for key in element.attrib
                     if key not in said and "}" not in key
-                )  # fmt: skip
+                )
             seen = set[str]()
             for child in element:
                 if not isinstance(child.tag, str) or child.tag in self.passed_over:
@@ -170,9 +176,12 @@ WORLD = ("body", "joint", "freejoint", "geom", "inertial", "frame", "replicate")
 DEFAULTS = ("default", "joint", "geom", "mesh", "material")
 ASSETS = ("mesh", "texture", "material", "hfield")
 LOST = {
-    "actuator": "actuators", "tendon": "tendons", "composite": "composite bodies",
-    "flexcomp": "soft bodies", "deformable": "soft bodies",
-}  # fmt: skip
+    "actuator": "actuators",
+    "tendon": "tendons",
+    "composite": "composite bodies",
+    "flexcomp": "soft bodies",
+    "deformable": "soft bodies",
+}
 """Elements that have a remark of their own."""
 _WORLD = " ".join((*WORLD, *LOST))
 

@@ -100,8 +100,9 @@ class _Reader:
     def read(self) -> UrdfModel | None:
         api = self.physics.RigidBodyAPI
         # Instances hold neither bodies nor joints.
-        prims = [p for p in self.stage.stage.Traverse()
-                 if p.HasAPI(api) or p.IsA(self.physics.Joint)]  # fmt: skip
+        prims = [
+            p for p in self.stage.stage.Traverse() if p.HasAPI(api) or p.IsA(self.physics.Joint)
+        ]
         bodies = [p for p in prims if p.HasAPI(api) and not p.IsA(self.physics.Joint)]
         if len(bodies) > MOST_BODIES:
             raise InputFileError(self.path, f"has {len(bodies)} bodies", "cut the stage")
@@ -134,8 +135,9 @@ class _Reader:
         for joint in joints:
             if WORLD not in (joint.zero, joint.one):
                 group[top(joint.one)] = top(joint.zero)
-        return len({top(j.zero if j.one == WORLD else j.one)
-                    for j in joints if j.type != "fixed"}) > 1  # fmt: skip
+        return (
+            len({top(j.zero if j.one == WORLD else j.one) for j in joints if j.type != "fixed"}) > 1
+        )
 
     # Geometry
 
@@ -152,8 +154,11 @@ class _Reader:
                 continue
             if not seen and not prim.HasAPI(self.physics.CollisionAPI):
                 continue
-            made = self.stage.mesh_of(prim) if kind == "Mesh" else (
-                self.stage.primitive_of(prim, kind))  # fmt: skip
+            made = (
+                self.stage.mesh_of(prim)
+                if kind == "Mesh"
+                else (self.stage.primitive_of(prim, kind))
+            )
             world = made.moved(self.stage.world(prim) @ self.into)
             loaded = cleaned(self.path, world, np.eye(4), 1.0)
             yield UrdfVisual(
@@ -185,8 +190,14 @@ class _Reader:
             place = getattr(joint, f"GetLocalPos{k}Attr")().Get() or (0, 0, 0)
             turn = getattr(joint, f"GetLocalRot{k}Attr")().Get()
             frames.append(self._frame(world, place, turn) @ onto)
-        return _Link(prim, ends[0][0], ends[1][0], type_, frames[0],
-                     self._value(prim, type_, frames[0], frames[1]))  # fmt: skip
+        return _Link(
+            prim,
+            ends[0][0],
+            ends[1][0],
+            type_,
+            frames[0],
+            self._value(prim, type_, frames[0], frames[1]),
+        )
 
     def _end(self, relation: Any) -> tuple[str, FloatArray]:
         """The link that a joint's end lies on, and (4, 4) of the prim that it names."""
@@ -250,11 +261,15 @@ class _Reader:
             tree = KinematicTree(
                 tuple(renamed.get(n, n) for n in links),
                 tuple(
-                    replace(j, parent=renamed.get(j.parent, j.parent),
-                            child=renamed.get(j.child, j.child), mimic=mimics.get(j.name))
+                    replace(
+                        j,
+                        parent=renamed.get(j.parent, j.parent),
+                        child=renamed.get(j.child, j.child),
+                        mimic=mimics.get(j.name),
+                    )
                     for j in joints
                 ),
-            )  # fmt: skip
+            )
         except KinematicsError as error:
             raise InputFileError(self.path, str(error)) from None
         felt: dict[str, list[UrdfVisual]] = {}
@@ -263,18 +278,26 @@ class _Reader:
         moving = {j.name: written[j.name] for j in joints if j.moves and j.name in written}
         said = ((n, self._dynamics(link)) for n, link in moving.items())
         declared = DeclaredPhysics(
-            self._inertials(bodies, renamed), {n: d for n, d in said if d is not None}, (),
+            self._inertials(bodies, renamed),
+            {n: d for n, d in said if d is not None},
+            (),
             {link: DeclaredCollision(tuple(held)) for link, held in felt.items()},
             tuple(self._affordances(tree)),
-        )  # fmt: skip
+        )
         labels = {renamed.get(link, link): text for link, text in self._labels(bodies)}
         top = self.stage.stage.GetDefaultPrim()
         name = str(top.GetName()) if top else self.path.stem
         return UrdfModel(
-            self.path, name, tree, visuals, tuple(dict.fromkeys([*self.notes, *renotes])),
-            renamed=tuple(renotes), declared=declared, part_names=labels,
+            self.path,
+            name,
+            tree,
+            visuals,
+            tuple(dict.fromkeys([*self.notes, *renotes])),
+            renamed=tuple(renotes),
+            declared=declared,
+            part_names=labels,
             category=_label(top) if top else None,
-        )  # fmt: skip
+        )
 
     def _tree(self, links: list[str], joined: list[_Link]) -> tuple[list[Joint], dict[str, _Link]]:
         """Joints from the root outwards, and what each was written as."""
@@ -360,8 +383,9 @@ class _Reader:
                 self.notes.append(f"joint {name!r} follows a joint that isn't there: on its own")
                 continue
             theirs = written[leader]
-            units = [math.pi / 180 if j.type == "revolute" else self.stage.unit
-                     for j in (link, theirs)]  # fmt: skip
+            units = [
+                math.pi / 180 if j.type == "revolute" else self.stage.unit for j in (link, theirs)
+            ]
             gearing, offset = (
                 float(link.prim.GetAttribute(f"{base}:{key}").Get() or 0.0)
                 for key in ("gearing", "offset")
@@ -419,16 +443,19 @@ class _Reader:
             kind = prim.GetAttribute(f"{AFFORDANCE}:kind").Get()
             if kind is None:
                 continue
-            said = {k: prim.GetAttribute(f"{AFFORDANCE}:{k}").Get()
-                    for k in ("joint", "center", "normal", "closing", "width")}  # fmt: skip
+            said = {
+                k: prim.GetAttribute(f"{AFFORDANCE}:{k}").Get()
+                for k in ("joint", "center", "normal", "closing", "width")
+            }
             joint = tree.by_name.get(str(said["joint"]))
             if joint is None:
                 continue
             matrix = self.stage.world(prim) @ self.into
             try:
                 center = matrix[:3, :3] @ np.asarray(said["center"], np.float64) + matrix[:3, 3]
-                turned = [matrix[:3, :3] @ np.asarray(said[k], np.float64)
-                          for k in ("normal", "closing")]  # fmt: skip
+                turned = [
+                    matrix[:3, :3] @ np.asarray(said[k], np.float64) for k in ("normal", "closing")
+                ]
                 unit = [tuple((v / np.linalg.norm(v)).tolist()) for v in turned]
                 width = float(said["width"] or 0.0) * uniform_scale(matrix[:3, :3])
                 at = tuple((center - np.asarray(joint.origin)).tolist())

@@ -162,9 +162,11 @@ class _Surface:
 
     @classmethod
     def of(
-        cls, obj: ArticulatedObject, collision: Mapping[str, Sequence[Shape]],
+        cls,
+        obj: ArticulatedObject,
+        collision: Mapping[str, Sequence[Shape]],
         rng: np.random.Generator,
-    ) -> _Surface:  # fmt: skip
+    ) -> _Surface:
         parts = {p.link: p for p in obj.parts}
         number = {link: k for k, link in enumerate(obj.tree.links)}
         hulls = {k: tuple(hull_of_shape(s) for s in collision.get(k, ())) for k in number}
@@ -383,10 +385,13 @@ class _Search:
         score = score * np.sqrt(patch)[:, None]
         for back in BACK:
             yield _Poses(
-                kind.ravel(), (center[:, None] - back * approach).reshape(-1, 3),
-                approach.reshape(-1, 3), np.repeat(normals, sides, axis=0),
-                np.repeat(width, sides), score.ravel() * (1.0 if back == 0.0 else 0.95),
-            )  # fmt: skip
+                kind.ravel(),
+                (center[:, None] - back * approach).reshape(-1, 3),
+                approach.reshape(-1, 3),
+                np.repeat(normals, sides, axis=0),
+                np.repeat(width, sides),
+                score.ravel() * (1.0 if back == 0.0 else 0.95),
+            )
 
     def _widths(self, points: Array, normals: Array) -> Array:
         """(P,) distance to the opposite surface along the normal; inf where the pads don't fit."""
@@ -431,9 +436,13 @@ class _Search:
             approach = np.cos(tilt) * across - np.sin(tilt) * pull
             side = np.cos(tilt) * pull + np.sin(tilt) * across
             yield _Poses(
-                np.full(count * each, _HOOK), at, approach, np.cross(side, approach),
-                np.zeros(count * each), np.repeat(0.8 * np.cos(tilt) * base, each),
-            )  # fmt: skip
+                np.full(count * each, _HOOK),
+                at,
+                approach,
+                np.cross(side, approach),
+                np.zeros(count * each),
+                np.repeat(0.8 * np.cos(tilt) * base, each),
+            )
         for closing in (sides[:, 0], sides[:, SIDES // 4]):
             yield _Poses(
                 np.full(count, _PUSH), points, -normals, closing, np.zeros(count), 0.85 * base

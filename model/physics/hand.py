@@ -64,8 +64,9 @@ def finger_spheres(rows: Sequence[float], opening: Array) -> tuple[Array, Array]
     """(P, S, 3) centres in tool frames, for (P,) openings, and (S,) radii of both fingers."""
     thick, wide, _ = FINGER
     radius = 0.003
-    at = np.array([(s, y, z) for s in (-1, 1) for y in (-wide / 2 + 0.002, 0, wide / 2 - 0.002)
-                   for z in rows])  # fmt: skip
+    at = np.array(
+        [(s, y, z) for s in (-1, 1) for y in (-wide / 2 + 0.002, 0, wide / 2 - 0.002) for z in rows]
+    )
     out = np.repeat(at[None], len(opening), axis=0)
     out[:, :, 0] *= (opening[:, None] + thick) / 2
     return out, np.full(len(at), radius)

@@ -92,9 +92,10 @@ def read_materials(path: str | Path | None = None) -> MaterialTable:
         table = _table(data)
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise InputFileError(
-            path, f"is no table of materials ({error})",
+            path,
+            f"is no table of materials ({error})",
             "it needs materials with density and thickness above 0, categories, parts and default",
-        ) from error  # fmt: skip
+        ) from error
     used = {table.default, *table.categories.values(), *table.parts.values()}
     unknown = sorted(used - set(table.materials))
     if unknown:
@@ -113,9 +114,11 @@ def _table(data: Any) -> MaterialTable:
         if not (0 < made.density < float("inf") and 0 < made.thickness < float("inf")):
             raise ValueError(f"{name}: density and thickness must be above 0")
     return MaterialTable(
-        materials, dict(data.get("categories", {})), dict(data.get("parts", {})),
+        materials,
+        dict(data.get("categories", {})),
+        dict(data.get("parts", {})),
         str(data["default"]),
-    )  # fmt: skip
+    )
 
 
 DENSITY = 300.0

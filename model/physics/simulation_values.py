@@ -119,9 +119,13 @@ def physics_of(
         declared=settings.declared_masses,
     )
     return Physics(
-        inertials, collision, _dynamics(obj.tree, inertials, settings),
-        overlapping_pairs(obj, collision), settings.fixed_base, declared,
-    )  # fmt: skip
+        inertials,
+        collision,
+        _dynamics(obj.tree, inertials, settings),
+        overlapping_pairs(obj, collision),
+        settings.fixed_base,
+        declared,
+    )
 
 
 def plain_physics(obj: ArticulatedObject) -> Physics:
@@ -214,8 +218,9 @@ def _load(
         poses = tree.pose({joint.name: value})
         heights = [
             i.mass * float(up @ (poses[k][:3, :3] @ i.center + poses[k][:3, 3]))
-            for k, i in inertials.items() if k in poses
-        ]  # fmt: skip
+            for k, i in inertials.items()
+            if k in poses
+        ]
         energy.append(GRAVITY * sum(heights))
     return (energy[1] - energy[0]) / (2 * step)
 

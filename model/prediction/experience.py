@@ -184,9 +184,10 @@ class Experience:
         votes: dict[int, list[tuple[Array, list[JointExample], Array]]] = {k: [] for k in parts}
         for known in self._by_category.get(category, ()):
             fitting = {
-                key: found for key, name in names.items()
+                key: found
+                for key, name in names.items()
                 if name and (found := [j for j in known.joints if j.name == name])
-            }  # fmt: skip
+            }
             if not fitting:
                 continue
             # Of several that fit alike the first: most objects face the same way.
@@ -272,10 +273,14 @@ def example_of(obj: ArticulatedObject, source: str, seed: int = 0) -> ObjectExam
         ends = ((v or 0.0) / unit for v in (joint.lower, joint.upper))
         found.append(
             JointExample(
-                name, above, joint.type, _vector(axis),
-                _vector(arm if joint.rotates else np.zeros(3)), *(round(v, 4) for v in ends),
+                name,
+                above,
+                joint.type,
+                _vector(axis),
+                _vector(arm if joint.rotates else np.zeros(3)),
+                *(round(v, 4) for v in ends),
             )
-        )  # fmt: skip
+        )
     return ObjectExample(source, obj.category, tuple(found))
 
 

@@ -434,8 +434,13 @@ class HttpPredictor:
             message = json.loads(response.read(_BLOCK))
             text = str(message["error"])[:2000]
         except (
-            OSError, http.client.HTTPException, ValueError, KeyError, TypeError, RecursionError,
-        ):  # fmt: skip
+            OSError,
+            http.client.HTTPException,
+            ValueError,
+            KeyError,
+            TypeError,
+            RecursionError,
+        ):
             return BackendError(
                 f"{self.url} answered {response.status} {response.reason}: is it a backend?"
             )

@@ -116,9 +116,12 @@ def _kind(entry: dict[str, Any]) -> Kind:
         raise ValueError(f"{entry['name']}: base {entry['base']!r} is neither fixed nor free")
     words = (entry["name"], *entry.get("synonyms", ()))
     return Kind(
-        entry["name"], tuple(_plain(w) for w in words), tuple(entry["parts"]), entry["base"],
+        entry["name"],
+        tuple(_plain(w) for w in words),
+        tuple(entry["parts"]),
+        entry["base"],
         tuple(entry.get("needs", ())),
-    )  # fmt: skip
+    )
 
 
 class LexiconFinder:

@@ -255,11 +255,15 @@ def scaled_tree(tree: KinematicTree, factors: FloatArray) -> KinematicTree:
         way = 1.0 if joint.slides else handed
         x, y, z = (way * along / length + 0.0).tolist() if length > 0 else joint.axis
         ox, oy, oz = (np.asarray(joint.origin) * factors).tolist()
-        joints.append(replace(
-            joint, axis=(x, y, z), origin=(ox, oy, oz),
-            lower=None if joint.lower is None else joint.lower * slide,
-            upper=None if joint.upper is None else joint.upper * slide,
-        ))  # fmt: skip
+        joints.append(
+            replace(
+                joint,
+                axis=(x, y, z),
+                origin=(ox, oy, oz),
+                lower=None if joint.lower is None else joint.lower * slide,
+                upper=None if joint.upper is None else joint.upper * slide,
+            )
+        )
     return KinematicTree(tree.links, tuple(joints))
 
 

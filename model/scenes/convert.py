@@ -128,9 +128,13 @@ def convert_scene(
         if not settings.keep_limits:
             shorten_limits(outcomes, out, progress)
         summary = write_results(
-            scene, outcomes, out, free_bases=settings.collision, ambiguous=assets.ambiguous,
+            scene,
+            outcomes,
+            out,
+            free_bases=settings.collision,
+            ambiguous=assets.ambiguous,
             formats=settings.formats,
-        )  # fmt: skip
+        )
         summary |= {
             "finder": finder.name,
             "finder_usage": asdict(finder.usage) if isinstance(finder, LanguageFinder) else None,
@@ -340,10 +344,14 @@ def shorten_limits(outcomes: Sequence[Outcome], out: Path, progress: Progress) -
 def _kept(out: Path, me: Standing, others: tuple[Standing, ...]) -> list[dict[str, Any]]:
     """:func:`~model.scenes.neighbours.shortened`, worked out once."""
     content = [
-        [s.id, None if s.folder is None else s.folder.name, s.world_from_asset.tolist(),
-         s.bounds.tolist()]
+        [
+            s.id,
+            None if s.folder is None else s.folder.name,
+            s.world_from_asset.tolist(),
+            s.bounds.tolist(),
+        ]
         for s in (me, *others)
-    ]  # fmt: skip
+    ]
     key = hashlib.sha256(json.dumps(content).encode()).hexdigest()[:24]
     path = out / LIMITS / f"{key}.json"
     try:
@@ -369,9 +377,11 @@ def _standing(o: Outcome, out: Path) -> Standing | None:
     except SceneObjectError:
         return None
     return Standing(
-        o.obj.id, out / ASSETS / o.key, placement.world_from_asset,
+        o.obj.id,
+        out / ASSETS / o.key,
+        placement.world_from_asset,
         np.sort(bounds * placement.scale, axis=0),
-    )  # fmt: skip
+    )
 
 
 def _close(a: Standing, boxes: FloatArray) -> npt.NDArray[np.intp]:

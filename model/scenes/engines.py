@@ -161,8 +161,10 @@ class OpenAiEngine:
         while True:
             try:
                 said = self._client.chat.completions.create(
-                    model=self.model, messages=messages, **_FORMS[form]  # type: ignore[arg-type]
-                )  # fmt: skip
+                    model=self.model,
+                    messages=messages,
+                    **_FORMS[form],  # type: ignore[arg-type]
+                )
                 self._form = max(self._form, form)
                 return _answer(said)
             except (openai.BadRequestError, openai.UnprocessableEntityError) as error:
@@ -208,9 +210,12 @@ def _client(url: str | None, timeout: float, retries: int) -> Any:
         )
     # A server of one's own needs no key, but the client wants one.
     return openai.OpenAI(
-        api_key=key or "none", base_url=url, timeout=timeout, max_retries=retries,
+        api_key=key or "none",
+        base_url=url,
+        timeout=timeout,
+        max_retries=retries,
         http_client=bounded_client(timeout),
-    )  # fmt: skip
+    )
 
 
 def _unless_given_up(give: Callable[[T], None], value: T) -> None:
@@ -246,9 +251,13 @@ def _first(error: Exception) -> str:
 def openai_finder(model: str, options: FinderOptions, progress: Progress) -> LanguageFinder:
     """A finder that asks ``model`` on the server that ``options`` name."""
     engine = OpenAiEngine(
-        model, options.url, batch=options.batch, timeout=options.timeout,
-        retries=options.retries, asks=options.asks,
-    )  # fmt: skip
+        model,
+        options.url,
+        batch=options.batch,
+        timeout=options.timeout,
+        retries=options.retries,
+        asks=options.asks,
+    )
     return LanguageFinder(engine, options.cache, progress=progress)
 
 

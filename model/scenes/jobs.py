@@ -136,9 +136,10 @@ def _convert(job: AssetJob, out: Path) -> dict[str, Any]:
     if job.articulate:
         try:
             found = (
-                known_parts(job.path) if job.clicked is None
+                known_parts(job.path)
+                if job.clicked is None
                 else clicked_parts(job.path, holder, job.clicked.clicks)
-            )  # fmt: skip
+            )
         except LeftForAnnotator as left:
             state, reason = ANNOTATE, str(left)
     parts = (whole(job.path),) if found is None else found.parts
@@ -173,9 +174,11 @@ def _convert(job: AssetJob, out: Path) -> dict[str, Any]:
     # Of the source's path the name alone: the asset may be moved.
     source = {"path": job.path.name, "sha256": asset_digest(job.path)}
     write_asset(
-        obj, folder, provenance={"source": source, "predictor": backend, "parts": how},
+        obj,
+        folder,
+        provenance={"source": source, "predictor": backend, "parts": how},
         physics=physics if job.collision else None,
-    )  # fmt: skip
+    )
     write_formats(obj, folder, job.formats, physics)
     joints = [{**asdict(j), "confidence": confidence.get(j.child)} for j in tree.joints if j.moves]
     return {
@@ -218,9 +221,13 @@ def _holder(job: AssetJob) -> SceneObject:
     if job.clicked is None:
         return SceneObject(job.key, job.key, np.eye(4), np.asarray(job.scale), fit=job.fit)
     return SceneObject(
-        job.key, job.key, job.clicked.world_from_object, np.asarray(job.scale), fit=job.fit,
+        job.key,
+        job.key,
+        job.clicked.world_from_object,
+        np.asarray(job.scale),
+        fit=job.fit,
         anchor=job.clicked.anchor,
-    )  # fmt: skip
+    )
 
 
 def read_done(out: Path, key: str) -> dict[str, Any] | None:
@@ -302,9 +309,11 @@ def _connect(address: str) -> tuple[Any, type[Exception]]:
     _check_there(address)
     try:
         ray.init(
-            address=address, log_to_driver=False, configure_logging=False,
+            address=address,
+            log_to_driver=False,
+            configure_logging=False,
             **({"include_dashboard": False} if address == "local" else {}),  # type: ignore[arg-type]
-        )  # fmt: skip
+        )
     except (ConnectionError, ValueError, RuntimeError, OSError, TimeoutError) as error:
         first = (str(error).strip().splitlines() or [type(error).__name__])[0][:200]
         raise ConfigurationError(f"no Ray cluster at {address!r}: {first}") from error

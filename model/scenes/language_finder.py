@@ -183,9 +183,12 @@ class LanguageFinder:
         batches = _cut(left, self.engine.batch)
         length = sum(len((SYSTEM + question(b)).encode()) for b in batches)
         return Usage(
-            len(batches), round(length / _BYTES_A_TOKEN), _TOKENS_AN_ANSWER * len(left), len(left),
+            len(batches),
+            round(length / _BYTES_A_TOKEN),
+            _TOKENS_AN_ANSWER * len(left),
+            len(left),
             len(unique) - len(left),
-        )  # fmt: skip
+        )
 
     def _round(
         self, left: list[ObjectDescription], size: int, count: int
@@ -198,10 +201,12 @@ class LanguageFinder:
             with self._lock:
                 u = self.usage
                 self.usage = replace(
-                    u, requests=u.requests + 1, asked=u.asked + len(batch),
+                    u,
+                    requests=u.requests + 1,
+                    asked=u.asked + len(batch),
                     input_tokens=u.input_tokens + answer.input_tokens,
                     output_tokens=u.output_tokens + answer.output_tokens,
-                )  # fmt: skip
+                )
                 for i, decision in said.items():
                     found[batch[i]] = decision
                     self._keep(batch[i], decision)

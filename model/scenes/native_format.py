@@ -151,11 +151,13 @@ def scene_to_json(scene: Scene, said: Mapping[str, Mapping[str, Any]] | None = N
         MARK: FORMAT,
         "name": scene.name,
         "source": {
-            "file": scene.path.name, "reader": scene.reader, "frame": asdict(scene.frame),
+            "file": scene.path.name,
+            "reader": scene.reader,
+            "frame": asdict(scene.frame),
         },
         "objects": [{**_entry(o), **said.get(o.id, {})} for o in scene.objects],
         "problems": [asdict(p) for p in scene.problems],
-    }  # fmt: skip
+    }
 
 
 def _entry(o: SceneObject) -> dict[str, Any]:

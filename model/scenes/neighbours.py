@@ -115,9 +115,8 @@ def shortened(me: Standing, others: tuple[Standing, ...]) -> list[dict[str, Any]
 
 def _scanned(*standing: Standing) -> bool:
     return any(
-        p.cloud is not None
-        for s in standing if s.folder is not None for p in _load(s.folder).parts
-    )  # fmt: skip
+        p.cloud is not None for s in standing if s.folder is not None for p in _load(s.folder).parts
+    )
 
 
 def _beyond_border(part: Part, moving: list[Part]) -> Part | None:

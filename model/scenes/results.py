@@ -188,8 +188,9 @@ def write_results(
     write_scene_mjcf(scene.name, stands, out, SCENE_MJCF)
     files = [SCENE_JSON, SCENE_MJCF]
     for name, write, file in (
-        ("sdf", write_scene_sdf, SCENE_SDF), ("usd", write_scene_usd, SCENE_USD),
-    ):  # fmt: skip
+        ("sdf", write_scene_sdf, SCENE_SDF),
+        ("usd", write_scene_usd, SCENE_USD),
+    ):
         if name in formats:
             write(scene.name, stands, out, file)
             files.append(file)
@@ -277,8 +278,9 @@ def _said(o: Outcome, urdf: str | None, stand: Stand | None, held: str | None) -
     if bounds is not None:
         world = o.obj.placed(bounds).world_from_asset
         out["world_from_urdf"] = {
-            "position": world[:3, 3].tolist(), "quaternion_wxyz": quaternion_wxyz(world),
-        }  # fmt: skip
+            "position": world[:3, 3].tolist(),
+            "quaternion_wxyz": quaternion_wxyz(world),
+        }
         out["asset_folder"] = f"{ASSETS}/{o.key}"
         out["joints"] = [
             {k: j[k] for k in ("name", "type", "child", "lower", "upper", "confidence")}
@@ -323,8 +325,9 @@ def _write_back(scene: Scene, said: dict[str, dict[str, Any]], out: Path) -> str
     urdf_of = {o.id: said[o.id]["urdf"] for o in scene.objects if said[o.id].get("urdf")}
     entries = {
         o.place: {"urdf": urdf_of[o.id], "base": said[o.id]["base"]}
-        for o in scene.objects if o.id in urdf_of and o.place
-    }  # fmt: skip
+        for o in scene.objects
+        if o.id in urdf_of and o.place
+    }
     if scene.reader == "gltf":
         nodes = {int(place[1]): entry for place, entry in entries.items()}
         _write_bytes(out / name, with_articulation(scene.path, nodes))
@@ -420,13 +423,19 @@ def _summary(
         "seconds_an_asset": round(float(np.mean(list(seconds.values()))), 3) if seconds else None,
         "problems": [asdict(p) for p in scene.problems],
         "results": [
-            {"id": o.obj.id, "state": o.state, "kind": o.decision.kind, "reason": o.reason,
-             "joints": len(o.report.get("joints", ())), "shortened": len(o.changes),
-             "notes": o.report.get("notes", [])}
+            {
+                "id": o.obj.id,
+                "state": o.state,
+                "kind": o.decision.kind,
+                "reason": o.reason,
+                "joints": len(o.report.get("joints", ())),
+                "shortened": len(o.changes),
+                "notes": o.report.get("notes", []),
+            }
             for o in outcomes
         ],
         "files": files,
-    }  # fmt: skip
+    }
 
 
 def sim_id(outcomes: Sequence[Outcome]) -> Mapping[str, int | float | None]:

@@ -97,9 +97,11 @@ def write_scene_mjcf(name: str, stands: Sequence[Stand], out: Path, file: str) -
     for stand in stands:
         for found in stand.passes:
             ET.SubElement(
-                contact, "exclude", body1=_body(stand.id, found.link),
+                contact,
+                "exclude",
+                body1=_body(stand.id, found.link),
                 body2=_body(found.through, found.through_link),
-            )  # fmt: skip
+            )
     root.extend(e for e in (contact, equality) if len(e))
     ET.indent(root)
     with draft_of(out / file) as draft:
@@ -151,9 +153,12 @@ def _body(id: str, link: str | None) -> str:
 def _box(world: ET.Element, stand: Stand) -> None:
     assert stand.box is not None
     body = ET.SubElement(
-        world, "body", name=xml_name(stand.id), pos=vector(stand.world_from_asset[:3, 3]),
+        world,
+        "body",
+        name=xml_name(stand.id),
+        pos=vector(stand.world_from_asset[:3, 3]),
         quat=vector(quaternion_wxyz(stand.world_from_asset)),
-    )  # fmt: skip
+    )
     ET.SubElement(
         body, "geom", type="box", size=vector(np.asarray(stand.box) / 2), rgba="0.8 0.8 0.8 1"
     )

@@ -113,8 +113,15 @@ class Unpacker:
         """Write one object; ``pieces`` is called for its geometry."""
         try:
             self.files[asset] = write_object(self._folder, stem, pieces())
-        except (ArtiworldError, KeyError, IndexError, TypeError, ValueError, AttributeError,
-                OverflowError) as error:  # fmt: skip
+        except (
+            ArtiworldError,
+            KeyError,
+            IndexError,
+            TypeError,
+            ValueError,
+            AttributeError,
+            OverflowError,
+        ) as error:
             kind = "" if isinstance(error, ArtiworldError) else f"{type(error).__name__}: "
             self.problems[asset] = f"its geometry can't be used: {kind}{error}"
 

@@ -38,8 +38,12 @@ BOX_SCORE_FEATURES = (
     *(f"{axis}_{name}" for axis in _AXES for name in _ALONG),
     *(f"{axis}_{end}_{name}" for axis in _AXES for end in _ENDS for name in SIDE_FEATURES),
     *(f"{axis}_{end}_outermost" for axis in _AXES for end in _ENDS),
-    "share", "surface_filled", "inner_strength", "leak", "volume",
-)  # fmt: skip
+    "share",
+    "surface_filled",
+    "inner_strength",
+    "leak",
+    "volume",
+)
 
 _CACHED = 16
 """Clicked superpoints whose scores are cached."""
@@ -80,10 +84,15 @@ class BoxDescriber:
         share = np.maximum(boxes.share, 1e-9, dtype=np.float64)
         filled = share * boxes.surface.max(initial=1) / np.maximum(boxes.surface, 1e-9)
         self._held = np.stack(
-            [np.log(share), np.log(filled), boxes.inner,
-             np.log(boxes.leak + 1e-6, dtype=np.float64), log_length.sum(1)],
+            [
+                np.log(share),
+                np.log(filled),
+                boxes.inner,
+                np.log(boxes.leak + 1e-6, dtype=np.float64),
+                log_length.sum(1),
+            ],
             axis=1,
-        ).astype(np.float32)  # fmt: skip
+        ).astype(np.float32)
 
     def __call__(self, found: Int64, spot: Int, faces: Bool) -> Float:
         """(K, F) features of the boxes ``found``, in the order of ``BOX_SCORE_FEATURES``.

@@ -423,8 +423,10 @@ class FrontRectangles:
     def first(self, superpoint: int, outside: tuple[int, ...]) -> list[Proposals]:
         """Rectangles of the clicked fronts, and boxes behind the likeliest ones."""
         fronts, grid = self._fronts, self._grid
-        made = [fronts.masks(f, fronts.rectangles(f, superpoint, outside))
-                for f in fronts.of(superpoint)]  # fmt: skip
+        made = [
+            fronts.masks(f, fronts.rectangles(f, superpoint, outside))
+            for f in fronts.of(superpoint)
+        ]
         if not made:
             return []
         likely = np.concatenate([m[:FRONTS] for m in made])

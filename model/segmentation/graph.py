@@ -338,8 +338,10 @@ def _shape_features(nodes: Nodes, graph: Graph, smooth: _Diffusion) -> list[Floa
     bend = (bend / (np.einsum("nkj,nkj->nk", to, to) + 1e-12)).mean(1) * h
     for value in (bend, smooth(bend, 4)):
         out += [np.minimum(value[a], value[b]), np.maximum(value[a], value[b])]
-    offset = np.einsum("ij,ij->i", points - smooth(points - points.mean(0), 3) - points.mean(0),
-                       normals) / h  # fmt: skip
+    offset = (
+        np.einsum("ij,ij->i", points - smooth(points - points.mean(0), 3) - points.mean(0), normals)
+        / h
+    )
     out += [np.minimum(offset[a], offset[b]), np.abs(offset[a] - offset[b])]
     lean = to.mean(1)
     lean -= np.einsum("ij,ij->i", lean, normals)[:, None] * normals

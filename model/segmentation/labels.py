@@ -291,9 +291,13 @@ class AttachedShells:
         return _Assemblies(component, area, votes)
 
     def _votes(
-        self, labels: Labels, unclaimed: Bool, component: Int32, count: int,
+        self,
+        labels: Labels,
+        unclaimed: Bool,
+        component: Int32,
+        count: int,
         pairs: Pairs,
-    ) -> Int64:  # fmt: skip
+    ) -> Int64:
         """(P, width) pairs of each assembly with each part, and with other shells of the base."""
         two, width = self.shells.of_face[pairs.face], int(labels.max()) + 1
         counted = unclaimed[pairs.shell] & ~((two >= 0) & unclaimed[two])
@@ -304,9 +308,13 @@ class AttachedShells:
         return (self.shells.of_face >= 0) & shells[self.shells.of_face]
 
     def _joined(
-        self, labels: Labels, unclaimed: Bool, found: _Assemblies, joins: Bool,
+        self,
+        labels: Labels,
+        unclaimed: Bool,
+        found: _Assemblies,
+        joins: Bool,
         best: Int64,
-    ) -> Labels:  # fmt: skip
+    ) -> Labels:
         joined = unclaimed & joins[found.of_shell]
         if not joined.any():
             return labels

@@ -216,9 +216,13 @@ class LocalRefinement:
             if state.mask is None or not self.applies_to(state.mask):
                 continue
             anchor = next(
-                (s.node for s in steps
-                 if isinstance(s, ClickStep) and s.part == part and s.positive), None
-            )  # fmt: skip
+                (
+                    s.node
+                    for s in steps
+                    if isinstance(s, ClickStep) and s.part == part and s.positive
+                ),
+                None,
+            )
             if anchor is None:
                 continue
             before = known.get(part)

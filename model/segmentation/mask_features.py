@@ -139,9 +139,14 @@ class ClickContext:
     ) -> ClickContext:
         """The context of a click that leads from one state to another."""
         return cls(
-            after.positive, after.negative, superpoint, positive, before.mask, before.confirmed,
+            after.positive,
+            after.negative,
+            superpoint,
+            positive,
+            before.mask,
+            before.confirmed,
             before.corrections,
-        )  # fmt: skip
+        )
 
     @property
     def first(self) -> int:
@@ -439,9 +444,16 @@ def _moments(superpoints: Superpoints, x: Float) -> Float:
 
 
 ROOM_FEATURES = (
-    "on_border", "long_side", "short_side", "height_metres", "bottom", "top", "box_filled",
-    "box_growth", "click_outside",
-)  # fmt: skip
+    "on_border",
+    "long_side",
+    "short_side",
+    "height_metres",
+    "bottom",
+    "top",
+    "box_filled",
+    "box_growth",
+    "click_outside",
+)
 ROOM_FEATURE_NAMES = (*FEATURE_NAMES, *ROOM_FEATURES)
 """Stored in the files of weights, so these names stay as they are."""
 

@@ -356,9 +356,14 @@ def _whole_shells(session: DefaultSession, mask: Bool, off: Bool, planes: Sequen
 
 
 def _fitted(
-    session: DefaultSession, middle: Float, out: Float, frame: Float, low: Float, high: Float,
+    session: DefaultSession,
+    middle: Float,
+    out: Float,
+    frame: Float,
+    low: Float,
+    high: Float,
     near: float,
-) -> tuple[Float, Float]:  # fmt: skip
+) -> tuple[Float, Float]:
     """Middle and normal of a plane fitted to the rectangle's nodes: clicks are noisy."""
     points = session.encoding.nodes.points.astype(float)
     flat = points @ frame.T
@@ -387,9 +392,14 @@ class _Sides:
     """
 
     def __init__(
-        self, session: DefaultSession, chosen: Bool, middle: Float, out: Float, frame: Float,
+        self,
+        session: DefaultSession,
+        chosen: Bool,
+        middle: Float,
+        out: Float,
+        frame: Float,
         behind: float,
-    ) -> None:  # fmt: skip
+    ) -> None:
         encoding, self._reach = session.encoding, _SNAP * session.asset.diagonal
         graph, points = encoding.graph, encoding.nodes.points.astype(float)
         near = np.abs((points - middle) @ out) < behind

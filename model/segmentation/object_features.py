@@ -234,10 +234,17 @@ BOX_FEATURES = (
     "first_deepest", "near_negatives", "between_positives",
 )  # fmt: skip
 HISTORY_FEATURES = (
-    "change_deepest", "change_other", "past_deepest", "past_deepest_worst",
-    "past_other", "past_other_worst", "last_changed", "change_of_last",
-    "past_depth", "past_depth_worst",
-)  # fmt: skip
+    "change_deepest",
+    "change_other",
+    "past_deepest",
+    "past_deepest_worst",
+    "past_other",
+    "past_other_worst",
+    "last_changed",
+    "change_of_last",
+    "past_depth",
+    "past_depth_worst",
+)
 """Fit of a mask to this click and earlier ones as corrections of the masks then."""
 OBJECT_FEATURE_NAMES = (*FEATURE_NAMES, *BOX_FEATURES, *HISTORY_FEATURES)
 MOVING_FEATURE_NAMES = (*OBJECT_FEATURE_NAMES, *FRONT_FEATURES)
@@ -349,10 +356,17 @@ class ObjectDescriber(MaskDescriber):
         changed = float(size @ (last ^ context.before)) + 1
         own = float(size @ context.before) + 1
         return [
-            now[0], now[1], deepest.mean(0), deepest.min(0), other.mean(0), other.min(0),
-            np.full(number, np.log(changed / own)), np.clip(np.log((now[3] + 1) / changed), -6, 6),
-            depth.mean(0), depth.min(0),
-        ]  # fmt: skip
+            now[0],
+            now[1],
+            deepest.mean(0),
+            deepest.min(0),
+            other.mean(0),
+            other.min(0),
+            np.full(number, np.log(changed / own)),
+            np.clip(np.log((now[3] + 1) / changed), -6, 6),
+            depth.mean(0),
+            depth.min(0),
+        ]
 
     def _explained(
         self, words: Uint64, m: Float, held: Float, click: CorrectiveClick

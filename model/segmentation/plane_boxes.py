@@ -142,9 +142,13 @@ def plane_boxes(
     first = np.stack([a.cut[a.first[i]] for a, i in zip(axes, index, strict=True)])
     last = np.stack([a.cut[a.last[i]] - 1 for a, i in zip(axes, index, strict=True)])
     made = PlaneBoxes(
-        first.astype(np.int16), last.astype(np.int16), leak.astype(np.float32),
-        share.ravel()[usable].astype(np.float32), leak, *_described(axes, index, tables)
-    )  # fmt: skip
+        first.astype(np.int16),
+        last.astype(np.int16),
+        leak.astype(np.float32),
+        share.ravel()[usable].astype(np.float32),
+        leak,
+        *_described(axes, index, tables),
+    )
     links = superpoints.links
     strength, count = (
         totals(links.a, v, len(superpoints)) + totals(links.b, v, len(superpoints))

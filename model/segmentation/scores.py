@@ -56,9 +56,13 @@ class MovingPartScoring:
     later: Scorer | None = None
 
     def of_first(
-        self, masks: Bool, features: Float, scores: Float, general: Scorer | None,
+        self,
+        masks: Bool,
+        features: Float,
+        scores: Float,
+        general: Scorer | None,
         context: ClickContext,
-    ) -> tuple[Float, Float]:  # fmt: skip
+    ) -> tuple[Float, Float]:
         """(H, F) features and (H,) scores of first answers; ``general`` gave ``scores``."""
         scaled = scores * _TREES_SCALE if isinstance(general, Trees) else scores
         features, scores = self._blended(
@@ -73,9 +77,14 @@ class MovingPartScoring:
         return self._blended(masks, features, scores, self.later, _LATER_WEIGHT, context)
 
     def _blended(
-        self, masks: Bool, features: Float, scores: Float, scorer: Scorer | None, weight: float,
+        self,
+        masks: Bool,
+        features: Float,
+        scores: Float,
+        scorer: Scorer | None,
+        weight: float,
         context: ClickContext,
-    ) -> tuple[Float, Float]:  # fmt: skip
+    ) -> tuple[Float, Float]:
         fronts = self.fronts.of(context.first)
         front = fronts[-1] if fronts else None
         shown = front_features(masks, self.superpoints, self.axes, front)
@@ -176,9 +185,13 @@ class Penalties:
         return cls(streak=0.0, demand_near=1.0)
 
     def of_first(
-        self, superpoints: Superpoints, masks: Bool, after: PartState, blocked: Bool | None,
+        self,
+        superpoints: Superpoints,
+        masks: Bool,
+        after: PartState,
+        blocked: Bool | None,
         moving: bool,
-    ) -> Float:  # fmt: skip
+    ) -> Float:
         """(H,) of first answers: nearly all that is free, most of the object, or very small.
 
         Args:
@@ -200,9 +213,14 @@ class Penalties:
         return out + self.detail * (1 - np.clip(larger / np.log(_NO_DETAIL / _DETAIL), 0, 1))
 
     def of_later(
-        self, superpoints: Superpoints, before: PartState, superpoint: int, positive: bool,
-        masks: Bool, lost: Float,
-    ) -> Float:  # fmt: skip
+        self,
+        superpoints: Superpoints,
+        before: PartState,
+        superpoint: int,
+        positive: bool,
+        masks: Bool,
+        lost: Float,
+    ) -> Float:
         """(H,) of answers to a click on ``superpoint`` that corrects the mask of ``before``.
 
         Args:

@@ -90,10 +90,11 @@ class StateUpdates:
         if self._finisher.joins_components and after.parts:
             of_superpoint = self._finisher.of_superpoints(after.parts, steps)
             parts = {
-                part: its if its.mask is None
+                part: its
+                if its.mask is None
                 else replace(its, mask=its.mask | (of_superpoint == part))
                 for part, its in after.parts.items()
-            }  # fmt: skip
+            }
             after = replace(after, parts=parts)
         refinement = self._finisher.refinement
         if refinement is None:

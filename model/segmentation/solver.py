@@ -337,10 +337,16 @@ def solver_of(
         describe = RoomDescriber(superpoints, hierarchy, encoding.room)
         regions = Regions(superpoints, hierarchy)
         return PartSolver(
-            superpoints, hierarchy, walk, first, later, describe=describe, regions=regions,
+            superpoints,
+            hierarchy,
+            walk,
+            first,
+            later,
+            describe=describe,
+            regions=regions,
             sources=(RoomBoxes(superpoints, encoding.room, regions),),
             penalties=Penalties.for_room(),
-        )  # fmt: skip
+        )
     nodes, graph, strength = encoding.nodes, encoding.graph, encoding.strength
     shell = None
     if nodes.of_mesh:
@@ -351,9 +357,16 @@ def solver_of(
         return Fronts(nodes, graph, strength, superpoints, axes)
 
     return object_solver(
-        superpoints, hierarchy, walk, first, later, shell=shell, of_mesh=nodes.of_mesh,
-        fronts_along=fronts_along if with_fronts or not nodes.of_mesh else None, moving=moving,
-    )  # fmt: skip
+        superpoints,
+        hierarchy,
+        walk,
+        first,
+        later,
+        shell=shell,
+        of_mesh=nodes.of_mesh,
+        fronts_along=fronts_along if with_fronts or not nodes.of_mesh else None,
+        moving=moving,
+    )
 
 
 def object_solver(

@@ -88,10 +88,11 @@ class _Compared:
     def trusting(self, trust: float) -> ObjectScore:
         """The score with experience, whose confidences know how far it can be trusted."""
         joints = tuple(
-            replace(j, confidence=max(j.confidence or 0.0, trust)) if j.child in self.followed
+            replace(j, confidence=max(j.confidence or 0.0, trust))
+            if j.child in self.followed
             else j
             for j in self.after.joints
-        )  # fmt: skip
+        )
         return replace(self.after, joints=joints)
 
 
@@ -113,9 +114,10 @@ def learn(
         ConfigurationError: for too few objects whose parts have names.
     """
     examples = [
-        found for _, found in robust_map(_example, list(assets), jobs)
+        found
+        for _, found in robust_map(_example, list(assets), jobs)
         if found is not None and found.joints and found.category
-    ]  # fmt: skip
+    ]
     if len(examples) < LEAST:
         raise ConfigurationError(
             f"{len(examples)} accepted objects have a category and named parts with joints; it "
@@ -195,9 +197,11 @@ def _score(accepted: ArticulatedObject, found: Prediction) -> ObjectScore:
 def _side(scores: Sequence[ObjectScore]) -> Side:
     joints = [j for s in scores for j in s.joints]
     return Side(
-        len(joints), sum(j.usable for j in joints), sum(s.usable for s in scores),
+        len(joints),
+        sum(j.usable for j in joints),
+        sum(s.usable for s in scores),
         round(calibrate(scores).ece, 4),
-    )  # fmt: skip
+    )
 
 
 def versions(workspace: Path) -> list[int]:

@@ -155,9 +155,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     weights = fitted([(s.features, int(s.error.argmin())) for s in scans])
     posed = [
         (s.bare[list(pose)], right)
-        for s in samples if s.bare is not None
+        for s in samples
+        if s.bare is not None
         for right, pose in enumerate(POSES)
-    ]  # fmt: skip
+    ]
     on_table = [s for s in scans if s.table]
     bare = [s for s in scans if not s.table]
     scores = {

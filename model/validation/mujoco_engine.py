@@ -117,8 +117,9 @@ def mjcf_text(obj: ArticulatedObject, joints: Sequence[Joint], physics: Physics)
     drives = ET.SubElement(root, "actuator")
     for k, joint in enumerate(joints):
         if joint.mimic is None:
-            ET.SubElement(drives, "position", name=f"a{k}", joint=f"j{k}", kp="1", kv="1",
-                          forcerange="-1 1")  # fmt: skip
+            ET.SubElement(
+                drives, "position", name=f"a{k}", joint=f"j{k}", kp="1", kv="1", forcerange="-1 1"
+            )
     return ET.tostring(root, encoding="unicode")
 
 
@@ -137,9 +138,12 @@ def _inertial(body: ET.Element, inertial: Any, origin: FloatArray) -> None:
     t = inertial.tensor
     six = (t[0, 0], t[1, 1], t[2, 2], t[0, 1], t[0, 2], t[1, 2])
     ET.SubElement(
-        body, "inertial", pos=vector(inertial.center - origin), mass=f"{inertial.mass:.9g}",
+        body,
+        "inertial",
+        pos=vector(inertial.center - origin),
+        mass=f"{inertial.mass:.9g}",
         fullinertia=" ".join(f"{v:.9g}" for v in six),
-    )  # fmt: skip
+    )
 
 
 def _followers(root: ET.Element, joints: Sequence[Joint]) -> None:
@@ -148,6 +152,9 @@ def _followers(root: ET.Element, joints: Sequence[Joint]) -> None:
     for k, joint in enumerate(joints):
         if joint.mimic is not None and joint.mimic.joint in names:
             ET.SubElement(
-                equal, "joint", joint1=f"j{k}", joint2=f"j{names[joint.mimic.joint]}",
+                equal,
+                "joint",
+                joint1=f"j{k}",
+                joint2=f"j{names[joint.mimic.joint]}",
                 polycoef=f"{joint.mimic.offset:.9g} {joint.mimic.multiplier:.9g} 0 0 0",
-            )  # fmt: skip
+            )

@@ -233,9 +233,13 @@ class Simulation:
     """The simulation and its results so far."""
 
     def __init__(
-        self, engine: Engine, joints: Sequence[Joint], obj: ArticulatedObject, physics: Physics,
+        self,
+        engine: Engine,
+        joints: Sequence[Joint],
+        obj: ArticulatedObject,
+        physics: Physics,
         cache: DriveCache,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.engine, self.joints = engine, list(joints)
         self.driven = [k for k, j in enumerate(joints) if j.mimic is None]
         limits = np.array([j.motion_range for j in joints])
@@ -361,8 +365,12 @@ class Simulation:
         beyond = max(float(self.low[k]) - q, q - float(self.high[k]))
         by = messages.BY.format(value=value(joint, beyond)) if math.isfinite(beyond) else ""
         others = [display_name(self.obj, self.joints[g].child) for g in group if g != k]
-        template = (messages.DRIVEN_ITSELF, messages.DRIVEN_ONE, messages.DRIVEN_TWO,
-                    messages.DRIVEN_MANY)[min(len(others), 3)]  # fmt: skip
+        template = (
+            messages.DRIVEN_ITSELF,
+            messages.DRIVEN_ONE,
+            messages.DRIVEN_TWO,
+            messages.DRIVEN_MANY,
+        )[min(len(others), 3)]
         driven = template.format(**dict(zip(("first", "second"), others, strict=False)))
         cause = ""
         if joint.mimic is not None:

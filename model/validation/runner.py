@@ -89,9 +89,11 @@ def _by_joint(scene: Scene, found: dict[frozenset[str], list[Finding]]) -> dict[
         a, b = sorted(pair)
         severity = Severity.WARNING if len(findings) >= OFTEN * POSES else Severity.OK
         message = messages.sentence(
-            messages.COMBINATION, first=scene.display_name(a), second=scene.display_name(b),
+            messages.COMBINATION,
+            first=scene.display_name(a),
+            second=scene.display_name(b),
             depth=messages.length(worst.depth),
-        )  # fmt: skip
+        )
         for joint in between(scene.obj.tree, a, b):
             other = b if a in scene.obj.tree.descendants(joint.child) else a
             mine = Finding(
@@ -300,9 +302,12 @@ def _check_support(scene: Scene, found: Findings) -> None:
 
 
 def _simulate(
-    obj: ArticulatedObject, shapes: bool, store: Path | None, engines: Sequence[str],
+    obj: ArticulatedObject,
+    shapes: bool,
+    store: Path | None,
+    engines: Sequence[str],
     progress: Progress,
-) -> list[PhysicsReport]:  # fmt: skip
+) -> list[PhysicsReport]:
     """Drive the joints with the exported physics, or with masses and joints alone."""
 
     def from_share(start: float, share: float = 0.1) -> Progress:
@@ -326,9 +331,16 @@ def _add_physics(obj: ArticulatedObject, report: PhysicsReport, found: Findings)
             message = messages.EXPLODED.format(engine=report.engine, how=how)
             # Without the other link: shrinking the shapes of this joint's motion is no fix.
             found[name].append(
-                Finding("physics", Severity.ERROR, message, 0.0, stop.q, stop.where,
-                        engine=report.engine)
-            )  # fmt: skip
+                Finding(
+                    "physics",
+                    Severity.ERROR,
+                    message,
+                    0.0,
+                    stop.q,
+                    stop.where,
+                    engine=report.engine,
+                )
+            )
     for name, share in report.drifted.items():
         if name in found and name not in report.exploded:
             message = messages.DRIFTS.format(engine=report.engine, percent=f"{100 * share:.0f}")

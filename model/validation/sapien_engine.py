@@ -85,9 +85,10 @@ class Sapien:
     def _shape(self, vertices: FloatArray) -> Any:
         try:
             return self._physx.PhysxCollisionShapeConvexMesh(
-                vertices.astype(np.float32), np.ones(3, np.float32),
+                vertices.astype(np.float32),
+                np.ones(3, np.float32),
                 self._physx.get_default_material(),
-            )  # fmt: skip
+            )
         except RuntimeError as error:
             raise ValueError(f"PhysX can't cook a hull of {len(vertices)} vertices") from error
 

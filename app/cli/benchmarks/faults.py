@@ -126,10 +126,14 @@ def _phase(tabs: list[tuple[Any, Any]], seconds: float, seed: int, attack: Any) 
     p50, p95, most = (round(float(v)) for v in np.percentile(times, (50, 95, 100)))
     lost = sum(t >= LOST for t in taken)
     return {
-        "with": "the worst files" if attack else "nobody else", "clicks": len(taken), "lost": lost,
-        "p50 ms": p50, "p95 ms": p95, "longest ms": most,
+        "with": "the worst files" if attack else "nobody else",
+        "clicks": len(taken),
+        "lost": lost,
+        "p50 ms": p50,
+        "p95 ms": p95,
+        "longest ms": most,
         **{what: files[what] for what in ("opened", "refused", "left")},
-    }  # fmt: skip
+    }
 
 
 def _work(
@@ -264,8 +268,10 @@ def _killed(workspace: Path, name: str, rng: random.Random) -> list[list[str]]:
     """Run a server until a random moment; what it decided, each as words."""
     process = subprocess.Popen(
         [sys.executable, "-c", _CODE, str(workspace), name],
-        stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
-    )  # fmt: skip
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    )
     assert process.stdout is not None
     said = [process.stdout.readline() for _ in range(rng.randint(1, MOST_DECISIONS))]
     with suppress(subprocess.TimeoutExpired):

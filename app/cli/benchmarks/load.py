@@ -92,11 +92,17 @@ def make_scene(root: Path, objects: int) -> Path:
             uneven = box.vertices + rng.normal(0, 5e-4, box.vertices.shape)
             write_mesh(Mesh(uneven, box.faces), place / f"link_{i}.obj")
         size = rng.uniform(0.8, 1.2)
-        entries.append({
-            "id": name, "description": "cabinet" if cabinet else "block", "asset": name,
-            "position": [1.2 * (k % side), 1.2 * (k // side), 0.0],
-            "quaternion_wxyz": [1, 0, 0, 0], "scale": [size] * 3, "anchor": "base",
-        })  # fmt: skip
+        entries.append(
+            {
+                "id": name,
+                "description": "cabinet" if cabinet else "block",
+                "asset": name,
+                "position": [1.2 * (k % side), 1.2 * (k // side), 0.0],
+                "quaternion_wxyz": [1, 0, 0, 0],
+                "scale": [size] * 3,
+                "anchor": "base",
+            }
+        )
     path = root / "scene.json"
     path.write_text(json.dumps({"artiworld_scene": 1, "name": "bench", "objects": entries}))
     return path
@@ -174,18 +180,30 @@ def _pick(app: Any, objects: int) -> float:
 
 def _print(figures: list[SceneFigures]) -> None:
     columns = (
-        "opening", "objects", "first picture", "processor", "whole scene", "sent", "memory",
-        "loop held", "pick",
-    )  # fmt: skip
+        "opening",
+        "objects",
+        "first picture",
+        "processor",
+        "whole scene",
+        "sent",
+        "memory",
+        "loop held",
+        "pick",
+    )
     rows = [
         (
-            f.opening, str(f.objects), f"{f.first_ms / 1000:.1f} s",
-            f"{f.first_cpu_ms / 1000:.1f} s", f"{f.whole_ms / 1000:.1f} s",
-            f"{f.sent_mb:.1f} MB", f"{f.memory_mb:.0f} MiB",
-            f"{f.loop_held_ms:.0f} ms", f"{f.pick_ms:.0f} ms",
+            f.opening,
+            str(f.objects),
+            f"{f.first_ms / 1000:.1f} s",
+            f"{f.first_cpu_ms / 1000:.1f} s",
+            f"{f.whole_ms / 1000:.1f} s",
+            f"{f.sent_mb:.1f} MB",
+            f"{f.memory_mb:.0f} MiB",
+            f"{f.loop_held_ms:.0f} ms",
+            f"{f.pick_ms:.0f} ms",
         )
         for f in figures
-    ]  # fmt: skip
+    ]
     title = "A scene appears, on the server"
     console(140).print(table_of(title, columns, rows, columns[1:]))
 
@@ -220,9 +238,12 @@ def _measure_team(root: Path, options: BenchCommand, progress: Progress) -> dict
     words = [sys.executable, "-m", "app.cli.main", "serve", *map(str, scans), "--port", f"{port}"]
     if database is not None:
         words += ["--database", database]
-    with (root / "log").open("wb") as log, subprocess.Popen(
-        [*words, "--workspace", str(root / "workspace")], stdout=log, stderr=log
-    ) as server:  # fmt: skip
+    with (
+        (root / "log").open("wb") as log,
+        subprocess.Popen(
+            [*words, "--workspace", str(root / "workspace")], stdout=log, stderr=log
+        ) as server,
+    ):
         try:
             wait_for(lambda: server.poll() is not None or _answers(url), "the server")
             idle = _memory(server.pid)
@@ -248,12 +269,18 @@ def _row(
     began = [p.taken[0] for p in first if p.taken]
     p50, p95, most = (_percentile(taken, q, 1000) for q in (50, 95, 100))
     return {
-        "people": people, "clicks": len(taken), "errors": sum(errors.values()),
-        "p50 ms": p50, "p95 ms": p95, "longest ms": most,
+        "people": people,
+        "clicks": len(taken),
+        "errors": sum(errors.values()),
+        "p50 ms": p50,
+        "p95 ms": p95,
+        "longest ms": most,
         "first click p95 s": _percentile(began, 95),
-        "idle MB": round(memory[0]), "all open MB": round(memory[1]), "after MB": round(memory[2]),
+        "idle MB": round(memory[0]),
+        "all open MB": round(memory[1]),
+        "after MB": round(memory[2]),
         **{f"status {status}": count for status, count in sorted(errors.items())},
-    }  # fmt: skip
+    }
 
 
 def _percentile(seconds: list[float], q: float, scale: float = 1.0) -> float | None:

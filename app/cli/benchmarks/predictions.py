@@ -109,8 +109,12 @@ def sources(folder: Path | None, split: str) -> dict[str, tuple[DatasetOptions, 
 def row(title: str, report: Report) -> dict[str, Any]:
     """The figures of one source; shares in %."""
     values, count = report.summary.values, len(report.scores)
-    shares = {"TC %": "tc", "tree %": "tree", "usable joints %": "usable_joints",
-              "usable objects %": "usable"}  # fmt: skip
+    shares = {
+        "TC %": "tc",
+        "tree %": "tree",
+        "usable joints %": "usable_joints",
+        "usable objects %": "usable",
+    }
     return {
         "objects": title,
         "number": count,
@@ -138,10 +142,15 @@ def weights_bench(options: BenchCommand, progress: Progress) -> Result:
     rows = []
     for name, change in changes.items():
         found = probe(model, samples, change)
-        rows.append({
-            "input": name, "types": round(found.types, 3), "candidates": round(found.slots, 3),
-            "parents": round(found.trees, 3), "surprise": round(found.surprise, 4),
-        })  # fmt: skip
+        rows.append(
+            {
+                "input": name,
+                "types": round(found.types, 3),
+                "candidates": round(found.slots, 3),
+                "parents": round(found.trees, 3),
+                "surprise": round(found.surprise, 4),
+            }
+        )
     report = {"weights": version, "objects": len(samples), "rows": rows}
     return report, lambda: print_records(f"Right decisions of {version}", rows)
 
@@ -234,9 +243,15 @@ def _median_ms(function: Callable[[], object]) -> float:
 def segment_bench(options: BenchCommand, progress: Progress) -> Result:
     """Measure with the options of the command."""
     return bench_segment(
-        options.data, options.sets, options.segmenter, progress, limit=options.limit,
-        offset=options.offset, parts=options.parts, first=options.first,
-    )  # fmt: skip
+        options.data,
+        options.sets,
+        options.segmenter,
+        progress,
+        limit=options.limit,
+        offset=options.offset,
+        parts=options.parts,
+        first=options.first,
+    )
 
 
 def bench_segment(
@@ -325,9 +340,12 @@ def robot_bench(options: BenchCommand, progress: Progress) -> Result:
     if options.video is not None:
         check_output(options.video, option="--video")
     configs = folders_of_robot(
-        None if options.data is None else data_in(options.data), half=options.half or "table",
-        limit=options.limit or 0, jobs=options.jobs, pictures=options.video,
-    )  # fmt: skip
+        None if options.data is None else data_in(options.data),
+        half=options.half or "table",
+        limit=options.limit or 0,
+        jobs=options.jobs,
+        pictures=options.video,
+    )
     runs = []
     for k, config in enumerate(configs):
         span = scaled_progress(progress, k / len(configs), (k + 1) / len(configs))
@@ -354,9 +372,12 @@ def assets_bench(options: BenchCommand, progress: Progress) -> Result:
     engines = require_engines(options.engine)
     before = {} if options.before is None else read_json(options.before)
     configs = folder_runs(
-        options.data, half=options.half or "table", limit=options.limit or 0, jobs=options.jobs,
+        options.data,
+        half=options.half or "table",
+        limit=options.limit or 0,
+        jobs=options.jobs,
         engines=engines,
-    )  # fmt: skip
+    )
     runs = []
     for k, config in enumerate(configs):
         span = scaled_progress(progress, k / len(configs), (k + 1) / len(configs))

@@ -141,11 +141,15 @@ def Xform "World" {
     }
 }
 """
-STL = "solid a\n" + "".join(
-    f"facet normal 0 0 1\nouter loop\nvertex {i} 0 0\nvertex {i} 1 0\nvertex {i} 0 1\nendloop\n"
-    "endfacet\n"
-    for i in range(4)
-) + "endsolid a\n"  # fmt: skip
+STL = (
+    "solid a\n"
+    + "".join(
+        f"facet normal 0 0 1\nouter loop\nvertex {i} 0 0\nvertex {i} 1 0\nvertex {i} 0 1\nendloop\n"
+        "endfacet\n"
+        for i in range(4)
+    )
+    + "endsolid a\n"
+)
 _PLACE = {"x": 1.0, "y": 0.5, "z": 2.0}
 SCENES: dict[str, object] = {
     "own.json": {"artiworld_scene": 1, "name": "w", "objects": [{
@@ -200,9 +204,7 @@ def _textured() -> Mesh:
     pixels = np.random.default_rng(0).integers(0, 255, (8, 8, 3), np.uint8)
     skin = Material("skin", (255, 255, 255, 255), Image.fromarray(pixels))
     uv = np.asarray(plain.vertices[:, :2], np.float32)
-    return Mesh(
-        plain.vertices, plain.faces, np.zeros(len(plain.faces), np.int32), (skin,), uv
-    )  # fmt: skip
+    return Mesh(plain.vertices, plain.faces, np.zeros(len(plain.faces), np.int32), (skin,), uv)
 
 
 def _written(folder: Path) -> dict[str, bytes]:

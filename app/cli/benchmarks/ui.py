@@ -101,8 +101,12 @@ class SimulatedBrowser:
         for each in inner["messages"]:
             if each["type"] == "LocalStorageGetItemRequestMessage":
                 self._asked = True
-                answer = {"type": "LocalStorageGetItemResponseMessage", "value": None,
-                          "error": None, "request_uuid": each["request_uuid"]}  # fmt: skip
+                answer = {
+                    "type": "LocalStorageGetItemResponseMessage",
+                    "value": None,
+                    "error": None,
+                    "request_uuid": each["request_uuid"],
+                }
                 self._socket.send(msgspec.msgpack.encode(answer))
 
     def quiet(self, seconds: float = 0.25) -> int:
@@ -307,13 +311,19 @@ def _print(figures: list[UiFigures]) -> None:
     )  # fmt: skip
     rows = [
         (
-            f.name, f"{f.elements:,}", f"{f.open_ms:.0f} ms", f"{f.encode_ms:.0f} ms",
-            f"{f.click_p50_ms:.0f} ms", f"{f.click_p95_ms:.0f} ms",
-            f"{f.bytes_a_click / 1e6:.3f} MB", f"{f.whole_bytes / 1e6:.1f} MB, {f.whole_ms:.0f} ms",
-            f"1 / {f.whole_bytes / max(f.bytes_a_click, 1):.1f}", f"{f.loop_held_ms:.0f} ms",
+            f.name,
+            f"{f.elements:,}",
+            f"{f.open_ms:.0f} ms",
+            f"{f.encode_ms:.0f} ms",
+            f"{f.click_p50_ms:.0f} ms",
+            f"{f.click_p95_ms:.0f} ms",
+            f"{f.bytes_a_click / 1e6:.3f} MB",
+            f"{f.whole_bytes / 1e6:.1f} MB, {f.whole_ms:.0f} ms",
+            f"1 / {f.whole_bytes / max(f.bytes_a_click, 1):.1f}",
+            f"{f.loop_held_ms:.0f} ms",
             f"{f.ticks_a_second:.0f}",
         )
         for f in figures
-    ]  # fmt: skip
+    ]
     title = "The browser's waiting times, on the server (× against sending the whole object)"
     console(180).print(table_of(title, columns, rows, columns[1:]))

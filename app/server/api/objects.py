@@ -60,12 +60,13 @@ def list_objects(
     assigned = state.store.people.work.assigned()
     words = search.lower().split()
     found = [
-        r for r in state.queue.records()
+        r
+        for r in state.queue.records()
         if review_state in (None, r.state)
         and category in (None, r.category)
         and assigned_to in (None, assigned.get(r.id))
         and all(w in f"{r.name} {r.category or ''}".lower() for w in words)
-    ]  # fmt: skip
+    ]
     shown = found[first : first + count]
     return {"total": len(found), "objects": [_line(r, assigned.get(r.id)) for r in shown]}
 
@@ -185,11 +186,17 @@ def joints_json(doc: Document) -> list[dict[str, Any]]:
 def _line(record: ObjectRecord, assigned: str | None) -> dict[str, Any]:
     # Without path and digest, which would mark second annotations of the same content.
     return {
-        "id": record.id, "name": record.name, "state": record.state, "category": record.category,
-        "who": record.who, "updated": record.updated, "created": record.created,
+        "id": record.id,
+        "name": record.name,
+        "state": record.state,
+        "category": record.category,
+        "who": record.who,
+        "updated": record.updated,
+        "created": record.created,
         "assigned_to": assigned or record.assigned_to,
-        "prompt_count": record.prompts, "part_count": record.parts,
-    }  # fmt: skip
+        "prompt_count": record.prompts,
+        "part_count": record.parts,
+    }
 
 
 work_router = APIRouter(tags=["work"])
@@ -261,10 +268,15 @@ def list_assets(person: Reader, state: State) -> dict[str, Any]:
         if record.state == "accepted":
             saved = state.session(record.id).document.saved
             if saved is not None and state.store.assets.has(saved):
-                found.append({
-                    "id": record.id, "name": record.name, "category": record.category,
-                    "accepted_by": saved.by, "at": saved.at,
-                })  # fmt: skip
+                found.append(
+                    {
+                        "id": record.id,
+                        "name": record.name,
+                        "category": record.category,
+                        "accepted_by": saved.by,
+                        "at": saved.at,
+                    }
+                )
     return {"formats": ["asset", *exporter_names()], "assets": found}
 
 

@@ -71,10 +71,15 @@ def history(object_id: int, person: Reader, state: State, after: int = 0) -> lis
     """All commands of an object in order, with author and time."""
     record_of(state, object_id)
     return [
-        {"seq": e.seq, "at": e.at, "who": e.who, "text": describe(e.command),
-         "command": to_json(e.command)}
+        {
+            "seq": e.seq,
+            "at": e.at,
+            "who": e.who,
+            "text": describe(e.command),
+            "command": to_json(e.command),
+        }
         for e in state.store.history(object_id, after=after)
-    ]  # fmt: skip
+    ]
 
 
 @sessions_router.post("/objects/{object_id}/commands")
@@ -244,8 +249,13 @@ def resolve_comment(
 def checks(object_id: int, person: Reader, state: State) -> dict[str, Any]:
     """Validation report of the joints, once it is complete."""
     obj = opened(state, object_id)
-    wait(lambda: obj.validation.report is not None or bool(obj.validation.problem)
-         or obj.document.tree is None)  # fmt: skip
+    wait(
+        lambda: (
+            obj.validation.report is not None
+            or bool(obj.validation.problem)
+            or obj.document.tree is None
+        )
+    )
     report = obj.validation.report
     found = None if report is None else report.to_json()
     return {"report": found, "problem": obj.validation.problem}
@@ -276,9 +286,14 @@ def accept_object(
     seen = obj.validation.report if body.warnings_seen else None
     refused: list[CommandError] = []
     accept(
-        obj, body.comment, person.name, body.override, seen=seen, refused=refused.append,
+        obj,
+        body.comment,
+        person.name,
+        body.override,
+        seen=seen,
+        refused=refused.append,
         state=asked,
-    )  # fmt: skip
+    )
     try:
         wait(lambda: bool(refused) or acceptance_over(obj))
     except HTTPException:

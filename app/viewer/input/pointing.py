@@ -34,7 +34,7 @@ from sessions import commands as cmd
 
 Armed = Literal[
     "", "cut", "rectangle", "merge", "measure", "parent", "comment", "floor", "edge", "length"
-]  # fmt: skip
+]
 Tool = Literal["click", "lasso", "brush"]
 _CUTS = {"cut": words.CUT, "rectangle": words.CUT_RECTANGLE}
 _EVERYWHERE: Final = ("measure", "parent", "comment")
@@ -315,9 +315,11 @@ class Pointing:
         now = self._situation()
         part = selection.part
         self._queries.pick(
-            obj.asset, origin, direction,
+            obj.asset,
+            origin,
+            direction,
             lambda hit: self._hit(hit, now, part, direction, positive),
-        )  # fmt: skip
+        )
 
     def _situation(self) -> tuple[Any, ...]:
         """Context of a click; its answer counts only while that stays the same."""
@@ -478,10 +480,13 @@ class Pointing:
             return
         now, part = self._situation(), selection.part
         self._queries.box(
-            obj.asset, camera, low, high,
+            obj.asset,
+            camera,
+            low,
+            high,
             lambda ref, count: self._selected(now, part, ref, count, positive, "box"),
             one_piece=positive and selection.picking,
-        )  # fmt: skip
+        )
 
     def _stroked(self, message: ArtiworldStrokeMessage) -> None:
         camera = self._queries.camera()
@@ -498,9 +503,11 @@ class Pointing:
             return
         now, part, positive = self._situation(), self._selection.part, message.positive
         self._queries.stroke(
-            obj.asset, camera, stroke,
+            obj.asset,
+            camera,
+            stroke,
             lambda ref, count: self._selected(now, part, ref, count, positive, stroke.kind),
-        )  # fmt: skip
+        )
 
     def _selected(
         self, situation: tuple[Any, ...], part: int, ref: str, count: int, positive: bool, tool: str

@@ -75,9 +75,14 @@ class PointerQueries:
     ) -> None:
         """Give ``then`` the first visible element on a ray, or None."""
         job = self._lane.geometry.submit(
-            picking_tasks.pick, asset.folder, origin, direction, self._hidden(),
-            priority=PICK_PRIORITY, repeated=True,
-        )  # fmt: skip
+            picking_tasks.pick,
+            asset.folder,
+            origin,
+            direction,
+            self._hidden(),
+            priority=PICK_PRIORITY,
+            repeated=True,
+        )
         self._answer(job, then)
 
     def _answer(self, job: Job[Any], then: Callable[[Any], None]) -> None:
@@ -96,22 +101,39 @@ class PointerQueries:
         """The same under the pointer, at (x, y) of the picture; only the newest one is answered."""
         origin, direction = self.camera().ray(place)
         return self._lane.geometry.submit(
-            picking_tasks.pick, asset.folder, tuple(origin), tuple(direction), self._hidden(),
-            key=("hover", self._tab.client.client_id), priority=PREVIEWS,
-        ).result(PREVIEW_SECONDS)  # fmt: skip
+            picking_tasks.pick,
+            asset.folder,
+            tuple(origin),
+            tuple(direction),
+            self._hidden(),
+            key=("hover", self._tab.client.client_id),
+            priority=PREVIEWS,
+        ).result(PREVIEW_SECONDS)
 
     def preview(self, asset: OpenedAsset, doc: Document, click: Click) -> Any:
         """The elements that a click would add to its part and remove from others."""
         return self._lane.segmentation.submit(
-            tool_tasks.hover, asset.folder, self._workspace, self._segmenter, stored_prompts(doc),
-            click, key=("hover", self._tab.client.client_id), priority=PREVIEWS,
+            tool_tasks.hover,
+            asset.folder,
+            self._workspace,
+            self._segmenter,
+            stored_prompts(doc),
+            click,
+            key=("hover", self._tab.client.client_id),
+            priority=PREVIEWS,
             works_on=asset.folder,
-        ).result(PREVIEW_SECONDS)  # fmt: skip
+        ).result(PREVIEW_SECONDS)
 
     def box(
-        self, asset: OpenedAsset, camera: Camera, low: Any, high: Any, then: Selected,
-        *, one_piece: bool,
-    ) -> None:  # fmt: skip
+        self,
+        asset: OpenedAsset,
+        camera: Camera,
+        low: Any,
+        high: Any,
+        then: Selected,
+        *,
+        one_piece: bool,
+    ) -> None:
         """Give ``then`` the visible elements in a rectangle of the picture."""
         job = self._lane.geometry.submit(
             picking_tasks.select_box, asset.folder, self._workspace, camera, low, high,
@@ -122,18 +144,28 @@ class PointerQueries:
     def stroke(self, asset: OpenedAsset, camera: Camera, stroke: Stroke, then: Selected) -> None:
         """Give ``then`` the visible elements in a lasso or under a brush."""
         job = self._lane.geometry.submit(
-            picking_tasks.select_stroke, asset.folder, self._workspace, camera, stroke,
-            self._hidden(), priority=PICK_PRIORITY, repeated=True,
-        )  # fmt: skip
+            picking_tasks.select_stroke,
+            asset.folder,
+            self._workspace,
+            camera,
+            stroke,
+            self._hidden(),
+            priority=PICK_PRIORITY,
+            repeated=True,
+        )
         self._answer(job, lambda found: then(*found))
 
     def rectangle_frame(self, asset: OpenedAsset, corner: Point, view: Point) -> Any:
         """Normal and first side of a rectangle to cut, or None while the workers are busy."""
         try:
             return self._lane.segmentation.submit(
-                tool_tasks.frame_at, asset.folder, corner, view, priority=FRAME_PRIORITY,
+                tool_tasks.frame_at,
+                asset.folder,
+                corner,
+                view,
+                priority=FRAME_PRIORITY,
                 works_on=asset.folder,
-            ).result(FRAME_SECONDS)  # fmt: skip
+            ).result(FRAME_SECONDS)
         except TimeoutError:
             return None
 

@@ -20,9 +20,14 @@ from app.viewer.tab import Tab
 from app.viewer.words import keys as words
 
 _PADS: Final[dict[str, str]] = {
-    "1": "front", "c1": "back", "3": "right", "c3": "left", "7": "top", "c7": "bottom",
+    "1": "front",
+    "c1": "back",
+    "3": "right",
+    "c3": "left",
+    "7": "top",
+    "c7": "bottom",
     "9": "opposite",
-}  # fmt: skip
+}
 """Key of the number pad, with "c" for Ctrl → view; as in Blender."""
 VIEWS: Final = ("front", "back", "right", "left", "top", "bottom", "opposite")
 _AXES: Final = "xyz"
@@ -89,9 +94,13 @@ class Views:
         """(3,) from the object to the camera, in the upright frame."""
         front, up = self._front(), np.array((0.0, 0.0, 1.0))
         return {
-            "front": front, "back": -front, "right": np.cross(up, front),
-            "left": np.cross(front, up), "top": up + _TILT * front, "bottom": -up + _TILT * front,
-        }[view]  # fmt: skip
+            "front": front,
+            "back": -front,
+            "right": np.cross(up, front),
+            "left": np.cross(front, up),
+            "top": up + _TILT * front,
+            "bottom": -up + _TILT * front,
+        }[view]
 
     def toggle_flat(self) -> None:
         """Between perspective and a picture without it, as orthographic as the page can."""
@@ -148,9 +157,12 @@ class Measuring:
         tolerance = SNAP_PIXELS * float(camera.fov) / max(int(camera.image_height), 1)
         diagonal = 1.0 if obj.asset is None else obj.asset.diagonal
         place = snapped_hit(
-            list(self._shapes(obj)), np.asarray(origin, np.float64),
-            np.asarray(direction, np.float64), tolerance, _BEHIND * diagonal,
-        )  # fmt: skip
+            list(self._shapes(obj)),
+            np.asarray(origin, np.float64),
+            np.asarray(direction, np.float64),
+            tolerance,
+            _BEHIND * diagonal,
+        )
         if place is None:
             return False
         if len(self._places) == 2:
@@ -197,8 +209,10 @@ def snapped_hit(
     """
     unit = direction / np.linalg.norm(direction)
     shapes = [(v, f) for v, f in shapes if len(v) and (f is None or len(f))]
-    surface = min((hit_distance(origin, unit, v.astype(np.float32), _indices(f))
-                   for v, f in shapes), default=np.inf)  # fmt: skip
+    surface = min(
+        (hit_distance(origin, unit, v.astype(np.float32), _indices(f)) for v, f in shapes),
+        default=np.inf,
+    )
     best, nearest = None, tolerance
     for vertices, faces in shapes:
         used = vertices if faces is None else vertices[np.unique(faces)]

@@ -191,14 +191,21 @@ class Comments:
         chosen = comment.number == self._chosen
         label = words.comment_button(comment.number, comment.text[:200])
         row = button(
-            "comment", str(comment.number), label, content=content, pressed=chosen,
+            "comment",
+            str(comment.number),
+            label,
+            content=content,
+            pressed=chosen,
             style="aw-off" if comment.done else "",
-        )  # fmt: skip
+        )
         check: Any = viser.Icon.ARROW_BACK_UP if comment.done else viser.Icon.CHECK
         row += button(
-            "comment done", str(comment.number), words.done_button(comment.number, comment.done),
-            content=icon(check), style="aw-icon",
-        )  # fmt: skip
+            "comment done",
+            str(comment.number),
+            words.done_button(comment.number, comment.done),
+            content=icon(check),
+            style="aw-icon",
+        )
         return f"<li>{row}</li>"
 
 

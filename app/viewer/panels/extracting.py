@@ -106,9 +106,11 @@ class PickPanel:
         gui = tab.client.gui
         self._how = gui.add_markdown(scene_words.EXTRACT_HELP, visible=False)
         self._back = gui.add_button(
-            scene_words.RESTORE_ROOM, color="gray", visible=False,
+            scene_words.RESTORE_ROOM,
+            color="gray",
+            visible=False,
             hint=scene_words.RESTORE_ROOM_HINT,
-        )  # fmt: skip
+        )
         self._name = gui.add_text(
             scene_words.OBJECT_NAME, "", hint=scene_words.OBJECT_NAME_HINT, visible=False
         )

@@ -125,8 +125,11 @@ class JointRows:
     def draw(self, work: Work | None) -> None:
         """Bring the rows up to date; nothing is sent where nothing changed."""
         doc = None if work is None else work.document
-        key = None if doc is None or work is None else (
-            work.id, doc.tree, doc.prediction, tuple(doc.part_names.items()))  # fmt: skip
+        key = (
+            None
+            if doc is None or work is None
+            else (work.id, doc.tree, doc.prediction, tuple(doc.part_names.items()))
+        )
         if key == self._key:
             return
         self._key = key
@@ -150,7 +153,7 @@ def least_confident(doc: Document, lines: Sequence[JointLine]) -> list[JointLine
     joints = [j for j in (() if doc.tree is None else doc.tree.joints) if j.moves]
     sure = [
         1.0 if j.child in doc.edited_joints else confidence_of(doc, j.child) or 0.0 for j in joints
-    ]  # fmt: skip
+    ]
     kept = sorted(range(len(lines)), key=sure.__getitem__)[:SHOWN]
     return [lines[i] for i in sorted(kept)]
 
@@ -249,18 +252,27 @@ def tree_html(
             kind = f"{joint.type} {range_text(joint)}" if joint.limited else joint.type
             title = joint_title(doc, link)
             said = words.tree_line(
-                kind, confidence_text(doc, link), link in doc.locked,
-                bool(range_warnings(joint)), joint.name in hits,
-            )  # fmt: skip
+                kind,
+                confidence_text(doc, link),
+                link in doc.locked,
+                bool(range_warnings(joint)),
+                joint.name in hits,
+            )
         movable = joint is not None and not accepted
         rows.append(_row(tree, link, title, said, depth[link], link == chosen, movable, asking))
     return f'<div class="aw-tree">{"".join(rows)}</div>'
 
 
 def _row(
-    tree: KinematicTree, link: str, title: str, said: str, depth: int, chosen: bool,
-    movable: bool, asking: bool,
-) -> str:  # fmt: skip
+    tree: KinematicTree,
+    link: str,
+    title: str,
+    said: str,
+    depth: int,
+    chosen: bool,
+    movable: bool,
+    asking: bool,
+) -> str:
     part = (moved_part(tree, link) if link in tree.joint_of else link).removeprefix("link_")
     color = palette.part_color(int(part)) if part.isdigit() else palette.GHOST
     content = (
@@ -270,9 +282,13 @@ def _row(
     row = button("joint", link, f"{title} {said}".strip(), content=content, pressed=chosen)
     if chosen and movable:
         row += button(
-            "joint parent", "", words.SET_PARENT, content=icon(viser.Icon.HIERARCHY_2),
-            style="aw-icon", pressed=asking,
-        )  # fmt: skip
+            "joint parent",
+            "",
+            words.SET_PARENT,
+            content=icon(viser.Icon.HIERARCHY_2),
+            style="aw-icon",
+            pressed=asking,
+        )
     drag = ' draggable="true"' if movable else ""
     return (
         f'<div class="aw-node" data-link="{escape(link)}" style="--depth:{depth}"{drag}>{row}</div>'

@@ -65,9 +65,11 @@ class ProjectDialogs:
         gui.add_markdown(words.LABELS_HINT)
         strict = gui.add_checkbox(words.STRICT, known.strict, hint=words.STRICT_HINT)
         return lambda: {
-            "name": name.value, "instructions": text.value,
-            "labels": labels_from_text(labels.value), "strict": strict.value,
-        }  # fmt: skip
+            "name": name.value,
+            "instructions": text.value,
+            "labels": labels_from_text(labels.value),
+            "strict": strict.value,
+        }
 
     def _checks(self, gui: Any) -> Callable[[], dict[str, Any]]:
         known, collisions = self._project.settings, export_words.COLLISIONS
@@ -88,9 +90,11 @@ class ProjectDialogs:
         return lambda: {
             "required": [k for k, box in kinds.items() if box.value],
             "formats": [n for n, box in formats.items() if box.value],
-            "collision": collisions[collision.value], "form": words.FORMS[form.value],
-            "license": license.value, "author": author.value,
-        }  # fmt: skip
+            "collision": collisions[collision.value],
+            "form": words.FORMS[form.value],
+            "license": license.value,
+            "author": author.value,
+        }
 
     def _save(self, fields: dict[str, Any]) -> None:
         self._project.change(fields, self._tab.user)
@@ -145,9 +149,13 @@ class ProjectPage:
         with modal:
             said = gui.add_html(f'<p class="aw-project">{words.READING}</p>')
         job = self._app_state.workers.readers[-1].submit(
-            read_overview, self._app_state.workspace, config.database, time.time(),
-            self._only(), most_seconds=_SECONDS,
-        )  # fmt: skip
+            read_overview,
+            self._app_state.workspace,
+            config.database,
+            time.time(),
+            self._only(),
+            most_seconds=_SECONDS,
+        )
         job.add_done_callback(lambda job: self._tab.act(lambda: self._read(job, modal, said)))
 
     @property
@@ -274,8 +282,12 @@ def _add_plot(gui: Any, found: Overview, now: float) -> None:
     )
     gui.add_uplot(
         ((math.floor(now / 86400) + ends) * 86400, accepted, active / unit),
-        series, scales=scales, axes=axes, height=170, padding=(8, 0, 0, 0),
-    )  # fmt: skip
+        series,
+        scales=scales,
+        axes=axes,
+        height=170,
+        padding=(8, 0, 0, 0),
+    )
 
 
 def _range(most: float) -> tuple[float, float]:
@@ -301,10 +313,13 @@ def progress_html(found: Overview, may_change: bool = False) -> str:
     head = f"<b>{words.accepted_of(accepted, total, share)}</b>"
     csv = button("project_csv", "", words.DOWNLOAD, tip=words.DOWNLOAD_HINT, style="aw-small")
     if may_change:
-        csv = "".join(
-            button("project_settings", which, label, tip=tip, style="aw-small")
-            for which, label, tip in words.DIALOGS
-        ) + csv  # fmt: skip
+        csv = (
+            "".join(
+                button("project_settings", which, label, tip=tip, style="aw-small")
+                for which, label, tip in words.DIALOGS
+            )
+            + csv
+        )
         if accepted:
             learn = button("project_learn", "", words.LEARN, tip=words.LEARN_HINT, style="aw-small")
             csv = learn + csv
@@ -321,12 +336,17 @@ def today_html(found: Overview) -> str:
         return f"<p>{words.NOBODY}</p>"
     rows = [
         (
-            who, f.objects, f.accepted,
+            who,
+            f.objects,
+            f.accepted,
             "–" if math.isnan(f.per_hour) or not f.accepted else f"{f.per_hour:.1f}",
-            duration(f.active), duration(f.waiting), f.clicks, f.corrections,
+            duration(f.active),
+            duration(f.waiting),
+            f.clicks,
+            f.corrections,
         )
         for who, f in found.people.items()
-    ]  # fmt: skip
+    ]
     head = "".join(f"<th>{escape(c)}</th>" for c in words.COLUMNS)
     body = "".join(
         "<tr>" + "".join(f"<td>{escape(str(cell))}</td>" for cell in row) + "</tr>" for row in rows

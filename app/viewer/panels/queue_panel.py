@@ -67,9 +67,12 @@ class QueuePanel:
             self._bar = gui.add_progress_bar(0.0, color="green")
             gui.add_html('<div id="artiworld-queue"></div>')
             self.on_hold = gui.add_button(
-                "", icon=viser.Icon.ALERT_TRIANGLE, color=warning, visible=False,
+                "",
+                icon=viser.Icon.ALERT_TRIANGLE,
+                color=warning,
+                visible=False,
                 hint=words.ON_HOLD_HINT,
-            )  # fmt: skip
+            )
             self._restore = gui.add_button(
                 "", icon=viser.Icon.ARROW_BACK_UP, color="gray", visible=False
             )

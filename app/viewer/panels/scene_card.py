@@ -64,12 +64,15 @@ class SceneCard:
         gui = tab.client.gui
         self._status = gui.add_markdown("")
         self._progress = gui.add_progress_bar(0.0, visible=False)
-        self._pause = gui.add_button(words.PAUSE, icon=viser.Icon.PLAYER_PAUSE,
-                                     color="gray", visible=False)  # fmt: skip
-        self._cancel = gui.add_button(common.CANCEL, icon=viser.Icon.PLAYER_STOP, color="gray",
-                                      visible=False)  # fmt: skip
-        self._again = gui.add_button(common.RETRY, icon=viser.Icon.REFRESH, color="gray",
-                                     visible=False)  # fmt: skip
+        self._pause = gui.add_button(
+            words.PAUSE, icon=viser.Icon.PLAYER_PAUSE, color="gray", visible=False
+        )
+        self._cancel = gui.add_button(
+            common.CANCEL, icon=viser.Icon.PLAYER_STOP, color="gray", visible=False
+        )
+        self._again = gui.add_button(
+            common.RETRY, icon=viser.Icon.REFRESH, color="gray", visible=False
+        )
         self._history = gui.add_button_group(common.EDIT, common.HISTORY_ACTIONS)
         self._play = gui.add_button(words.PLAY, icon=viser.Icon.PLAYER_PLAY)
         with gui.add_folder(words.SELECTED):
@@ -78,10 +81,12 @@ class SceneCard:
                 words.KIND, (words.ARTICULABLE, words.STATIC), visible=False
             )
             self._work = gui.add_button(words.EDIT, icon=viser.Icon.PENCIL, visible=False)
-            self._pick = gui.add_button(words.PICK, icon=viser.Icon.SCISSORS,
-                                        color="gray", visible=False)  # fmt: skip
-            self._accept = gui.add_button(words.ACCEPT, icon=viser.Icon.CHECK, color="green",
-                                          visible=False)  # fmt: skip
+            self._pick = gui.add_button(
+                words.PICK, icon=viser.Icon.SCISSORS, color="gray", visible=False
+            )
+            self._accept = gui.add_button(
+                words.ACCEPT, icon=viser.Icon.CHECK, color="green", visible=False
+            )
             self._reject = RejectButtons(tab, rejecting, actions.reject)
             self._step = gui.add_button_group(common.NAVIGATE, common.PREVIOUS_NEXT)
             self._joints = JointRows(tab, actions.play_joint)

@@ -49,9 +49,12 @@ class ObjectHeader:
             words.RETRY, icon=viser.Icon.REFRESH, color="gray", visible=False
         )
         self._remove = gui.add_button(
-            words.REMOVE, icon=viser.Icon.X, color="gray", visible=False,
+            words.REMOVE,
+            icon=viser.Icon.X,
+            color="gray",
+            visible=False,
             hint=words.REMOVE_HINT,
-        )  # fmt: skip
+        )
         self._reopen = gui.add_button(
             words.REOPEN, icon=viser.Icon.LOCK_OPEN, visible=False, hint=words.REOPEN_HINT
         )
@@ -130,9 +133,14 @@ class StepBar:
     def _button(self, step: Step, state: str) -> str:
         sign = f'<i class="aw-sign" title="{state}">{_SIGNS[state]}</i>' if state else ""
         return button(
-            "step", step, step, content=f"{step}{sign}", tip=words.STEP_TIPS[step],
-            style=state.replace(" ", "-"), pressed=step == self._tab.selection.step,
-        )  # fmt: skip
+            "step",
+            step,
+            step,
+            content=f"{step}{sign}",
+            tip=words.STEP_TIPS[step],
+            style=state.replace(" ", "-"),
+            pressed=step == self._tab.selection.step,
+        )
 
     def _running(self, obj: OpenObject) -> str:
         """Running job, its progress, and the button that stops it."""
@@ -275,44 +283,60 @@ class ToolRail:
             self._place.show("")
             return
         step, moves = self._tab.selection.step, obj.document.tree is not None
-        groups = [[
-            _view(words.HISTORY_ACTIONS[0], viser.Icon.ARROW_BACK_UP, words.UNDO_TIP),
-            _view(words.HISTORY_ACTIONS[1], viser.Icon.ARROW_FORWARD_UP, words.REDO_TIP),
-        ]]  # fmt: skip
+        groups = [
+            [
+                _view(words.HISTORY_ACTIONS[0], viser.Icon.ARROW_BACK_UP, words.UNDO_TIP),
+                _view(words.HISTORY_ACTIONS[1], viser.Icon.ARROW_FORWARD_UP, words.REDO_TIP),
+            ]
+        ]
         if moves and step not in AT_REST:
-            groups.append([
-                _view(words.PLAY, viser.Icon.PLAYER_PLAY),
-                _view(words.RESET_POSE, viser.Icon.REFRESH),
-            ])  # fmt: skip
+            groups.append(
+                [
+                    _view(words.PLAY, viser.Icon.PLAYER_PLAY),
+                    _view(words.RESET_POSE, viser.Icon.REFRESH),
+                ]
+            )
         if step == "Annotate":
             groups += [
                 [self._tool(label, tool) for tool, label in row.items()]
                 for row in tool_words.TOOL_ROWS
             ]
             on = self._pointing.hover.on
-            groups.append([
-                _view(tool_words.PREVIEW, viser.Icon.EYE, tool_words.PREVIEW_HINT, on),
-                _view(tool_words.TOUCH, viser.Icon.HAND_FINGER, tool_words.TOUCH_HINT, self.touch),
-            ])  # fmt: skip
+            groups.append(
+                [
+                    _view(tool_words.PREVIEW, viser.Icon.EYE, tool_words.PREVIEW_HINT, on),
+                    _view(
+                        tool_words.TOUCH, viser.Icon.HAND_FINGER, tool_words.TOUCH_HINT, self.touch
+                    ),
+                ]
+            )
         if step != "Prepare":
             alone = bool(self._tab.selection.hidden)
             measuring = self._pointing.armed == "measure"
-            groups.append([
-                _view(keys.MEASURE, viser.Icon.RULER_2, keys.MEASURE_TIP, measuring),
-                _view(keys.ISOLATE, viser.Icon.FOCUS_2, keys.ISOLATE_TIP, alone),
-            ])  # fmt: skip
-        groups.append([
-            _view(words.KEYS_BUTTON, viser.Icon.KEYBOARD),
-            _view(TOUR, viser.Icon.SCHOOL, TOUR_TIP),
-        ])  # fmt: skip
+            groups.append(
+                [
+                    _view(keys.MEASURE, viser.Icon.RULER_2, keys.MEASURE_TIP, measuring),
+                    _view(keys.ISOLATE, viser.Icon.FOCUS_2, keys.ISOLATE_TIP, alone),
+                ]
+            )
+        groups.append(
+            [
+                _view(words.KEYS_BUTTON, viser.Icon.KEYBOARD),
+                _view(TOUR, viser.Icon.SCHOOL, TOUR_TIP),
+            ]
+        )
         self._place.show("".join(f'<div class="aw-group">{"".join(g)}</div>' for g in groups))
 
     def _tool(self, label: str, tool: str) -> str:
         now = tool in (self._pointing.tool, self._pointing.armed)
         return button(
-            "tool", label, label, content=icon(_ICONS[tool]), tip=tool_words.TOOL_TIPS[tool],
+            "tool",
+            label,
+            label,
+            content=icon(_ICONS[tool]),
+            tip=tool_words.TOOL_TIPS[tool],
             pressed=now if tool in ("lasso", "brush", "cut", "rectangle", "merge") else None,
-        )  # fmt: skip
+        )
 
 
 def _view(label: str, picture: Any, tip: str = "", pressed: bool | None = None) -> str:

@@ -73,16 +73,23 @@ class PrepareMarks:
         scene, turn = self._tab.client.scene, np.linalg.inv(frame)
         if removed and asset.removed is not None:
             self._removed = scene.add_point_cloud(
-                "/removed", asset.removed, palette.MARKED, point_size=_DOT * asset.diagonal,
-                point_shape="circle", precision="float32",
-            )  # fmt: skip
+                "/removed",
+                asset.removed,
+                palette.MARKED,
+                point_size=_DOT * asset.diagonal,
+                point_shape="circle",
+                precision="float32",
+            )
         if box is not None:
             low, high = np.array(box)
             corners = (low + _CORNERS * (high - low)) @ turn[:3, :3].T + turn[:3, 3]
             self._box = scene.add_line_segments(
-                "/crop", corners[_EDGES].astype(np.float32), palette.SELECTED,
-                thickness=2.0, thickness_units="screen",
-            )  # fmt: skip
+                "/crop",
+                corners[_EDGES].astype(np.float32),
+                palette.SELECTED,
+                thickness=2.0,
+                thickness_units="screen",
+            )
         if handle:
             self._add_handle(asset, self._picture.shown_upright[:3, :3].T)
 
@@ -90,9 +97,14 @@ class PrepareMarks:
         middle = np.median(asset.display_centers, axis=0)
         start = vtf.SO3.from_matrix(rotation)
         self._handle = handle = self._tab.client.scene.add_transform_controls(
-            "/turn", scale=0.35 * asset.diagonal, position=middle, wxyz=start.wxyz,
-            disable_axes=True, disable_sliders=True, depth_test=False,
-        )  # fmt: skip
+            "/turn",
+            scale=0.35 * asset.diagonal,
+            position=middle,
+            wxyz=start.wxyz,
+            disable_axes=True,
+            disable_sliders=True,
+            depth_test=False,
+        )
 
         @handle.on_update
         def _(event: Any) -> None:

@@ -84,9 +84,13 @@ class Ghosts:
             self._points, self._box = points, (bounds, placement)
             kept = self._kept = ~before(self._eye(), points, bounds, placement)
             self._handle = self._client.scene.add_point_cloud(
-                self._name, points[kept].astype(np.float16), palette.SCAN_GHOST,
-                precision="float16", point_size=size, point_shape="circle",
-            )  # fmt: skip
+                self._name,
+                points[kept].astype(np.float16),
+                palette.SCAN_GHOST,
+                precision="float16",
+                point_size=size,
+                point_shape="circle",
+            )
 
     def _hide(self) -> None:
         with self._lock:

@@ -178,8 +178,9 @@ class LimitGauge:
         if not joint.rotates:
             lead = float(along.max()) + 0.01 * diagonal
             middle = (points.min(axis=0) + points.max(axis=0)) / 2
-            return cls(False, middle + (lead - (middle - origin) @ axis) * axis, axis,
-                       _across(axis), 0.0)  # fmt: skip
+            return cls(
+                False, middle + (lead - (middle - origin) @ axis) * axis, axis, _across(axis), 0.0
+            )
         reach = np.linalg.norm(away, axis=1)
         zero = away.mean(axis=0)
         if np.linalg.norm(zero) < 0.05 * max(float(reach.max()), 1e-9):  # as of a knob
@@ -190,8 +191,9 @@ class LimitGauge:
         # Of an upright axis the upper end, where one looks onto the arc.
         upright = abs(axis[2]) > 0.5
         at = (along.max() if axis[2] > 0 else along.min()) if upright else along.mean()
-        return cls(True, origin + float(at) * axis, axis, zero / np.linalg.norm(zero),
-                   float(radius))  # fmt: skip
+        return cls(
+            True, origin + float(at) * axis, axis, zero / np.linalg.norm(zero), float(radius)
+        )
 
     def place(self, q: float) -> Array:
         """(3,) where a value, radians or metres, is."""
@@ -344,20 +346,34 @@ class LimitHandles:
         position, wxyz = _place_of(self._parent_pose(joint))
         self._root = scene.add_frame(_ROOT, show_axes=False, position=position, wxyz=wxyz)
         self._nodes["line"] = scene.add_line_segments(
-            f"{_ROOT}/line", gauge.line(low, high), palette.SELECTED, thickness=_LINE_PIXELS,
+            f"{_ROOT}/line",
+            gauge.line(low, high),
+            palette.SELECTED,
+            thickness=_LINE_PIXELS,
             thickness_units="screen",
-        )  # fmt: skip
+        )
         if gauge.rotates:
             vertices, faces = gauge.fan(low, high)
             self._nodes["fan"] = scene.add_mesh_simple(
-                f"{_ROOT}/fan", vertices, faces, color=palette.SELECTED, opacity=_FAN_OPACITY,
-                side="double", cast_shadow=False, receive_shadow=False,
-            )  # fmt: skip
+                f"{_ROOT}/fan",
+                vertices,
+                faces,
+                color=palette.SELECTED,
+                opacity=_FAN_OPACITY,
+                side="double",
+                cast_shadow=False,
+                receive_shadow=False,
+            )
         for side, q in zip(_SIDES, (low, high), strict=True):
             grip = scene.add_icosphere(
-                f"{_ROOT}/{side}", radius=_GRIP * diagonal, color=palette.SELECTED,
-                subdivisions=2, position=gauge.place(q), cast_shadow=False, receive_shadow=False,
-            )  # fmt: skip
+                f"{_ROOT}/{side}",
+                radius=_GRIP * diagonal,
+                color=palette.SELECTED,
+                subdivisions=2,
+                position=gauge.place(q),
+                cast_shadow=False,
+                receive_shadow=False,
+            )
             self._nodes[side] = grip
             below = side == "lower"  # the labels of a small range don't cover each other
             self._nodes[f"{side} label"] = scene.add_label(

@@ -91,9 +91,12 @@ class SurfaceDetail:
             for name, which in names.items():
                 if which.any():
                     scene.add_line_segments(
-                        name, edges.points[which], _EDGE_COLOR, thickness=_EDGE_PIXELS,
+                        name,
+                        edges.points[which],
+                        _EDGE_COLOR,
+                        thickness=_EDGE_PIXELS,
                         thickness_units="screen",
-                    )  # fmt: skip
+                    )
                 elif scene.get_handle_by_name(name) is not None:
                     scene.remove_by_name(name)
 

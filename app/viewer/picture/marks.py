@@ -89,11 +89,16 @@ class Overlays:
         """Draw a small ball at each place, (3,); returns the handles."""
         return [
             self._client.scene.add_icosphere(
-                f"{name}/{k}", radius=_MARK * diagonal, color=color, subdivisions=2,
-                position=place, cast_shadow=False, receive_shadow=False,
+                f"{name}/{k}",
+                radius=_MARK * diagonal,
+                color=color,
+                subdivisions=2,
+                position=place,
+                cast_shadow=False,
+                receive_shadow=False,
             )
             for k, place in enumerate(places)
-        ]  # fmt: skip
+        ]
 
     def show_measure(self, places: Sequence[npt.NDArray[np.float64]], text: str) -> None:
         """Mark one or two points, (3,) each, and the line between them with ``text``."""
@@ -167,9 +172,14 @@ class CommentMarks:
         scene, radius = self._client.scene, _RADIUS * diagonal
         name = f"/comment/{mark.number}"
         ball = scene.add_icosphere(
-            name, radius=radius, color=palette.SELECTED if mark.chosen else palette.COMMENT,
-            subdivisions=2, position=mark.place, cast_shadow=False, receive_shadow=False,
-        )  # fmt: skip
+            name,
+            radius=radius,
+            color=palette.SELECTED if mark.chosen else palette.COMMENT,
+            subdivisions=2,
+            position=mark.place,
+            cast_shadow=False,
+            receive_shadow=False,
+        )
         label = scene.add_label(
             f"{name}/label", mark.text, position=(0.0, 0.0, 1.6 * radius), anchor="bottom-center"
         )

@@ -90,10 +90,15 @@ class LabelOverlay:
             assert asset.display_faces is not None and self._offset is not None
             used, faces = np.unique(asset.display_faces[marked], return_inverse=True)
             self._mark = self._client.scene.add_mesh_simple(
-                "/marked", self._offset[used], faces.reshape(-1, 3).astype(np.uint32),
-                color=palette.MARKED, opacity=MARK_OPACITY, side="double", cast_shadow=False,
+                "/marked",
+                self._offset[used],
+                faces.reshape(-1, 3).astype(np.uint32),
+                color=palette.MARKED,
+                opacity=MARK_OPACITY,
+                side="double",
+                cast_shadow=False,
                 receive_shadow=False,
-            )  # fmt: skip
+            )
 
     def set_visible(self, visible: bool) -> None:
         """Show or hide the overlay of a mesh."""

@@ -34,8 +34,10 @@ from model.segmentation.prompts import Click
 PROMPT_RADIUS = 0.0075
 View = Literal["front", "side", "top"]
 _VIEWS: Final[dict[View, tuple[float, float]]] = {
-    "front": (0.0, 0.0), "side": (1e3, 0.0), "top": (0.0, 1e2),
-}  # fmt: skip
+    "front": (0.0, 0.0),
+    "side": (1e3, 0.0),
+    "top": (0.0, 1e2),
+}
 """Offsets aside and above the front."""
 _OTHER_SHAPE = 0.02
 """Share of the aspect: a larger change, as where panels open, asks for another distance."""

@@ -244,9 +244,11 @@ class Surroundings(Node):
             self._slices.append(slice(start, start + len(shape.faces)))
             count, start = count + len(at), start + len(shape.faces)
         whole = Shape(
-            np.zeros((2, 3)), np.concatenate(vertices), np.concatenate(faces),
+            np.zeros((2, 3)),
+            np.concatenate(vertices),
+            np.concatenate(faces),
             np.concatenate(colors),
-        )  # fmt: skip
+        )
         here = [Placement(np.eye(4), np.ones(3)) for _ in solid]
         super().__init__(tuple(i for i, _, _ in solid), whole, here, None, "")
         self.solid = list(solid)
@@ -272,10 +274,16 @@ class Surroundings(Node):
         if ghost and self._ghost is None:
             assert self.shape.faces is not None
             self._ghost = self._client.scene.add_mesh_simple(
-                f"{self._name}/ghost", self.shape.vertices, self.shape.faces,
-                color=palette.SCENE_GHOST, opacity=GHOST_OPACITY, flat_shading=True,
-                side="double", cast_shadow=False, receive_shadow=False,
-            )  # fmt: skip
+                f"{self._name}/ghost",
+                self.shape.vertices,
+                self.shape.faces,
+                color=palette.SCENE_GHOST,
+                opacity=GHOST_OPACITY,
+                flat_shading=True,
+                side="double",
+                cast_shadow=False,
+                receive_shadow=False,
+            )
         self._original.visible = not ghost
         if self._ghost is not None:
             self._ghost.visible = ghost
@@ -296,9 +304,15 @@ class Instances(Node):
     """Instances of a mesh, which is sent once."""
 
     def __init__(
-        self, client: viser.ClientHandle, name: str, ids: Ids, shape: Shape,
-        placements: Sequence[Placement], work: Work | None, link: str,
-    ) -> None:  # fmt: skip
+        self,
+        client: viser.ClientHandle,
+        name: str,
+        ids: Ids,
+        shape: Shape,
+        placements: Sequence[Placement],
+        work: Work | None,
+        link: str,
+    ) -> None:
         super().__init__(ids, shape, placements, work, link)
         self._client, self._name = client, name
         self._original: Any = None
@@ -343,9 +357,15 @@ class Instances(Node):
 
     def _send_original(self) -> Any:
         return self._client.scene.add_batched_glb(
-            f"{self._name}/own", colored_glb(self.shape), self._turns(), self._positions(),
-            batched_scales=self._scales(), lod="off", cast_shadow=False, receive_shadow=False,
-        )  # fmt: skip
+            f"{self._name}/own",
+            colored_glb(self.shape),
+            self._turns(),
+            self._positions(),
+            batched_scales=self._scales(),
+            lod="off",
+            cast_shadow=False,
+            receive_shadow=False,
+        )
 
     def _send_flat(self) -> Any:
         assert self.shape.faces is not None
@@ -376,9 +396,15 @@ class Scans(Node):
     """Point clouds, one for each object."""
 
     def __init__(
-        self, client: viser.ClientHandle, name: str, ids: Ids, shape: Shape,
-        placements: Sequence[Placement], work: Work | None, link: str,
-    ) -> None:  # fmt: skip
+        self,
+        client: viser.ClientHandle,
+        name: str,
+        ids: Ids,
+        shape: Shape,
+        placements: Sequence[Placement],
+        work: Work | None,
+        link: str,
+    ) -> None:
         super().__init__(ids, shape, placements, work, link)
         self._colors = _colors(shape, len(shape.vertices))
         self._painted: list[Any] = ["own"] * len(placements)
@@ -437,9 +463,14 @@ class Scans(Node):
 
 
 def send(
-    client: viser.ClientHandle, name: str, ids: Ids, shape: Shape, placements: Sequence[Placement],
-    work: Work | None, link: str,
-) -> Node:  # fmt: skip
+    client: viser.ClientHandle,
+    name: str,
+    ids: Ids,
+    shape: Shape,
+    placements: Sequence[Placement],
+    work: Work | None,
+    link: str,
+) -> Node:
     """Send a shape with all its placements."""
     kind: Callable[..., Node] = Scans if shape.faces is None else Instances
     return kind(client, name, ids, shape, placements, work, link)
@@ -477,9 +508,11 @@ def colored_glb(shape: Shape) -> bytes:
     unique, corner = np.unique(key, return_inverse=True)
     rgba = np.stack([unique >> 16 & 255, unique >> 8 & 255, unique & 255, 0 * unique + 255], 1)
     mesh = Mesh(
-        shape.vertices[unique >> 24].astype(np.float64), corner.reshape(-1, 3).astype(np.int32),
-        materials=(Material("own", (255, 255, 255, 255)),), vertex_colors=rgba.astype(np.uint8),
-    )  # fmt: skip
+        shape.vertices[unique >> 24].astype(np.float64),
+        corner.reshape(-1, 3).astype(np.int32),
+        materials=(Material("own", (255, 255, 255, 255)),),
+        vertex_colors=rgba.astype(np.uint8),
+    )
     return mesh_to_glb(mesh, smooth=False)
 
 

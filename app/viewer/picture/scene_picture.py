@@ -244,11 +244,17 @@ class ScenePicture:
         first, self._floor = self._floor is None, floor
         cell = 10.0 ** np.floor(np.log10(span)) / 2
         self._client.scene.add_grid(
-            f"{ROOT}/ground", width=4 * span, height=4 * span,
-            position=(*bounds.mean(0)[:2], float(bounds[0, 2]) - 2e-3), cell_size=float(cell),
-            section_size=float(2 * cell), cell_color=GRID[self.dark][0],
-            section_color=GRID[self.dark][1], infinite_grid=True, fade_distance=6 * span,
-        )  # fmt: skip
+            f"{ROOT}/ground",
+            width=4 * span,
+            height=4 * span,
+            position=(*bounds.mean(0)[:2], float(bounds[0, 2]) - 2e-3),
+            cell_size=float(cell),
+            section_size=float(2 * cell),
+            cell_color=GRID[self.dark][0],
+            section_color=GRID[self.dark][1],
+            infinite_grid=True,
+            fade_distance=6 * span,
+        )
         if self.ghosted is None and (first or self.camera is None):
             self.frame()
 
@@ -273,14 +279,19 @@ class ScenePicture:
         corners[:, 2] = np.maximum(corners[:, 2], lowest)
         self._outline = [
             self._client.scene.add_line_segments(
-                f"{ROOT}/outline", corners[_EDGES].astype(np.float32), palette.SELECTED,
-                thickness=2.5, thickness_units="screen",
+                f"{ROOT}/outline",
+                corners[_EDGES].astype(np.float32),
+                palette.SELECTED,
+                thickness=2.5,
+                thickness_units="screen",
             ),
             self._client.scene.add_label(
-                f"{ROOT}/name", (selected or "")[:60], anchor="bottom-center",
+                f"{ROOT}/name",
+                (selected or "")[:60],
+                anchor="bottom-center",
                 position=(*corners.mean(0)[:2], float(corners[:, 2].max()) + 0.02 * size),
             ),
-        ]  # fmt: skip
+        ]
 
     # --- working on one object in place
 

@@ -64,10 +64,12 @@ class AnnotateStep:
         self._to_prepare = gui.add_button(PREPARE, color="blue", visible=False)
         self._room = gui.add_button("", icon=viser.Icon.SCISSORS, color="gray", visible=False)
         self._category = Choice(
-            tab, words.CATEGORY, palette.CATEGORIES,
+            tab,
+            words.CATEGORY,
+            palette.CATEGORIES,
             lambda: tab.selection.need_object().document.category,
             lambda category: tab.do(cmd.SetCategory(category)),
-        )  # fmt: skip
+        )
         self._guess = CategoryGuess(
             tab, records, lambda category: tab.do(cmd.SetCategory(category)), project
         )

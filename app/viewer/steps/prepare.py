@@ -401,9 +401,11 @@ class PrepareStep:
             overlay.mark(marks.of(points, found.kinds, asset.display_confidence))
         box = marks.box if found is not None else None
         self._marks.draw(
-            box, None if found is None else found.object_from_asset,
-            removed=True, handle=self._handle,
-        )  # fmt: skip
+            box,
+            None if found is None else found.object_from_asset,
+            removed=True,
+            handle=self._handle,
+        )
 
     def _mark_by_default(self, obj: OpenObject) -> None:
         """Mark what a raw scan has beside the object, and nothing in a clean one."""

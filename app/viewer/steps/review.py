@@ -70,9 +70,11 @@ class ReviewStep:
         gui = tab.client.gui
         self.validation_list = ValidationList(tab, motion, actions.drawn)
         self._override = gui.add_text(
-            words.OVERRIDE, "", visible=False,
+            words.OVERRIDE,
+            "",
+            visible=False,
             hint=words.OVERRIDE_HINT,
-        )  # fmt: skip
+        )
         self._accept = gui.add_button(
             words.accept(False, False, False), icon=viser.Icon.CHECK, color="green"
         )
@@ -135,9 +137,13 @@ class ReviewStep:
         try:
             with self._deciding():
                 accept(
-                    obj, self.comment_text, tab.user, self.override_text,
-                    seen=self.validation_list.looked_at(obj), refused=refused,
-                )  # fmt: skip
+                    obj,
+                    self.comment_text,
+                    tab.user,
+                    self.override_text,
+                    seen=self.validation_list.looked_at(obj),
+                    refused=refused,
+                )
         except UnseenWarningsError as error:
             self._refused(obj, error)
 

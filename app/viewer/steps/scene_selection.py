@@ -290,15 +290,19 @@ class SceneReview:
 
     def _waits(self, id: str) -> bool:
         work = self._workspace.work(id)
-        return work is not None and work.document.review.state == "predicted" and (
-            self._workspace.accepting.mark(work) != "validating")  # fmt: skip
+        return (
+            work is not None
+            and work.document.review.state == "predicted"
+            and (self._workspace.accepting.mark(work) != "validating")
+        )
 
     def above(self, confidence: float) -> list[int]:
         """Sessions of predicted objects of at least that confidence, 0..1, each once."""
         found = [
-            r.work for r in self._choice.rows
+            r.work
+            for r in self._choice.rows
             if r.shown == "predicted" and r.work is not None and r.confidence >= confidence
-        ]  # fmt: skip
+        ]
         return list(dict.fromkeys(found))
 
     def accept_above(self, confidence: float) -> None:

@@ -19,9 +19,13 @@ JOINT: Final = "Joint"
 TYPE: Final = "Type"
 MOTION: Final = "Motion"
 MOTIONS: Final[dict[str, str]] = {
-    "One joint": "single", "Screw": "screw", "Lift and swivel": "lift_and_swivel", "Ball": "ball",
-    "Universal joint": "universal", "Plane": "planar",
-}  # fmt: skip
+    "One joint": "single",
+    "Screw": "screw",
+    "Lift and swivel": "lift_and_swivel",
+    "Ball": "ball",
+    "Universal joint": "universal",
+    "Plane": "planar",
+}
 """Entry of the list → kind of the motion."""
 MOTION_HINT: Final = "Screw, ball and others take several joints"
 PITCH: Final = "Pitch [mm a turn]"

@@ -83,9 +83,14 @@ step = Message("Step: {name}")
 
 
 VIEW_NAMES: Final[dict[str, str]] = {
-    "front": "View: front", "back": "View: back", "right": "View: right", "left": "View: left",
-    "top": "View: top", "bottom": "View: bottom", "opposite": "View: opposite side",
-}  # fmt: skip
+    "front": "View: front",
+    "back": "View: back",
+    "right": "View: right",
+    "left": "View: left",
+    "top": "View: top",
+    "bottom": "View: bottom",
+    "opposite": "View: opposite side",
+}
 FLAT_OR_NOT: Final = "View: perspective or flat"
 FLAT, PERSPECTIVE = "Flat view (5: perspective)", "Perspective"
 ISOLATE: Final = "Isolate part"

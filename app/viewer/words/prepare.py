@@ -22,8 +22,10 @@ GIVEN: Final = "**Shown in another direction.**"
 DOUBTFUL: Final = "**Maybe not upright;** the up direction is uncertain."
 DISCARDS: Final = "⚠ Changes here discard parts and joints; undo restores them."
 KINDS: Final[dict[int, str]] = {
-    SUPPORT: "Support", CLUTTER: "Other objects", OUTLIER: "Outliers",
-}  # fmt: skip
+    SUPPORT: "Support",
+    CLUTTER: "Other objects",
+    OUTLIER: "Outliers",
+}
 KINDS_HINT: Final = "Support: table, floor and walls. What is checked is grey: Enter removes it"
 
 

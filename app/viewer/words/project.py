@@ -19,8 +19,15 @@ DOWNLOAD_HINT: Final = "A row for each day and person"
 FILE: Final = "artiworld_work.csv"
 CLOSE: Final = "Close"
 COLUMNS: Final = (
-    "Person", "Objects", "Accepted", "Accepted/h", "Active", "Waiting", "Clicks", "Corrections",
-)  # fmt: skip
+    "Person",
+    "Objects",
+    "Accepted",
+    "Accepted/h",
+    "Active",
+    "Waiting",
+    "Clicks",
+    "Corrections",
+)
 ACCEPTED: Final = "accepted"
 DAY: Final = "day (UTC)"
 HOURS, MINUTES = "active hours", "active minutes"

@@ -79,9 +79,15 @@ def _wheels(
         for y in (-1, 1):
             spot = (x * (w / 2 - 0.9 * radius), y * (d / 2 - 1.2 * radius), top)
             controls.caster(
-                b, body, spot, radius, palette, rubber(), swivel=bool(swivel and y < 0),
+                b,
+                body,
+                spot,
+                radius,
+                palette,
+                rubber(),
+                swivel=bool(swivel and y < 0),
                 heading=np.pi / 2 if not (swivel and y < 0) else float(rng.random() * 6.28),
-            )  # fmt: skip
+            )
 
 
 def _fronts(
@@ -165,10 +171,17 @@ def _front(
         ]
         look: m.PanelStyle = ("plain", "shaker", "raised", "window")[rng.integers(4)]
         spec = m.DoorSpec(
-            hinge, float(rng.uniform(1.2, 2.3 if alone and hinge in ("left", "right") else 1.55)),
-            look, style, 0.4 * size, 0.08 * size + 0.012, float(rng.uniform(0.3, 0.7)), 0.1 * size,
-            thick, bool(rng.random() < 0.6),
-        )  # fmt: skip
+            hinge,
+            float(rng.uniform(1.2, 2.3 if alone and hinge in ("left", "right") else 1.55)),
+            look,
+            style,
+            0.4 * size,
+            0.08 * size + 0.012,
+            float(rng.uniform(0.3, 0.7)),
+            0.1 * size,
+            thick,
+            bool(rng.random() < 0.6),
+        )
         m.door(b, body, face, front - 0.002, spec, palette)
     elif kind < 0.9 or not alone:
         m.drawer(
@@ -227,9 +240,12 @@ def _top(
         body.add(s.cylinder(r, tall, segments=26).moved(offset), palette.front, "neck")
         cap = b.screw("cap", body, (0, 0, 1), (0, 0, z + tall), 0.3 * size)
         profile = [
-            (1.06 * r, z + tall + 0.004), (1.06 * r, z + 0.6 * tall), (1.25 * r, z + 0.6 * tall),
-            (1.25 * r, z + 1.12 * tall), (0.9 * r, z + 1.18 * tall),
-        ]  # fmt: skip
+            (1.06 * r, z + tall + 0.004),
+            (1.06 * r, z + 0.6 * tall),
+            (1.25 * r, z + 0.6 * tall),
+            (1.25 * r, z + 1.12 * tall),
+            (0.9 * r, z + 1.18 * tall),
+        ]
         shell = s.lathe(profile, 26)
         cap.add(shell, palette.accent, "cap")
     elif kind < 0.72:
@@ -267,10 +283,16 @@ def _controls(
             size = float(np.clip(0.3 * step, 0.004, 0.05))
             if use == 0:
                 controls.knob(
-                    b, body, at, size, 0.9 * size, palette.accent, mark,
+                    b,
+                    body,
+                    at,
+                    size,
+                    0.9 * size,
+                    palette.accent,
+                    mark,
                     style=int(rng.integers(3)),
                     limits=None if rng.random() < 0.5 else (0.0, float(rng.uniform(1.5, 5.0))),
-                )  # fmt: skip
+                )
             elif use == 1:
                 extent = (1.5 * size, 1.2 * size, 0.25 * size)
                 round_ = bool(rng.random() < 0.4)

@@ -110,9 +110,13 @@ def wheel(radius: float, width: float, *, spokes: int = 0) -> tuple[list[Solid],
     """(tyre solids, hub solids) of a wheel that turns about x, centred on the origin."""
     half, r = width / 2, radius
     profile = [
-        (0.72 * r, -half), (0.93 * r, -half), (r, -0.5 * half), (r, 0.5 * half), (0.93 * r, half),
+        (0.72 * r, -half),
+        (0.93 * r, -half),
+        (r, -0.5 * half),
+        (r, 0.5 * half),
+        (0.93 * r, half),
         (0.72 * r, half),
-    ]  # fmt: skip
+    ]
     tyre = s.along(s.ring(profile, 24), 0)
     if spokes:
         hub = [s.along(s.cylinder(0.2 * r, 1.15 * width, segments=14, bevel=0.001), 0)]

@@ -80,9 +80,16 @@ class Corruption:
 
 
 MIXED = Corruption(
-    noise=0.02, outliers=0.01, one_sided=True, split=0.2, merge=0.1, bleed=0.01, turn=True,
-    tilt=0.03, rename=0.2,
-)  # fmt: skip
+    noise=0.02,
+    outliers=0.01,
+    one_sided=True,
+    split=0.2,
+    merge=0.1,
+    bleed=0.01,
+    turn=True,
+    tilt=0.03,
+    rename=0.2,
+)
 """A bit of everything: use with :func:`sometimes` in training."""
 
 
@@ -108,11 +115,17 @@ def sometimes(worst: Corruption, rng: np.random.Generator) -> Corruption:
         return value * float(rng.random()) if rng.random() < 0.5 else 0.0
 
     return replace(
-        worst, noise=share(worst.noise), outliers=share(worst.outliers), split=share(worst.split),
-        merge=share(worst.merge), bleed=share(worst.bleed), tilt=share(worst.tilt),
-        rename=share(worst.rename), one_sided=worst.one_sided and bool(rng.random() < 0.35),
+        worst,
+        noise=share(worst.noise),
+        outliers=share(worst.outliers),
+        split=share(worst.split),
+        merge=share(worst.merge),
+        bleed=share(worst.bleed),
+        tilt=share(worst.tilt),
+        rename=share(worst.rename),
+        one_sided=worst.one_sided and bool(rng.random() < 0.35),
         turn=worst.turn and bool(rng.random() < 0.7),
-    )  # fmt: skip
+    )
 
 
 def corrupted(
@@ -176,9 +189,11 @@ def _sampled(
         piece.append(own[face].astype(np.int64) + used)
         used += int(own.max()) + 1
     return (
-        np.concatenate(points), np.concatenate(colors), np.concatenate(part),
+        np.concatenate(points),
+        np.concatenate(colors),
+        np.concatenate(part),
         np.concatenate(piece),
-    )  # fmt: skip
+    )
 
 
 def _without(tree: KinematicTree, link: str) -> KinematicTree:

@@ -193,17 +193,23 @@ def _globe(rng: np.random.Generator) -> Image.Image:
 
 
 KEY_ROWS: tuple[tuple[float, ...], ...] = (
-    (1.0,) * 14 + (1.0,), (1.0,) * 13 + (2.0,), (1.5,) + (1.0,) * 12 + (1.5,),
-    (1.75,) + (1.0,) * 11 + (2.25,), (2.25,) + (1.0,) * 10 + (2.75,),
+    (1.0,) * 14 + (1.0,),
+    (1.0,) * 13 + (2.0,),
+    (1.5,) + (1.0,) * 12 + (1.5,),
+    (1.75,) + (1.0,) * 11 + (2.25,),
+    (2.25,) + (1.0,) * 10 + (2.75,),
     (1.25, 1.25, 1.25, 5.5, 1.25, 1.25, 1.25, 1.0, 1.0),
-)  # fmt: skip
+)
 """Key widths row by row from the back, in key pitches; each row is 15 wide."""
 
 _LEGENDS = (
-    ("esc", *(f"F{k}" for k in range(1, 13)), "ins", "del"), ("`", *"1234567890-=", "back"),
-    ("tab", *"QWERTYUIOP[]", "\\"), ("caps", *"ASDFGHJKL;'", "enter"),
-    ("shift", *"ZXCVBNM,./", "shift"), ("ctrl", "fn", "alt", "", "alt", "menu", "ctrl", "<", ">"),
-)  # fmt: skip
+    ("esc", *(f"F{k}" for k in range(1, 13)), "ins", "del"),
+    ("`", *"1234567890-=", "back"),
+    ("tab", *"QWERTYUIOP[]", "\\"),
+    ("caps", *"ASDFGHJKL;'", "enter"),
+    ("shift", *"ZXCVBNM,./", "shift"),
+    ("ctrl", "fn", "alt", "", "alt", "menu", "ctrl", "<", ">"),
+)
 
 
 def _keys(rng: np.random.Generator) -> Image.Image:

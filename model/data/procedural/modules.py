@@ -62,8 +62,11 @@ def handle(style: HandleStyle, length: float, depth: float = 0.03) -> list[Solid
     if style == "bow":
         half = length / 2
         corners = [
-            (0, 0.001, -half), (0, -depth, -0.8 * half), (0, -depth, 0.8 * half), (0, 0.001, half),
-        ]  # fmt: skip
+            (0, 0.001, -half),
+            (0, -depth, -0.8 * half),
+            (0, -depth, 0.8 * half),
+            (0, 0.001, half),
+        ]
         path = s.bent_path(corners, 0.6 * depth)
         return [s.sweep(path, s.rectangle(1.6 * thick, 0.9 * thick, 0.25 * thick))]
     if style == "flat":
@@ -91,9 +94,13 @@ def handle(style: HandleStyle, length: float, depth: float = 0.03) -> list[Solid
         stem = s.along(s.cylinder(0.4 * radius, depth, segments=12), 1).moved((0, -depth / 2, 0))
         return [stem, s.sphere(0.75 * radius, 14).moved((0, -1.1 * depth, 0))]
     profile = [
-        (0.75 * radius, -0.0005), (0.45 * radius, 0.3 * depth), (0.5 * radius, 0.55 * depth),
-        (radius, 0.75 * depth), (0.95 * radius, 0.95 * depth), (0.5 * radius, 1.05 * depth),
-    ]  # fmt: skip
+        (0.75 * radius, -0.0005),
+        (0.45 * radius, 0.3 * depth),
+        (0.5 * radius, 0.55 * depth),
+        (radius, 0.75 * depth),
+        (0.95 * radius, 0.95 * depth),
+        (0.5 * radius, 1.05 * depth),
+    ]
     return [s.along(s.lathe(profile, 18), 1)]
 
 

@@ -253,9 +253,11 @@ def tray(
         return rectangle(w - cut, d - cut, max(radius - cut / 2, 0.3 * radius), corner)
 
     loops = [
-        at(outline(2 * taper), 0), at(outline(0), h), at(outline(2 * wall), h),
+        at(outline(2 * taper), 0),
+        at(outline(0), h),
+        at(outline(2 * wall), h),
         at(outline(2 * wall + at_floor), floor),
-    ]  # fmt: skip
+    ]
     return loft(loops)
 
 

@@ -360,9 +360,11 @@ def _table(low: Array, high: Array, diagonal: float, rng: np.random.Generator) -
     reach = diagonal * rng.uniform(0.15, 0.9, 4)
     thickness = 0.03 * diagonal
     corners = np.array(
-        [[low[0] - reach[0], low[1] - reach[1], low[2] - thickness],
-         [high[0] + reach[2], high[1] + reach[3], low[2]]]
-    )  # fmt: skip
+        [
+            [low[0] - reach[0], low[1] - reach[1], low[2] - thickness],
+            [high[0] + reach[2], high[1] + reach[3], low[2]],
+        ]
+    )
     return _box(corners, rng)
 
 

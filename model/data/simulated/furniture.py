@@ -228,8 +228,12 @@ def appliance(b: Builder) -> None:
         front(b, part, rect, -0.001, thick, b.chance(0.6))
         length = b.uniform(0.3, 0.8) * min(rect[2] - rect[0], rect[3] - rect[1])
         z = rect[3] - 0.06 if b.chance(0.5) else (rect[1] + rect[3]) / 2
-        handle(b, part, ((rect[0] + rect[2]) / 2 if z > rect[3] - 0.1 else rect[2] - 0.05,
-                         -thick, z), length)  # fmt: skip
+        handle(
+            b,
+            part,
+            ((rect[0] + rect[2]) / 2 if z > rect[3] - 0.1 else rect[2] - 0.05, -thick, z),
+            length,
+        )
         if b.chance(0.3):
             flap = b.chance(0.5)
             origin = (0, 0, rect[1]) if flap else (rect[0], 0, 0)
@@ -244,17 +248,25 @@ def appliance(b: Builder) -> None:
             knob(b, at, radius * 0.7)
         else:
             part = b.new_part()
-            b.add(part, block((at[0] - radius * 0.7, -proud - 0.008, at[2] - radius * 0.4),
-                              (at[0] + radius * 0.7, -proud, at[2] + radius * 0.4)),
-                  b.color(0.4))  # fmt: skip
+            b.add(
+                part,
+                block(
+                    (at[0] - radius * 0.7, -proud - 0.008, at[2] - radius * 0.4),
+                    (at[0] + radius * 0.7, -proud, at[2] + radius * 0.4),
+                ),
+                b.color(0.4),
+            )
 
 
 def house_door(b: Builder) -> None:
     """One or two wings in a frame, levers, a letter box."""
     w, h, t = b.uniform(0.7, 1.8), b.uniform(1.8, 2.3), b.uniform(0.03, 0.05)
     f = b.uniform(0.03, 0.1)
-    for low, high in (((-f, 0, 0), (0, 0.1, h)), ((w, 0, 0), (w + f, 0.1, h)),
-                      ((-f, 0, h), (w + f, 0.1, h + f))):  # fmt: skip
+    for low, high in (
+        ((-f, 0, 0), (0, 0.1, h)),
+        ((w, 0, 0), (w + f, 0.1, h)),
+        ((-f, 0, h), (w + f, 0.1, h + f)),
+    ):
         b.add(0, block(low, high), b.palette[1])
     cuts = np.linspace(0, w, 3 if w > 1.2 else 2)
     for i in range(len(cuts) - 1):
@@ -277,17 +289,26 @@ def lidded_box(b: Builder) -> None:
     """A case, bin or carton with one to four flaps, closed or open."""
     w, d, h = b.uniform(0.1, 0.6), b.uniform(0.1, 0.5), b.uniform(0.06, 0.6)
     t = b.uniform(0.003, 0.012)
-    for low, high in (((0, 0, 0), (t, d, h)), ((w - t, 0, 0), (w, d, h)), ((0, 0, 0), (w, t, h)),
-                      ((0, d - t, 0), (w, d, h)), ((0, 0, 0), (w, d, t))):  # fmt: skip
+    for low, high in (
+        ((0, 0, 0), (t, d, h)),
+        ((w - t, 0, 0), (w, d, h)),
+        ((0, 0, 0), (w, t, h)),
+        ((0, d - t, 0), (w, d, h)),
+        ((0, 0, 0), (w, d, t)),
+    ):
         b.add(0, block(low, high))
     n = int(b.rng.choice([1, 1, 2, 4]))
     flaps = [((0, 0), (w, d), (1, 0, 0), (0, d, h), -1)]
     if n >= 2:
-        flaps = [((0, 0), (w / 2, d), (0, 1, 0), (0, 0, h), -1),
-                 ((w / 2, 0), (w, d), (0, 1, 0), (w, 0, h), 1)]  # fmt: skip
+        flaps = [
+            ((0, 0), (w / 2, d), (0, 1, 0), (0, 0, h), -1),
+            ((w / 2, 0), (w, d), (0, 1, 0), (w, 0, h), 1),
+        ]
     if n == 4:
-        flaps += [((0, 0), (w, d / 2), (1, 0, 0), (0, 0, h), 1),
-                  ((0, d / 2), (w, d), (1, 0, 0), (0, d, h), -1)]  # fmt: skip
+        flaps += [
+            ((0, 0), (w, d / 2), (1, 0, 0), (0, 0, h), 1),
+            ((0, d / 2), (w, d), (1, 0, 0), (0, d, h), -1),
+        ]
     for i, (low, high, axis, origin, sign) in enumerate(flaps):
         part = b.new_part()
         start = len(b.solids)
@@ -316,8 +337,9 @@ def clamshell(b: Builder) -> None:
     start = len(b.solids)
     color = b.color(0.6)
     b.add(part, block((0, 0, t + 0.001), (w, d, t + b.uniform(0.4, 1.0) * t), bevel), color)
-    b.add(part, block((0.05 * w, 0.05 * d, t + 0.0005), (0.95 * w, 0.95 * d, t + 0.001)),
-          b.palette[1])  # fmt: skip
+    b.add(
+        part, block((0.05 * w, 0.05 * d, t + 0.0005), (0.95 * w, 0.95 * d, t + 0.001)), b.palette[1]
+    )
     if b.chance(0.85):
         b.turn_since(start, (-1, 0, 0), b.uniform(0.4, 2.4), (0, d, t))
     for x in (0.2 * w, 0.7 * w):

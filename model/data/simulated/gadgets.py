@@ -34,16 +34,28 @@ def vessel(b: Builder) -> None:
             )
             b.add(0, tube(path, 0.06 * radius), metal)
     elif kind == 1:
-        b.add(0, rod((rim * 0.9, 0, height * 0.8), (rim * 0.9 + 2 * radius, 0, height * 0.9),
-                     0.1 * radius), metal)  # fmt: skip
+        b.add(
+            0,
+            rod(
+                (rim * 0.9, 0, height * 0.8),
+                (rim * 0.9 + 2 * radius, 0, height * 0.9),
+                0.1 * radius,
+            ),
+            metal,
+        )
     elif kind == 2:
         part = b.new_part() if b.chance(0.6) else 0
         turn = np.linspace(0, np.pi, 24)[:, None]
         path = np.array([0, 0, height * 0.9]) + (
             np.cos(turn) * [rim * 1.02, 0, 0] + np.sin(turn) * [0, 0, 1.2 * radius]
         )
-        b.add(part, turned(tube(path, 0.04 * radius), (1, 0, 0), b.uniform(-1.2, 1.2),
-                           (0, 0, height * 0.9)), metal)  # fmt: skip
+        b.add(
+            part,
+            turned(
+                tube(path, 0.04 * radius), (1, 0, 0), b.uniform(-1.2, 1.2), (0, 0, height * 0.9)
+            ),
+            metal,
+        )
     if b.chance(0.85):
         part = b.new_part()
         lift = b.uniform(0, 0.02) if b.chance(0.7) else b.uniform(0.05, 0.4) * height
@@ -96,11 +108,15 @@ def faucet(b: Builder) -> None:
         lever = b.new_part()
         color = b.color(0.6)
         b.add(0, rod((x * 0.01 * s, 0, 0.05 * s), (x * 0.035 * s, 0, 0.05 * s), 0.013 * s))
-        b.add(lever, rod((x * 0.036 * s, 0, 0.05 * s), (x * 0.056 * s, 0, 0.05 * s), 0.015 * s),
-              color)  # fmt: skip
+        b.add(
+            lever, rod((x * 0.036 * s, 0, 0.05 * s), (x * 0.056 * s, 0, 0.05 * s), 0.015 * s), color
+        )
         if b.chance(0.6):
-            end = (x * b.uniform(0.07, 0.12) * s, b.uniform(-0.04, 0.02) * s,
-                   b.uniform(0.05, 0.12) * s)  # fmt: skip
+            end = (
+                x * b.uniform(0.07, 0.12) * s,
+                b.uniform(-0.04, 0.02) * s,
+                b.uniform(0.05, 0.12) * s,
+            )
             b.add(lever, rod((x * 0.046 * s, 0, 0.05 * s), end, 0.005 * s), color)
         else:
             for a in np.arange(4) * np.pi / 2:
@@ -118,19 +134,31 @@ def blades(b: Builder) -> None:
         part = 0 if i == 0 else b.new_part()
         start = len(b.solids)
         z = i * thick * 1.02
-        b.add(part, block((-width / 2, 0, z), (width / 2, length, z + thick), thick * 0.3),
-              b.palette[1])  # fmt: skip
+        b.add(
+            part,
+            block((-width / 2, 0, z), (width / 2, length, z + thick), thick * 0.3),
+            b.palette[1],
+        )
         if crossed:
-            b.add(part, block((-width / 2, -0.5 * length, z), (width / 2, 0, z + thick)),
-                  b.palette[1])  # fmt: skip
+            b.add(
+                part, block((-width / 2, -0.5 * length, z), (width / 2, 0, z + thick)), b.palette[1]
+            )
             if b.chance(0.7):
                 side = width if i else -width
-                b.add(part, ring((side, -0.65 * length, z + thick / 2), (0, 0, 1), 0.18 * length,
-                                 thick), grip)  # fmt: skip
+                b.add(
+                    part,
+                    ring((side, -0.65 * length, z + thick / 2), (0, 0, 1), 0.18 * length, thick),
+                    grip,
+                )
         elif i == 0 or b.chance(0.5):
-            b.add(part, block((-width * 0.6, 0, z + (0.1 if i == 0 else 1) * thick),
-                              (width * 0.6, length * 0.8, z + thick * (0.9 if i == 0 else 1.8))),
-                  grip)  # fmt: skip
+            b.add(
+                part,
+                block(
+                    (-width * 0.6, 0, z + (0.1 if i == 0 else 1) * thick),
+                    (width * 0.6, length * 0.8, z + thick * (0.9 if i == 0 else 1.8)),
+                ),
+                grip,
+            )
         open_by = (1 if i else -1) * b.uniform(0.05, 0.6) if crossed else i * b.uniform(0.1, 2.8)
         axis = (0, 0, 1) if crossed or b.chance(0.5) else (1, 0, 0)
         b.turn_since(start, axis, open_by, (0, 0, thick))
@@ -204,8 +232,11 @@ def cart(b: Builder) -> None:
     w, d, z = b.uniform(0.3, 0.7), b.uniform(0.5, 1.0), b.uniform(0.12, 0.3)
     b.add(0, block((0, 0, z), (w, d, z + 0.04)))
     if b.chance(0.5):
-        for low, high in (((0, 0, z), (0.01, d, z + 0.4)), ((w - 0.01, 0, z), (w, d, z + 0.4)),
-                          ((0, d - 0.01, z), (w, d, z + 0.4))):  # fmt: skip
+        for low, high in (
+            ((0, 0, z), (0.01, d, z + 0.4)),
+            ((w - 0.01, 0, z), (w, d, z + 0.4)),
+            ((0, d - 0.01, z), (w, d, z + 0.4)),
+        ):
             b.add(0, block(low, high), b.palette[2])
     for x in (0.05 * w, 0.95 * w):
         b.add(0, rod((x, 0.02, z), (x, -0.1, z + 0.7), 0.012), b.palette[1])

@@ -142,8 +142,9 @@ def _run(wall: _Wall, start: float, end: float) -> None:
         mesh = room.family(("Dishwasher", "Oven") if kitchen else ("StorageFurniture",))
         size = np.ptp(mesh.vertices, axis=0)
         wide = min(float(rng.uniform(0.35, 1.0)), end - at)
-        mesh = replace(mesh, vertices=mesh.vertices * [wide / size[0], deep / size[1],
-                                                       high / size[2]])  # fmt: skip
+        mesh = replace(
+            mesh, vertices=mesh.vertices * [wide / size[0], deep / size[1], high / size[2]]
+        )
         label = together if together and not kitchen else room.new()
         if wall.stand(wall.put(mesh, at + wide / 2), label, margin=_FLUSH):
             placed += [at, at + wide]
@@ -151,8 +152,11 @@ def _run(wall: _Wall, start: float, end: float) -> None:
     if placed and rng.random() < 0.8:
         low, top = min(placed), high + float(rng.uniform(0.02, 0.05))
         width = max(placed) - low
-        plate = _solid((-width / 2, -deep / 2 - 0.02, 0), (width / 2, deep / 2, top - high),
-                       rng.uniform(40, 230, 3))  # fmt: skip
+        plate = _solid(
+            (-width / 2, -deep / 2 - 0.02, 0),
+            (width / 2, deep / 2, top - high),
+            rng.uniform(40, 230, 3),
+        )
         own = room.new() if rng.random() < 0.7 else (together or room.new())
         room.add(wall.put(plate, low + width / 2, up=high), own)
         for _ in range(int(rng.integers(0, 4))):

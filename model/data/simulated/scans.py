@@ -81,8 +81,9 @@ def build(seed: int, families: tuple[str, ...] | None = None) -> Shape:
     shape = _assembly(name, rng) if name in _ASSEMBLY else family_shape(name, seed)
     stretch = np.exp(rng.normal(0, 0.12, 3))
     angle = rng.choice([0.0, rng.uniform(0, 2 * np.pi)])
-    turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0],
-                     [0, 0, 1]])  # fmt: skip
+    turn = np.array(
+        [[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]]
+    )
     return replace(shape, mesh=replace(shape.mesh, vertices=shape.mesh.vertices * stretch @ turn.T))
 
 

@@ -50,9 +50,10 @@ def recover(folder: Path) -> None:
     start = f".{folder.name}."
     try:
         waiting = [
-            p for p in folder.parent.iterdir()
+            p
+            for p in folder.parent.iterdir()
             if p.name.startswith(start) and p.name.endswith(OLD) and (p / PROVENANCE).is_file()
-        ]  # fmt: skip
+        ]
         if waiting:
             max(waiting, key=lambda p: p.stat().st_mtime).rename(folder)
     except OSError:
@@ -310,9 +311,12 @@ def yourdfpy_problems(
     out: list[str] = []
     with _silenced("yourdfpy.urdf"):
         robot = yourdfpy.URDF.load(
-            str(path), load_meshes=True, load_collision_meshes=True,
-            build_collision_scene_graph=True, filename_handler=inside,
-        )  # fmt: skip
+            str(path),
+            load_meshes=True,
+            load_collision_meshes=True,
+            build_collision_scene_graph=True,
+            filename_handler=inside,
+        )
         if not robot.validate():
             out += [f"yourdfpy: {error}" for error in robot.errors]
         for q in settings:

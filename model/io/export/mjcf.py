@@ -67,9 +67,13 @@ class _Writer:
         self.origins = link_origins(obj.tree)
         self.root = ET.Element("mujoco", model=xml_name(obj.name))
         ET.SubElement(
-            self.root, "compiler", angle="radian", meshdir=MESHES, texturedir=MESHES,
+            self.root,
+            "compiler",
+            angle="radian",
+            meshdir=MESHES,
+            texturedir=MESHES,
             autolimits="true",
-        )  # fmt: skip
+        )
         self.assets = ET.SubElement(self.root, "asset")
         self.textures: set[str] = set()
         self.files: list[Path] = []
@@ -133,9 +137,12 @@ class _Writer:
         t = inertial.exact_tensor
         six = (t[0, 0], t[1, 1], t[2, 2], t[0, 1], t[0, 2], t[1, 2])
         ET.SubElement(
-            body, "inertial", pos=vector(inertial.center - self.origins[link]),
-            mass=number(inertial.mass), fullinertia=" ".join(map(number, six)),
-        )  # fmt: skip
+            body,
+            "inertial",
+            pos=vector(inertial.center - self.origins[link]),
+            mass=number(inertial.mass),
+            fullinertia=" ".join(map(number, six)),
+        )
 
     def _geoms(self, body: ET.Element, mesh: Mesh, link: str, stem: str) -> None:
         for count, index in enumerate(np.unique(mesh.face_material)):
@@ -151,10 +158,16 @@ class _Writer:
             # Mass comes from <inertial>; as shells flat meshes are accepted too.
             ET.SubElement(self.assets, "mesh", name=name, file=path.name, inertia="shell")
             ET.SubElement(
-                body, "geom", type="mesh", mesh=name, material=material,
-                pos=vector(-self.origins[link]), contype="0", conaffinity="0",
+                body,
+                "geom",
+                type="mesh",
+                mesh=name,
+                material=material,
+                pos=vector(-self.origins[link]),
+                contype="0",
+                conaffinity="0",
                 group=str(VISUAL_GROUP),
-            )  # fmt: skip
+            )
 
     def _collision(self, body: ET.Element, shape: str | Primitive, link: str) -> None:
         geom = ET.SubElement(body, "geom", group=str(COLLISION_GROUP))
@@ -241,9 +254,12 @@ class _Writer:
             assert joint.mimic is not None
             terms = [joint.mimic.offset, joint.mimic.multiplier, 0, 0, 0]
             ET.SubElement(
-                equality, "joint", joint1=joint.name, joint2=joint.mimic.joint,
+                equality,
+                "joint",
+                joint1=joint.name,
+                joint2=joint.mimic.joint,
                 polycoef=vector(terms),
-            )  # fmt: skip
+            )
 
 
 def losses_of(obj: ArticulatedObject) -> tuple[str, ...]:
@@ -286,8 +302,12 @@ def _emission(maps: SurfaceMaps, color: npt.NDArray[np.float64]) -> float:
 
 def _plain(piece: Mesh) -> Mesh:
     """The shape and its texture coordinates alone, with the four corners that MuJoCo asks for."""
-    bare = replace(piece, materials=(Material(),), vertex_colors=None,
-                   face_material=np.zeros(len(piece.faces), np.int32))  # fmt: skip
+    bare = replace(
+        piece,
+        materials=(Material(),),
+        vertex_colors=None,
+        face_material=np.zeros(len(piece.faces), np.int32),
+    )
     short = max(0, 4 - len(bare.vertices))
     if not short:
         return bare

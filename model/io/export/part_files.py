@@ -117,9 +117,13 @@ FOLDER = f"{MESHES}/collision"
 
 
 def write_collision(
-    collision: Collision, parts: Sequence[Part], folder: Path, *,
-    capsules: bool = False, concave: bool = True,
-) -> dict[str, list[str | Primitive]]:  # fmt: skip
+    collision: Collision,
+    parts: Sequence[Part],
+    folder: Path,
+    *,
+    capsules: bool = False,
+    concave: bool = True,
+) -> dict[str, list[str | Primitive]]:
     """Write hulls into ``folder/meshes/collision``.
 
     Args:

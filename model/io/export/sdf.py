@@ -62,8 +62,9 @@ def sdf_tree(obj: ArticulatedObject) -> tuple[KinematicTree, dict[str, float]]:
         helpers.add(slide.child)
     joints = (
         replace(j, parent=parents.get(j.name, j.parent))
-        for j in tree.joints if j.child not in helpers
-    )  # fmt: skip
+        for j in tree.joints
+        if j.child not in helpers
+    )
     return KinematicTree(tuple(x for x in tree.links if x not in helpers), tuple(joints)), pitches
 
 
@@ -155,8 +156,14 @@ def _inertial(link: ET.Element, inertial: Inertial, origin: npt.NDArray[np.float
     _text(element, "pose", _pose(center - origin))
     _text(element, "mass", number(inertial.mass))
     tensor = ET.SubElement(element, "inertia")
-    for i, j, key in ((0, 0, "ixx"), (0, 1, "ixy"), (0, 2, "ixz"), (1, 1, "iyy"), (1, 2, "iyz"),
-                      (2, 2, "izz")):  # fmt: skip
+    for i, j, key in (
+        (0, 0, "ixx"),
+        (0, 1, "ixy"),
+        (0, 2, "ixz"),
+        (1, 1, "iyy"),
+        (1, 2, "iyz"),
+        (2, 2, "izz"),
+    ):
         _text(tensor, key, number(inertial.exact_tensor[i, j]))
 
 

@@ -233,8 +233,15 @@ class _Writer:
             picture = self._picture(ImageFile(*encode(material.texture)))
         shown = shown if picture is None else ()
         color_of = material.base_color if not shown else (255, 255, 255, 255)
-        key = (color_of, picture, material.metallic, material.roughness, material.maps, shown,
-               made_of)  # fmt: skip
+        key = (
+            color_of,
+            picture,
+            material.metallic,
+            material.roughness,
+            material.maps,
+            shown,
+            made_of,
+        )
         if key in self.looks:
             return self.looks[key]
         types, shade = self.Sdf.ValueTypeNames, self.UsdShade
@@ -433,10 +440,14 @@ class _Writer:
         api.CreateStiffnessAttr(0.0)
         api.CreateDampingAttr(dynamics.damping / unit)
         api.CreateMaxForceAttr(dynamics.effort)
-        self._extra(prim, "PhysxJointAPI", [
-            (FRICTION, dynamics.friction),
-            ("physxJoint:maxJointVelocity", dynamics.velocity * unit),
-        ])  # fmt: skip
+        self._extra(
+            prim,
+            "PhysxJointAPI",
+            [
+                (FRICTION, dynamics.friction),
+                ("physxJoint:maxJointVelocity", dynamics.velocity * unit),
+            ],
+        )
 
     def _extra(self, prim: Any, schema: str, values: Sequence[tuple[str, float]]) -> None:
         """A schema of PhysX, which usd-core doesn't know, by its names."""
@@ -451,10 +462,14 @@ class _Writer:
         mine_unit = 180.0 / math.pi if joint.rotates else 1.0
         their_unit = 180.0 / math.pi if theirs == "rotX" else 1.0
         base = f"physxMimicJoint:{axis}"
-        self._extra(prim, f"PhysxMimicJointAPI:{axis}", [
-            (f"{base}:gearing", -mimic.multiplier * mine_unit / their_unit),
-            (f"{base}:offset", -mimic.offset * mine_unit),
-        ])  # fmt: skip
+        self._extra(
+            prim,
+            f"PhysxMimicJointAPI:{axis}",
+            [
+                (f"{base}:gearing", -mimic.multiplier * mine_unit / their_unit),
+                (f"{base}:offset", -mimic.offset * mine_unit),
+            ],
+        )
         token = self.Sdf.ValueTypeNames.Token
         prim.CreateAttribute(f"{base}:referenceJointAxis", token, False).Set(theirs)
         prim.CreateRelationship(f"{base}:referenceJoint", False).SetTargets([leader.GetPath()])

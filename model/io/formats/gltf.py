@@ -28,10 +28,15 @@ _UNREADABLE = {
     "EXT_meshopt_compression": "meshopt compression",
 }
 _READ = {
-    "EXT_mesh_gpu_instancing", "KHR_mesh_quantization", "KHR_texture_transform",
-    "KHR_lights_punctual", "KHR_xmp", "KHR_xmp_json_ld", "KHR_animation_pointer",
+    "EXT_mesh_gpu_instancing",
+    "KHR_mesh_quantization",
+    "KHR_texture_transform",
+    "KHR_lights_punctual",
+    "KHR_xmp",
+    "KHR_xmp_json_ld",
+    "KHR_animation_pointer",
     "EXT_texture_webp",
-}  # fmt: skip
+}
 """Extensions that are read, or that change no shape."""
 _LOOKS = "KHR_materials_"
 """Begins the names of extensions that change no shape."""
@@ -97,9 +102,10 @@ def consistent(path: Path) -> Iterator[None]:
         yield
     except (KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise InputFileError(
-            path, f"the glTF inside is inconsistent ({type(error).__name__}: {error})",
+            path,
+            f"the glTF inside is inconsistent ({type(error).__name__}: {error})",
             "export it again",
-        ) from None  # fmt: skip
+        ) from None
 
 
 def _glb(path: Path, data: bytes) -> tuple[Json, bytes]:
@@ -132,9 +138,10 @@ def _json(path: Path, data: bytes) -> Json:
         tree = json.loads(data.decode("utf-8-sig"))
     except (ValueError, RecursionError):
         raise InputFileError(
-            path, "is damaged or not glTF: what it says of itself can't be read",
+            path,
+            "is damaged or not glTF: what it says of itself can't be read",
             "export or download it again",
-        ) from None  # fmt: skip
+        ) from None
     if not isinstance(tree, dict):
         raise InputFileError(path, "is not glTF: no object at its top")
     return tree
@@ -233,9 +240,10 @@ class Gltf:
             for child in node.get("children") or ():
                 if child in seen:
                     raise InputFileError(
-                        self.path, f"node {child} has two parents or is in a cycle",
+                        self.path,
+                        f"node {child} has two parents or is in a cycle",
                         "export it again",
-                    )  # fmt: skip
+                    )
                 seen.add(child)
 
     def _instances(self, node: Json, world: Array) -> list[Array]:

@@ -126,9 +126,12 @@ class GltfBuffers:
     def _sparse(self, dense: Array, sparse: Json, dtype: np.dtype, width: int) -> Array:
         count, at, to = int(sparse["count"]), sparse["indices"], sparse["values"]
         where = self._strided(
-            at["bufferView"], int(at.get("byteOffset") or 0), count,
-            np.dtype(_COMPONENTS[at["componentType"]]), 1,
-        )  # fmt: skip
+            at["bufferView"],
+            int(at.get("byteOffset") or 0),
+            count,
+            np.dtype(_COMPONENTS[at["componentType"]]),
+            1,
+        )
         values = self._strided(
             to["bufferView"], int(to.get("byteOffset") or 0), count, dtype, width
         )

@@ -211,9 +211,14 @@ def colors_from(values: Array) -> npt.NDArray[np.uint8]:
 
 
 def check_indices(
-    path: Path, faces: Array, count: int, *, sizes: Array | None = None,
-    written: Array | None = None, what: str = "vertex",
-) -> None:  # fmt: skip
+    path: Path,
+    faces: Array,
+    count: int,
+    *,
+    sizes: Array | None = None,
+    written: Array | None = None,
+    what: str = "vertex",
+) -> None:
     """Raise where ``faces`` index a vertex, or ``what`` else, that isn't there.
 
     Args:
@@ -235,9 +240,10 @@ def check_indices(
     value = (flat if written is None else written)[at]
     shown = f"{int(value)}" if abs(value) < 2**63 else f"{value:g}"
     raise InputFileError(
-        path, f"face {face} uses {what} {shown} of {count}",
+        path,
+        f"face {face} uses {what} {shown} of {count}",
         "the file is damaged; export it again",
-    )  # fmt: skip
+    )
 
 
 def numbers(path: Path, text: str, what: str) -> npt.NDArray[np.float64]:

@@ -190,9 +190,7 @@ class MaterialFiles:
         strength = 1.0
         if occlusion is not None:
             strength = min(max(1.0 - _option(rows["map_ao"], "-mm", 0.0), 0.0), 1.0)
-        return SurfaceMaps(
-            normal, scale, (red, green, blue), emissive, occlusion, strength
-        )  # fmt: skip
+        return SurfaceMaps(normal, scale, (red, green, blue), emissive, occlusion, strength)
 
     def _map(self, value: str | None, path: Path, warnings: list[str]) -> ImageFile | None:
         """The image that a row of the material names; its pixels don't stay in memory."""

@@ -79,9 +79,13 @@ def read_obj(
     if textured and lines.vt and (uv_index >= 0).any():
         uv = _uv(path, lines.vt)
         check_indices(
-            path, np.maximum(corner_t, 0), len(uv), sizes=sizes, written=corner_t + 1,
+            path,
+            np.maximum(corner_t, 0),
+            len(uv),
+            sizes=sizes,
+            written=corner_t + 1,
             what="texture coordinate",
-        )  # fmt: skip
+        )
         moves = files.uv_transforms(materials)
         own = np.repeat(face_material, 3) if moves is not None else np.zeros(len(flat), np.int64)
         key = (corner_v[flat] * (len(uv) + 1) + uv_index + 1) * len(materials) + own

@@ -143,8 +143,9 @@ def _binary_ragged(
     plan = []
     for p in e.properties:
         count = np.dtype(p.count_type or "u1")
-        plan.append((p.count_type is not None, count.itemsize, count.kind == "i",
-                     np.dtype(p.type).itemsize))  # fmt: skip
+        plan.append(
+            (p.count_type is not None, count.itemsize, count.kind == "i", np.dtype(p.type).itemsize)
+        )
     byteorder, end = ("big" if order == ">" else "little"), len(body)
     if any(p.count_type in ("f4", "f8") for p in e.properties):
         raise InputFileError(path, f"the lists of {e.name!r} are counted in floats")

@@ -109,11 +109,16 @@ _COMMA_NUMBER = re.compile(r"[-+]?\d+(,\d+)?([eE][-+]?\d+)?")
 _LONGEST_LINE = 100_000
 _SEPARATORS = str.maketrans({",": " ", ";": " ", "\t": " ", "|": " "})
 _NAMES = {
-    "x": ("x", "px", "//x", "x [m]"), "y": ("y", "py", "y [m]"), "z": ("z", "pz", "z [m]"),
-    "r": ("r", "red"), "g": ("g", "green"), "b": ("b", "blue"),
-    "nx": ("nx", "normal_x", "normalx"), "ny": ("ny", "normal_y", "normaly"),
+    "x": ("x", "px", "//x", "x [m]"),
+    "y": ("y", "py", "y [m]"),
+    "z": ("z", "pz", "z [m]"),
+    "r": ("r", "red"),
+    "g": ("g", "green"),
+    "b": ("b", "blue"),
+    "nx": ("nx", "normal_x", "normalx"),
+    "ny": ("ny", "normal_y", "normaly"),
     "nz": ("nz", "normal_z", "normalz"),
-}  # fmt: skip
+}
 
 
 def read_text(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
@@ -157,9 +162,10 @@ def _check_lines(path: Path, text: str) -> None:
         end = text.rfind("\n", at, at + _LONGEST_LINE)
         if end < 0:
             raise InputFileError(
-                path, f"has a line of more than {_LONGEST_LINE:,} characters",
+                path,
+                f"has a line of more than {_LONGEST_LINE:,} characters",
                 "each row needs a line of its own, as in x y z or x y z r g b",
-            )  # fmt: skip
+            )
         at = end + 1
 
 

@@ -93,9 +93,11 @@ def _check_binary(path: Path) -> None:
     seconds = OPEN_SECONDS + path.stat().st_size / _BYTES_A_SECOND
     try:
         done = subprocess.run(
-            [sys.executable, "-c", code, str(path)], capture_output=True, timeout=seconds,
+            [sys.executable, "-c", code, str(path)],
+            capture_output=True,
+            timeout=seconds,
             check=False,
-        )  # fmt: skip
+        )
     except subprocess.TimeoutExpired:
         what = f"can't be opened within {seconds:.0f} s"
         raise InputFileError(path, what, "it is damaged; export it again") from None
@@ -177,9 +179,10 @@ class UsdStage:
         if prim.GetTypeName() in ("Mesh", *SHAPES):
             return False
         return (
-            prim.IsA(self.geom.Gprim) or prim.IsA(self.geom.PointInstancer)
+            prim.IsA(self.geom.Gprim)
+            or prim.IsA(self.geom.PointInstancer)
             or prim.GetTypeName() == "SkelRoot"
-        )  # fmt: skip
+        )
 
     def world(self, prim: Any) -> FloatArray:
         """(4, 4) world_from_prim in metres, +z up, of points in metres, +z up."""
@@ -213,8 +216,11 @@ class UsdStage:
             shape = creation.icosphere(subdivisions=3, radius=float(made.GetRadiusAttr().Get()))
         else:
             radius, height = (float(a.Get()) for a in (made.GetRadiusAttr(), made.GetHeightAttr()))
-            build = {"Cylinder": creation.cylinder, "Capsule": creation.capsule,
-                     "Cone": creation.cone}[kind]  # fmt: skip
+            build = {
+                "Cylinder": creation.cylinder,
+                "Capsule": creation.capsule,
+                "Cone": creation.cone,
+            }[kind]
             shape = build(radius=radius, height=height)
             if kind != "Cylinder":  # trimesh's stand on, or begin at, the origin
                 shape.apply_translation(-shape.bounds.mean(0))
@@ -237,8 +243,9 @@ class UsdStage:
         color = (int(rgb[0]), int(rgb[1]), int(rgb[2]), 255)
         metallic, roughness = self._shine(prim)
         material = Material(str(prim.GetName()), color, None, metallic, roughness)
-        return Loaded(points, faces, face_material=np.zeros(len(faces), np.int32),
-                      materials=(material,))  # fmt: skip
+        return Loaded(
+            points, faces, face_material=np.zeros(len(faces), np.int32), materials=(material,)
+        )
 
     def _shine(self, prim: Any) -> list[float | None]:
         """Metallic and roughness of the bound preview surface."""

@@ -199,9 +199,10 @@ def robot_of(path: Path) -> Element:
             raise ValueError("each part needs a name of its own, an origin three numbers")
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
         raise InputFileError(
-            path, f"is no list of parts with name and jointData ({error!r})",
+            path,
+            f"is no list of parts with name and jointData ({error!r})",
             "give what Articulate AnyMesh wrote",
-        ) from None  # fmt: skip
+        ) from None
     robot = ET.Element("robot", name=path.absolute().parent.name)
     for name, entry in zip(axes, entries, strict=True):
         visual = ET.SubElement(ET.SubElement(robot, "link", name=name), "visual")

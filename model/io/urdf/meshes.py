@@ -79,9 +79,11 @@ class Looks:
         light = to_linear(np.clip(rgba[:3], 0, 1)) * max(float(model.mat_emission[look]), 0.0)
         r, g, b = (1.0, 1.0, 1.0) if emissive is not None else light.tolist()
         maps = SurfaceMaps(
-            normal=self._image(look, _NORMAL), emission=(r, g, b), emissive=emissive,
+            normal=self._image(look, _NORMAL),
+            emission=(r, g, b),
+            emissive=emissive,
             occlusion=self._image(look, _OCCLUSION),
-        )  # fmt: skip
+        )
         name = model.mat(look).name or "mjcf"
         return Material(name, _bytes(rgba), texture, metallic, roughness, maps)
 
@@ -115,18 +117,25 @@ def with_material(mesh: Mesh, material: Material) -> Mesh:
         if material.texture is not None:
             small = material.texture.convert("RGB").resize((1, 1), resample=4)  # a box: the mean
             color[:3] *= np.asarray(small, np.float64).reshape(3) / 255
-        material = replace(material, base_color=_bytes(color / 255), texture=None,
-                           maps=SurfaceMaps(emission=material.maps.emission))  # fmt: skip
+        material = replace(
+            material,
+            base_color=_bytes(color / 255),
+            texture=None,
+            maps=SurfaceMaps(emission=material.maps.emission),
+        )
     return replace(
-        mesh, materials=(material,), face_material=np.zeros(len(mesh.faces), np.int32),
+        mesh,
+        materials=(material,),
+        face_material=np.zeros(len(mesh.faces), np.int32),
         vertex_colors=None,
-    )  # fmt: skip
+    )
 
 
 def compiled_mesh(model: Any, mesh: int) -> Mesh:
     """A mesh asset as MuJoCo compiled it, in the frame of its geoms."""
-    v, f, t = (int(a[mesh]) for a in (model.mesh_vertadr, model.mesh_faceadr,
-                                      model.mesh_texcoordadr))  # fmt: skip
+    v, f, t = (
+        int(a[mesh]) for a in (model.mesh_vertadr, model.mesh_faceadr, model.mesh_texcoordadr)
+    )
     count = int(model.mesh_facenum[mesh])
     vertices = model.mesh_vert[v : v + model.mesh_vertnum[mesh]].astype(np.float64)
     faces = model.mesh_face[f : f + count].astype(np.int32)
@@ -178,9 +187,7 @@ SECTIONS = 32
 """Sides of a cylinder."""
 
 
-def load_part(
-    link: str, visuals: Sequence[UrdfVisual], files: MaterialFiles | None = None
-) -> Part:  # fmt: skip
+def load_part(link: str, visuals: Sequence[UrdfVisual], files: MaterialFiles | None = None) -> Part:
     """All the geometry of a link in one part, object frame.
 
     Args:

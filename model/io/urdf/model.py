@@ -132,8 +132,9 @@ def _inertial(element: Element) -> Inertial:
     origin, tensor, mass = (element.find(tag) for tag in ("origin", "inertia", "mass"))
     if tensor is None or mass is None:
         raise ValueError("incomplete")
-    xx, xy, xz, yy, yz, zz = (_one(tensor, k) or 0.0 for k in
-                              ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"))  # fmt: skip
+    xx, xy, xz, yy, yz, zz = (
+        _one(tensor, k) or 0.0 for k in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+    )
     turned = rotation_from_rpy(_three(origin, "rpy"))
     own = turned @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ turned.T
     found = Inertial(_one(mass, "value") or 0.0, _three(origin, "xyz"), _balanced(own))
@@ -306,9 +307,12 @@ def load_declared(
         return {}, {}
     try:
         rows = zip(
-            data["inertial links"].tolist(), data["mass"].tolist(), data["center"], data["tensor"],
+            data["inertial links"].tolist(),
+            data["mass"].tolist(),
+            data["center"],
+            data["tensor"],
             strict=True,
-        )  # fmt: skip
+        )
         inertials = {
             link: Inertial(mass, center, tensor).moved(target_from_folder)
             for link, mass, center, tensor in rows

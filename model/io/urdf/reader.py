@@ -172,9 +172,13 @@ class _Reader:
         return name
 
     def _numbers(
-        self, element: Element | None, attribute: str, count: int, default: Sequence[float],
+        self,
+        element: Element | None,
+        attribute: str,
+        count: int,
+        default: Sequence[float],
         where: str,
-    ) -> FloatArray:  # fmt: skip
+    ) -> FloatArray:
         text, word = None if element is None else element.get(attribute), ""
         if element is None or text is None:
             return np.array(default, dtype=np.float64)
@@ -290,8 +294,9 @@ class _Reader:
             if joint.type != "revolute":
                 return joint
             return replace(joint, type="continuous", lower=None, upper=None)
-        ends = [joint.mimic.multiplier * q + joint.mimic.offset
-                for q in (leader.lower, leader.upper)]  # fmt: skip
+        ends = [
+            joint.mimic.multiplier * q + joint.mimic.offset for q in (leader.lower, leader.upper)
+        ]
         return replace(joint, lower=min(ends), upper=max(ends))
 
     def _joined(

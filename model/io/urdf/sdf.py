@@ -35,8 +35,12 @@ UNLIMITED = 1e6
 _HEAD = 1 << 16
 _BEGINS = re.compile(rb"<sdf\b[^>]*>(?:\s|<!--.*?-->)*<model\b", re.DOTALL)
 _TWO_AXES = ("universal", "revolute2")
-_SHAPES = {"box": ("size",), "cylinder": ("radius", "length"), "sphere": ("radius",),
-           "capsule": ("radius", "length")}  # fmt: skip
+_SHAPES = {
+    "box": ("size",),
+    "cylinder": ("radius", "length"),
+    "sphere": ("radius",),
+    "capsule": ("radius", "length"),
+}
 
 MODEL = XmlSchema.of(
     (
@@ -229,8 +233,9 @@ class _Model:
         if diffuse:
             material = ET.SubElement(made, "material", name="")
             color = diffuse.split()
-            ET.SubElement(material, "color", rgba=" ".join(color if len(color) > 3
-                                                           else [*color, "1"]))  # fmt: skip
+            ET.SubElement(
+                material, "color", rgba=" ".join(color if len(color) > 3 else [*color, "1"])
+            )
 
     def _joint(self, joint: Element, out: Element) -> None:
         name, given = joint.get("name", ""), joint.get("type", "")
@@ -251,8 +256,13 @@ class _Model:
             ET.SubElement(made, "axis", xyz=" ".join(map(repr, one.axis)))
             self._resisting(made, said, limits)
             if one.mimic is not None:
-                ET.SubElement(made, "mimic", joint=one.mimic.joint,
-                              multiplier=repr(one.mimic.multiplier), offset="0")  # fmt: skip
+                ET.SubElement(
+                    made,
+                    "mimic",
+                    joint=one.mimic.joint,
+                    multiplier=repr(one.mimic.multiplier),
+                    offset="0",
+                )
         if chain:
             return
         kind = given if given in JOINT_KINDS else "fixed"
@@ -319,8 +329,13 @@ class _Model:
                 float(_numbers(_text(mimic, key) or default, 1, key)[0])
                 for key, default in (("multiplier", "1"), ("offset", "0"), ("reference", "0"))
             )
-            ET.SubElement(made, "mimic", joint=mimic.get("joint", ""), multiplier=repr(slope),
-                          offset=repr(offset - slope * start))  # fmt: skip
+            ET.SubElement(
+                made,
+                "mimic",
+                joint=mimic.get("joint", ""),
+                multiplier=repr(slope),
+                offset=repr(offset - slope * start),
+            )
 
     def _limits(self, axis: Element | None) -> tuple[float, float] | None:
         if axis is None:

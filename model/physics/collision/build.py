@@ -167,9 +167,10 @@ def _make_shapes(
     }
     if settings.primitives:
         similar = {
-            id(s): p for each in made.values()
+            id(s): p
+            for each in made.values()
             for s, p in zip(each.bodies, each.primitives, strict=True)
-        }  # fmt: skip
+        }
         out |= _with_primitives(obj, bodies, similar, diagonal, free, kept)
     return out
 
@@ -180,9 +181,11 @@ def _without_slivers(hulls: list[Hull]) -> list[Hull]:
 
 
 def prepare_bodies(
-    parts: Sequence[Part], store: Path, progress: Progress = no_progress,
+    parts: Sequence[Part],
+    store: Path,
+    progress: Progress = no_progress,
     declared: Collection[str] = (),
-) -> None:  # fmt: skip
+) -> None:
     """Cache the bodies that :func:`collision_of` needs whatever the joints are.
 
     The last part comes first: a caller of :func:`collision_of` meanwhile begins with the first.

@@ -195,8 +195,10 @@ def merge(surface: FaceExtents, patches: list[Patch], most: int) -> list[Faces]:
     left = list(rough.body)
     place = {key: i for i, key in enumerate(left)}
     near = [(place[a], place[b]) for a in left for b in rough.near[a] if a < b and b in place]
-    hulls = [_hull_body(surface, rough.body[k].faces, surface.hull(rough.body[k].faces, CORNERS))
-             for k in left]  # fmt: skip
+    hulls = [
+        _hull_body(surface, rough.body[k].faces, surface.hull(rough.body[k].faces, CORNERS))
+        for k in left
+    ]
     fine = _Merging(hulls, near, lambda a, b: _hulls(surface, a, b))
     fine.run(most, free)
     return [b.faces for b in fine.body.values()]
@@ -340,16 +342,24 @@ def coacd_hulls(mesh: Mesh, seconds: float, **options: Any) -> list[Hull] | None
     root = str(Path(__file__).resolve().parents[3])
     with tempfile.TemporaryDirectory(prefix="artiworld-") as folder:
         source, target = Path(folder, "in.npz"), Path(folder, "out.npz")
-        np.savez(source, vertices=mesh.vertices, faces=mesh.faces, options=json.dumps(options),
-                 seconds=math.ceil(seconds))  # fmt: skip
+        np.savez(
+            source,
+            vertices=mesh.vertices,
+            faces=mesh.faces,
+            options=json.dumps(options),
+            seconds=math.ceil(seconds),
+        )
         paths = os.pathsep.join([root, *filter(None, [os.environ.get("PYTHONPATH")])])
         try:
             subprocess.run(
                 [sys.executable, "-m", __name__, str(source), str(target), str(os.getpid())],
-                timeout=seconds, check=True, stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+                timeout=seconds,
+                check=True,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
                 env={**os.environ, "PYTHONPATH": paths},
-            )  # fmt: skip
+            )
             with np.load(target, allow_pickle=False) as data:
                 corners: list[FloatArray] = [data[f"{i}"] for i in range(int(data["count"]))]
         except (subprocess.SubprocessError, OSError):

@@ -117,7 +117,11 @@ def free_volume(
             several[part.link] = tuple(found or ())
     share = 1.0 / max(total, 1e-30)
     return FreeVolume(
-        total, kept * share if total else 1.0, by_hull * share if total else 1.0, single,
-        by_coacd * share if try_coacd and total else None, several if try_coacd else None,
+        total,
+        kept * share if total else 1.0,
+        by_hull * share if total else 1.0,
+        single,
+        by_coacd * share if try_coacd and total else None,
+        several if try_coacd else None,
         spent if try_coacd else None,
-    )  # fmt: skip
+    )

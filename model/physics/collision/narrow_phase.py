@@ -166,8 +166,9 @@ def overlaps(
     rest = np.eye(4)
     boxes = {
         k: _boxes(hulls, poses.get(k, rest)[None])[0]
-        for k, hulls in bodies.items() if hulls and k in links
-    }  # fmt: skip
+        for k, hulls in bodies.items()
+        if hulls and k in links
+    }
     out: list[BodyOverlap] = []
     for a, b in pairs:
         if a not in boxes or b not in boxes:

@@ -118,8 +118,11 @@ def _to_cut(
                     break
                 low, high = free(joint)
                 before = {link: list(hulls) for link, hulls in bodies.items()}
-                yield [t for v, each in zip(q, found, strict=True) if low <= v <= high
-                       for t in each], True, joint  # fmt: skip
+                yield (
+                    [t for v, each in zip(q, found, strict=True) if low <= v <= high for t in each],
+                    True,
+                    joint,
+                )
                 if bodies == before:  # compares bodies by identity
                     break
                 q, found = _along_path(bodies, tree, joint, end, pairs, diagonal, known)
@@ -132,9 +135,14 @@ _Paths = dict[float, tuple[FloatArray, Mapping[str, FloatArray], PosePath]]
 
 
 def _along_path(
-    bodies: Bodies, tree: KinematicTree, joint: Joint, end: float,
-    pairs: list[tuple[str, str]], diagonal: float, known: _Paths,
-) -> tuple[FloatArray, list[list[BodyOverlap]]]:  # fmt: skip
+    bodies: Bodies,
+    tree: KinematicTree,
+    joint: Joint,
+    end: float,
+    pairs: list[tuple[str, str]],
+    diagonal: float,
+    known: _Paths,
+) -> tuple[FloatArray, list[list[BodyOverlap]]]:
     """Joint values from rest to ``end``, and the overlaps at each."""
     moved = frozenset(tree.descendants(joint.child))
     across = [(a, b) for a, b in pairs if (a in moved) != (b in moved)]
@@ -168,10 +176,13 @@ def _near_pairs(
             box = np.stack([at.min(axis=0), at.max(axis=0)])
         boxes[link] = box
     return [
-        (a, b) for a, b in pairs
-        if a in boxes and b in boxes
-        and (boxes[a][0] - boxes[b][1] < close).all() and (boxes[b][0] - boxes[a][1] < close).all()
-    ]  # fmt: skip
+        (a, b)
+        for a, b in pairs
+        if a in boxes
+        and b in boxes
+        and (boxes[a][0] - boxes[b][1] < close).all()
+        and (boxes[b][0] - boxes[a][1] < close).all()
+    ]
 
 
 def _shallow(found: list[list[BodyOverlap]], most: float) -> list[list[BodyOverlap]]:
@@ -196,9 +207,12 @@ def _shallow(found: list[list[BodyOverlap]], most: float) -> list[list[BodyOverl
 
 
 def resolve_overlaps(
-    bodies: Bodies, tree: KinematicTree, diagonal: float, free: FreeRange,
+    bodies: Bodies,
+    tree: KinematicTree,
+    diagonal: float,
+    free: FreeRange,
     kept: frozenset[str] = frozenset(),
-) -> Bodies:  # fmt: skip
+) -> Bodies:
     """Cut bodies that overlap at rest, where the parts are free, or by less than :data:`GRAZE`.
 
     Bodies inside of another one are removed; those that can't be cut stay.
@@ -236,9 +250,13 @@ def overlapping_bodies(
 
 
 def _cut_all(
-    bodies: Bodies, found: list[BodyOverlap], gap: float, most: float, least: float = LEAST,
+    bodies: Bodies,
+    found: list[BodyOverlap],
+    gap: float,
+    most: float,
+    least: float = LEAST,
     kept: frozenset[str] = frozenset(),
-) -> bool:  # fmt: skip
+) -> bool:
     """Cut in place, the deepest overlap first; return whether anything was cut.
 
     Args:

@@ -201,9 +201,16 @@ def _read_torch(path: Path) -> Any:
         problem = f"contains code ({why.group(1)})" if why else "is damaged or no torch file"
         raise InputFileError(path, problem, "only tensors and plain values are read") from error
     except (
-        RuntimeError, EOFError, OSError, ValueError, KeyError, TypeError, AttributeError,
-        IndexError, zipfile.BadZipFile,
-    ) as error:  # fmt: skip
+        RuntimeError,
+        EOFError,
+        OSError,
+        ValueError,
+        KeyError,
+        TypeError,
+        AttributeError,
+        IndexError,
+        zipfile.BadZipFile,
+    ) as error:
         first = str(error).strip().splitlines()[:1] or [type(error).__name__]
         raise InputFileError(path, f"is damaged or no torch file ({first[0][:200]})") from error
 
@@ -379,10 +386,12 @@ def write_random_ulip2(path: Path, config: PointBertConfig = ULIP2, *, seed: int
 
 def _tokenizer(texts: Iterable[str], most: int) -> Tokenizer:
     tokenizer = Tokenizer(models.BPE())
-    tokenizer.pre_tokenizer = pre_tokenizers.Sequence([  # type: ignore[assignment]
-        pre_tokenizers.Split(Regex(_WORDS), "isolated"),
-        pre_tokenizers.ByteLevel(add_prefix_space=False, use_regex=False),
-    ])  # fmt: skip
+    tokenizer.pre_tokenizer = pre_tokenizers.Sequence(
+        [  # type: ignore[assignment]
+            pre_tokenizers.Split(Regex(_WORDS), "isolated"),
+            pre_tokenizers.ByteLevel(add_prefix_space=False, use_regex=False),
+        ]
+    )
     tokenizer.decoder = decoders.ByteLevel()  # type: ignore[assignment]
     trainer = trainers.BpeTrainer(
         vocab_size=most,

@@ -47,8 +47,14 @@ SPECIAL_TOKENS = (
 END_OF_TURN = "<|im_end|>"
 IGNORED = -100
 _ATTENTION_AND_MLP = [
-    "q_proj", "k_proj", "v_proj", "o_proj", "gate_proj", "up_proj", "down_proj",
-]  # fmt: skip
+    "q_proj",
+    "k_proj",
+    "v_proj",
+    "o_proj",
+    "gate_proj",
+    "up_proj",
+    "down_proj",
+]
 LANGUAGE, GEOMETRY = "language_model", "geometry"
 """Folders of a saved model."""
 
@@ -324,9 +330,10 @@ def _grow_vocabulary(language_model: Any, known: int, size: int) -> None:
     """Rows for ``size`` tokens at least; those from ``known`` on become the mean embedding."""
     if size > language_model.config.vocab_size:
         language_model.resize_token_embeddings(size, mean_resizing=False)
-    tables = {id(t.weight): t.weight for t in (
-        language_model.get_input_embeddings(), language_model.get_output_embeddings()
-    )}  # fmt: skip
+    tables = {
+        id(t.weight): t.weight
+        for t in (language_model.get_input_embeddings(), language_model.get_output_embeddings())
+    }
     with torch.no_grad():
         for table in tables.values():
             table[known:] = table[:known].float().mean(0).to(table.dtype)

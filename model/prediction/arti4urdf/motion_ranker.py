@@ -296,9 +296,13 @@ def _motions(structure: Structure, answer: Answer, part: int) -> Motions:
 
 
 def _moved(
-    structure: Structure, answer: Answer, part: int, known: Recalled, rules: Array,
+    structure: Structure,
+    answer: Answer,
+    part: int,
+    known: Recalled,
+    rules: Array,
     same: npt.NDArray[np.bool_],
-) -> Decision:  # fmt: skip
+) -> Decision:
     """The decision about a part with the likeliest motion and the agreed type."""
     decision, (slots, _) = answer.decisions[part], answer.motions[part]
     agreed = known.agreed(known.types)

@@ -400,9 +400,12 @@ def learned_hybrid(experience: Experience | None, version: str = "") -> Arti4Urd
     """
     plain = hybrid()
     return Arti4UrdfPredictor(
-        plain.model, name="hybrid", hybrid=plain.hybrid,
-        version=f"{plain.version} {version}".rstrip(), experience=experience,
-    )  # fmt: skip
+        plain.model,
+        name="hybrid",
+        hybrid=plain.hybrid,
+        version=f"{plain.version} {version}".rstrip(),
+        experience=experience,
+    )
 
 
 def learned(folder: str) -> Arti4UrdfPredictor:

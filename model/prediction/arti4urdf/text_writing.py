@@ -213,9 +213,12 @@ class JsonWriter:
         self._texts: list[str] = tokenizer.decode_batch(
             [[i] for i in range(count)], skip_special_tokens=True
         )
-        self._plain = self._mask([
-            bool(t) and t.isprintable() and not set(t) & {'"', "\\", "\ufffd"} for t in self._texts
-        ])  # fmt: skip
+        self._plain = self._mask(
+            [
+                bool(t) and t.isprintable() and not set(t) & {'"', "\\", "\ufffd"}
+                for t in self._texts
+            ]
+        )
         self._closing = self._mask([t.startswith('"') for t in self._texts])
         self._fits = lru_cache(maxsize=64)(self._compatible)
         self._start = ""

@@ -210,8 +210,9 @@ class UsdStageReader:
             objects, problems = collect(entries, make, lambda p: str(p.GetName()))
             problems += tuple(
                 SceneProblem(str(p.GetPath()), f"prims of type {p.GetTypeName()} are not read")
-                for p in stage.prims() if stage.is_unread(p)
-            )  # fmt: skip
+                for p in stage.prims()
+                if stage.is_unread(p)
+            )
         frame = SceneFrame(stage.up, stage.unit)
         return Scene(path.stem, path, self.name, objects, problems, frame)
 
@@ -280,8 +281,11 @@ class _Stage(UsdStage):
         for _ in range(_MAX_PRIM_DEPTH):
             if len(level) != 1 or level[0].GetTypeName() in ("Mesh", *SHAPES):
                 break
-            below = [c for c in level[0].GetFilteredChildren(self.usd.PrimIsDefined)
-                     if c.GetPath() in solid]  # fmt: skip
+            below = [
+                c
+                for c in level[0].GetFilteredChildren(self.usd.PrimIsDefined)
+                if c.GetPath() in solid
+            ]
             lone = len(below) == 1 and below[0].GetTypeName() in ("Mesh", *SHAPES)
             if not below or (lone and not level[0].IsPseudoRoot()):
                 break

@@ -112,10 +112,12 @@ def _room_floor(room: Any) -> list[Loaded]:
     upright = _upward(flat, top)
     low = np.stack([ring[:, 0] + n, ring[:, 1] + n, ring[:, 1]], 1)
     high = np.stack([ring[:, 0] + n, ring[:, 1], ring[:, 0]], 1)
-    vertices = np.concatenate([
-        np.column_stack([flat, np.full(n, level)]),
-        np.column_stack([flat, np.full(n, level - THICKNESS)]),
-    ])  # fmt: skip
+    vertices = np.concatenate(
+        [
+            np.column_stack([flat, np.full(n, level)]),
+            np.column_stack([flat, np.full(n, level - THICKNESS)]),
+        ]
+    )
     faces = np.concatenate([upright, upright[:, ::-1] + n, low, high]).astype(np.int32)
     return [_solid(vertices, faces, FLOOR_COLOR)]
 

@@ -190,9 +190,10 @@ class OptiSceneReader:
         found = find_design(read_text(path))
         if found is None:
             raise InputFileError(
-                path, "holds no JSON with a list 'objects' that have coordinates",
+                path,
+                "holds no JSON with a list 'objects' that have coordinates",
                 "give OptiScene's answer as it was written",
-            )  # fmt: skip
+            )
         design, sizes, _ = found
         room = maybe_text(design.get("room type"))
         entries = [(("objects", i), e) for i, e in enumerate(design["objects"])]

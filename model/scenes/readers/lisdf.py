@@ -142,9 +142,13 @@ def _object(
     if element.tag == "model":
         local, size = _box(element)
         return SceneObject(
-            description=readable(name), world_from_object=world @ local, scale=np.ones(3),
-            box=size, anchor="center", **common,
-        )  # fmt: skip
+            description=readable(name),
+            world_from_object=world @ local,
+            scale=np.ones(3),
+            box=size,
+            anchor="center",
+            **common,
+        )
     uri = (element.findtext("uri") or "").strip()
     if not uri:
         raise SceneObjectError("has no <uri>; the URDF or mesh that it shows is needed")
@@ -155,9 +159,13 @@ def _object(
     if scale.all():
         world[:3, :3], scale = upright(world[:3, :3], scale)
     return SceneObject(
-        description=description, world_from_object=world, scale=scale, asset=uri,
-        category=category, **common,
-    )  # fmt: skip
+        description=description,
+        world_from_object=world,
+        scale=scale,
+        asset=uri,
+        category=category,
+        **common,
+    )
 
 
 def _floats(text: str, what: str) -> list[float]:

@@ -143,15 +143,17 @@ def _instances(
         return [everything], (SceneProblem(ROOM, message, skipped=False),)
     if labels is None:
         raise InputFileError(
-            beside or path, "has no array 'instance'",
+            beside or path,
+            "has no array 'instance'",
             f"label the room's points, or put boxes into {path.stem}_boxes.json",
-        )  # fmt: skip
+        )
     count = len(loaded.vertices)
     if labels.shape != (count,) or labels.dtype.kind not in "iuf":
         raise InputFileError(
-            beside or path, f"'instance' is {labels.dtype} of shape {labels.shape}",
+            beside or path,
+            f"'instance' is {labels.dtype} of shape {labels.shape}",
             f"one whole number for each of the {count} vertices is needed",
-        )  # fmt: skip
+        )
     if labels.dtype.kind == "f":
         labels = np.where(np.isfinite(labels), labels, -1)
     names = _categories(arrays, count)

@@ -349,9 +349,12 @@ class _MaskDecoder(nn.Module):
             _Mlp(embed, embed, embed) for _ in range(MASKS)
         )
         self.output_upscaling = nn.Sequential(
-            nn.Linear(embed, embed), nn.LayerNorm(embed), nn.GELU(), nn.Linear(embed, embed),
+            nn.Linear(embed, embed),
+            nn.LayerNorm(embed),
             nn.GELU(),
-        )  # fmt: skip
+            nn.Linear(embed, embed),
+            nn.GELU(),
+        )
         self.iou_prediction_head = _Mlp(embed, 256, MASKS)
 
     def forward(

@@ -231,7 +231,7 @@ def renumbered(tree: KinematicTree, parts: Sequence[Part]) -> KinematicTree:
             j, name=f"joint_{renamed[j.child]}", parent=renamed[j.parent], child=renamed[j.child]
         )
         for j in sorted(tree.joints, key=lambda j: below[j.child])
-    )  # fmt: skip
+    )
     return KinematicTree(tuple(renamed[link] for link in tree.links), joints)
 
 

@@ -318,9 +318,14 @@ class _FullTrainer:
             self.accelerator.load_state(str(self.out / saved["folder"]), **options)
             return int(saved["step"])
         except (
-            OSError, EOFError, pickle.UnpicklingError, RuntimeError, ValueError, KeyError,
+            OSError,
+            EOFError,
+            pickle.UnpicklingError,
+            RuntimeError,
+            ValueError,
+            KeyError,
             TypeError,
-        ) as error:  # fmt: skip
+        ) as error:
             first = str(error).strip().splitlines()[:1] or [type(error).__name__]
             raise ConfigurationError(
                 f"the state of {path} can't be read ({first[0][:200]}); delete that file to start "

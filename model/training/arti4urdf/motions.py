@@ -125,11 +125,17 @@ def parts_of(data: DatasetOptions | None, seed: int, task: tuple[str, bool, int]
         present = np.flatnonzero(slots == answer.decisions[i].slot)
         out.append(
             Part(
-                truth.id, category, named, bool(labels.types[i] != FIXED), features,
-                labels.right[i, slots], same[i][np.ix_(slots, slots)],
-                rules[i][v.SLOT_IDS][slots], int(present[0]) if len(present) else -1,
+                truth.id,
+                category,
+                named,
+                bool(labels.types[i] != FIXED),
+                features,
+                labels.right[i, slots],
+                same[i][np.ix_(slots, slots)],
+                rules[i][v.SLOT_IDS][slots],
+                int(present[0]) if len(present) else -1,
             )
-        )  # fmt: skip
+        )
     return out
 
 
@@ -170,9 +176,11 @@ def folds(parts: Sequence[Part], key: str) -> npt.NDArray[np.int64]:
         place = {c: k for k, c in enumerate(sorted(set(values)))}
         return np.array([place[c] if c else -1 for c in values])
     return np.array(
-        [zlib.crc32(v.encode()) % FOLDS if p.category else -1
-         for v, p in zip(values, parts, strict=True)]
-    )  # fmt: skip
+        [
+            zlib.crc32(v.encode()) % FOLDS if p.category else -1
+            for v, p in zip(values, parts, strict=True)
+        ]
+    )
 
 
 def collect(

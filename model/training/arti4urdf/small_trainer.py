@@ -107,10 +107,12 @@ class _SmallTrainer:
         self.average = ArtiModel(config.model).to(device)
         self.average.load_state_dict(self.model.state_dict())
         groups = [
-            {"params": [p for p in self.model.parameters() if p.ndim > 1],
-             "weight_decay": config.weight_decay},
+            {
+                "params": [p for p in self.model.parameters() if p.ndim > 1],
+                "weight_decay": config.weight_decay,
+            },
             {"params": [p for p in self.model.parameters() if p.ndim <= 1], "weight_decay": 0.0},
-        ]  # fmt: skip
+        ]
         self.optimizer = torch.optim.AdamW(groups, lr=config.learning_rate, betas=(0.9, 0.98))
         if (out / STATE).exists():
             self._load()

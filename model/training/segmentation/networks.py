@@ -177,8 +177,13 @@ def rows_of(seed: int, config: BoxTraining) -> list[Row]:
                 continue
             best, tight, more = config.boxes
             value = overlap[found]
-            pick = np.unique(np.r_[np.argsort(-value)[:best], np.arange(min(tight, len(found))),
-                                   rng.permutation(len(found))[:more]])  # fmt: skip
+            pick = np.unique(
+                np.r_[
+                    np.argsort(-value)[:best],
+                    np.arange(min(tight, len(found))),
+                    rng.permutation(len(found))[:more],
+                ]
+            )
             chosen = found[pick]
             features = describe(chosen, spot, grid.facing[:, superpoint])
             out.append((features, overlap[chosen].astype(np.float32), value.max()))
@@ -219,8 +224,9 @@ def train_boxes(config: BoxTraining, out: Path) -> dict[str, float]:
         "best_possible": float(np.mean([r[2] for r in test])),
         "clicks": float(len(rest) + len(test)),
     }
-    save_mlp(fit_boxes(rest + test, config.networks), out,
-             {"training": asdict(config), "scores": scores})  # fmt: skip
+    save_mlp(
+        fit_boxes(rest + test, config.networks), out, {"training": asdict(config), "scores": scores}
+    )
     return scores
 
 

@@ -129,9 +129,13 @@ def _standardised(features: Float) -> tuple[Float, Float, Tensor]:
 
 
 def _optimise(
-    net: nn.Module, losses: Callable[[], Iterator[Tensor]], epochs: int, batches: int, rate: float,
+    net: nn.Module,
+    losses: Callable[[], Iterator[Tensor]],
+    epochs: int,
+    batches: int,
+    rate: float,
     decay: float,
-) -> None:  # fmt: skip
+) -> None:
     """AdamW with a one-cycle schedule over the losses of each epoch's batches."""
     optimizer = torch.optim.AdamW(net.parameters(), lr=rate, weight_decay=decay)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, rate, total_steps=epochs * batches)

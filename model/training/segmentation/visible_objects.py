@@ -135,10 +135,11 @@ def _segmented(shape: Shape) -> tuple[SegmentedObject, Int16]:
     mesh, numbers = shape.mesh, np.unique(shape.part)
     faces = [shape.part == number for number in numbers]
     parts = tuple(
-        Part(f"link_{n}", replace(mesh, faces=mesh.faces[own],
-                                  face_material=mesh.face_material[own]))
+        Part(
+            f"link_{n}", replace(mesh, faces=mesh.faces[own], face_material=mesh.face_material[own])
+        )
         for n, own in zip(numbers.tolist(), faces, strict=True)
-    )  # fmt: skip
+    )
     return SegmentedObject(shape.family, parts), numbers
 
 
@@ -199,8 +200,13 @@ def visible_object(
         asset, labels = _photographed(shape, ahead, count, rng)
     else:
         aside = chance < config.mesh + config.camera + config.one_sided
-        made = scan(shape, count, "one-sided" if aside else "surface",
-                    float(rng.choice((0.0, *_NOISE))), seed)  # fmt: skip
+        made = scan(
+            shape,
+            count,
+            "one-sided" if aside else "surface",
+            float(rng.choice((0.0, *_NOISE))),
+            seed,
+        )
         asset, labels = Asset(shape.family, cloud=made.cloud), made.labels
     picture = picture_of(asset, _facing(ahead + rng.uniform(-0.3, 0.3)))
     encoding = encode(asset, shipped_edge_model())

@@ -13,9 +13,13 @@ down_revision = "0001"
 
 # Authors of results of jobs; no person has these names.
 _MACHINES = {
-    "segmenter", "source file", "masks of another system", "scene", "scripted annotator",
+    "segmenter",
+    "source file",
+    "masks of another system",
+    "scene",
+    "scripted annotator",
     "anonymous",
-}  # fmt: skip
+}
 
 
 def upgrade() -> None:

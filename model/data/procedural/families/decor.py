@@ -77,9 +77,13 @@ def lamp(rng: np.random.Generator) -> ProceduralObject:
     tip = here + np.array([lane + 0.014, 0, 0])
     head.add(_bar_between(tip, tip + np.array([0, -0.055, -0.005]), 0.005), joint_skin, "stem")
     shade = [
-        (0.3 * out, 0.0), (0.5 * out, -0.35 * out), (out, -1.2 * out), (0.96 * out, -1.2 * out),
-        (0.46 * out, -0.38 * out), (0.26 * out, -0.06 * out),
-    ]  # fmt: skip
+        (0.3 * out, 0.0),
+        (0.5 * out, -0.35 * out),
+        (out, -1.2 * out),
+        (0.96 * out, -1.2 * out),
+        (0.46 * out, -0.38 * out),
+        (0.26 * out, -0.06 * out),
+    ]
     head.add(s.lathe(shade, 28).moved(tip + np.array([0, -0.06, 0.004])), skin, "shade")
     bulb = s.sphere(0.38 * out, 16).moved(tip + np.array([0, -0.06, -0.6 * out]))
     head.add(bulb, plain("bulb", (250, 244, 220)), "bulb")
@@ -118,9 +122,11 @@ def fan(rng: np.random.Generator) -> ProceduralObject:
     head.add(s.along(s.rounded_box((0.11, 0.11, 0.14), 0.05), 1).moved(at), skin, "motor")
     for radius, y in ((r, -0.055), (r, -0.115), (0.3 * r, -0.125)):
         profile = [
-            (radius - 0.003, -0.003), (radius + 0.003, -0.003), (radius + 0.003, 0.003),
+            (radius - 0.003, -0.003),
+            (radius + 0.003, -0.003),
+            (radius + 0.003, 0.003),
             (radius - 0.003, 0.003),
-        ]  # fmt: skip
+        ]
         hoop = s.ring(profile, 36)
         head.add(s.along(hoop, 1).moved((0, y, cz)), metal("steel"), "cage")
     for k in range(18):
@@ -263,9 +269,12 @@ def clock(rng: np.random.Generator) -> ProceduralObject:
                 body.add(s.box(size, (side * (w / 2 - 0.01), 0, (cz - r) / 2), 0.002), skin, "case")
             body.add(s.box((w, deep, 0.02), (0, 0, 0.01), 0.002), skin, "case")
     profile = [
-        (0.94 * r, -deep / 2), (1.08 * r, -deep / 2), (1.08 * r, deep / 2 - 0.006),
-        (1.0 * r, deep / 2), (0.94 * r, deep / 2 - 0.004),
-    ]  # fmt: skip
+        (0.94 * r, -deep / 2),
+        (1.08 * r, -deep / 2),
+        (1.08 * r, deep / 2 - 0.006),
+        (1.0 * r, deep / 2),
+        (0.94 * r, deep / 2 - 0.004),
+    ]
     rim = s.ring(profile, 40)
     body.add(s.along(rim, 1).moved((0, 0, cz)), skin, "rim")
     body.add(

@@ -113,15 +113,20 @@ def build_laptop(
 def laptop(rng: np.random.Generator) -> ProceduralObject:
     """Open at any angle; its hinge is two barrels or one long one."""
     shells = (
-        metal("brushed"), plain("alloy", (188, 190, 194)), plain("alloy_dark", (74, 77, 84)),
+        metal("brushed"),
+        plain("alloy", (188, 190, 194)),
+        plain("alloy_dark", (74, 77, 84)),
         plain("alloy_blue", (96, 118, 146)),
-    )  # fmt: skip
+    )
     size = rng.uniform((0.28, 0.19, 0.011), (0.38, 0.26, 0.022))
     return build_laptop(
-        (float(size[0]), float(size[1]), float(size[2])), rng, shells[rng.integers(4)],
-        open_angle=float(rng.uniform(0.4, 2.3)), barrels=int(rng.integers(1, 3)),
+        (float(size[0]), float(size[1]), float(size[2])),
+        rng,
+        shells[rng.integers(4)],
+        open_angle=float(rng.uniform(0.4, 2.3)),
+        barrels=int(rng.integers(1, 3)),
         screen=int(rng.integers(6)),
-    )  # fmt: skip
+    )
 
 
 GREY = plain("plastic_grey", (70, 73, 78))
@@ -393,7 +398,14 @@ def switch(rng: np.random.Generator) -> ProceduralObject:
             lever.add(s.along(bar, 1).turned((1, 0, 0), 0.45).moved(at), metal("steel"), "lever")
         else:
             controls.knob(
-                b, plate, (x, -t / 2, cz), 0.016, 0.016, plain("dial", (246, 246, 244)), GREY,
-                style=int(rng.integers(3)), limits=(0.0, 4.7),
-            )  # fmt: skip
+                b,
+                plate,
+                (x, -t / 2, cz),
+                0.016,
+                0.016,
+                plain("dial", (246, 246, 244)),
+                GREY,
+                style=int(rng.integers(3)),
+                limits=(0.0, 4.7),
+            )
     return b.build()

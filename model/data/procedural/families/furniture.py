@@ -173,9 +173,13 @@ def _close(
     face = clear.shrunk(spec.gap) if spec.inset else a.shrunk(spec.gap / 2)
     y = -d / 2 + (thick + 0.001 if spec.inset else -0.002)
     look = m.DoorSpec(
-        swing=spec.swing, style=spec.front, handle=spec.handle, handle_length=spec.handle_length,
-        thickness=thick, barrels=not spec.inset,
-    )  # fmt: skip
+        swing=spec.swing,
+        style=spec.front,
+        handle=spec.handle,
+        handle_length=spec.handle_length,
+        thickness=thick,
+        barrels=not spec.inset,
+    )
     if cell.use == "drawer":
         deep = d - 0.012 - max(y + d / 2, 0)
         return [
@@ -353,18 +357,26 @@ def cart(rng: np.random.Generator) -> ProceduralObject:
             at = (*spot, low + (h - low) / 2)
             body.add(s.cylinder(0.011, h - low, segments=12).moved(at), frame, "post")
             controls.caster(
-                b, body, (*spot, low), wheel, palette, rubber(), swivel=swivels[1 + (y > 0)],
+                b,
+                body,
+                (*spot, low),
+                wheel,
+                palette,
+                rubber(),
+                swivel=swivels[1 + (y > 0)],
                 heading=float(rng.random() * 6.28) if swivels[1 + (y > 0)] else np.pi / 2,
-            )  # fmt: skip
+            )
     levels = np.linspace(low + 0.03, h - 0.08, int(rng.integers(2, 4)))
     for z in levels:
         at = (0, 0, float(z))
         body.add(s.tray((w, d, 0.05), 0.004, radius=0.02).moved(at), palette.front, "tray")
     if rng.random() < 0.7:
         corners = [
-            (w / 2 - 0.02, -d / 2 + 0.02, h - 0.03), (w / 2 + 0.1, -d / 2 + 0.02, h + 0.05),
-            (w / 2 + 0.1, d / 2 - 0.02, h + 0.05), (w / 2 - 0.02, d / 2 - 0.02, h - 0.03),
-        ]  # fmt: skip
+            (w / 2 - 0.02, -d / 2 + 0.02, h - 0.03),
+            (w / 2 + 0.1, -d / 2 + 0.02, h + 0.05),
+            (w / 2 + 0.1, d / 2 - 0.02, h + 0.05),
+            (w / 2 - 0.02, d / 2 - 0.02, h - 0.03),
+        ]
         path = s.bent_path(corners, 0.05)
         body.add(s.tube(path, 0.011), frame, "handle")
     if rng.random() < 0.4 and len(levels) > 1:

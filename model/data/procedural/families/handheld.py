@@ -80,16 +80,23 @@ def pen(rng: np.random.Generator) -> ProceduralObject:
     if rng.random() < 0.5:
         cut = 0.42 * length
         profile = [
-            (0.8 * r, 0), (r, 0.004), (r, length - cut), (0.78 * r, length - cut),
-            (0.74 * r, length - 0.014), (0.2 * r, length),
-        ]  # fmt: skip
+            (0.8 * r, 0),
+            (r, 0.004),
+            (r, length - cut),
+            (0.78 * r, length - cut),
+            (0.74 * r, length - 0.014),
+            (0.2 * r, length),
+        ]
         body.add(lay(s.lathe(profile, 20)), skin, "barrel")
         cap = b.slide("cap", body, (1, 0, 0), 0.0, float(rng.uniform(1.0, 1.4)) * cut, (0, 0, lift))
         z0, z1 = length - cut + 0.0008, length + 0.008
         profile = [
-            (0.82 * r, z1 - 0.004), (0.86 * r, z0), (1.02 * r, z0), (1.02 * r, z1 - 0.003),
+            (0.82 * r, z1 - 0.004),
+            (0.86 * r, z0),
+            (1.02 * r, z0),
+            (1.02 * r, z1 - 0.003),
             (0.7 * r, z1),
-        ]  # fmt: skip
+        ]
         cap.add(lay(s.lathe(profile, 20)), accent if rng.random() < 0.5 else skin, "cap")
         clip = s.box((0.7 * cut, 0.0026, 0.0012), (z1 - 0.38 * cut, 0, lift + r + 0.0016), 0.0003)
         cap.add(clip, accent, "clip")
@@ -98,9 +105,14 @@ def pen(rng: np.random.Generator) -> ProceduralObject:
         return b.build()
     travel = 0.004
     profile = [
-        (0.2 * r, length), (0.55 * r, length - 0.006), (r, length - 0.02), (r, 0.004),
-        (0.8 * r, 0.0), (0.5 * r, 0.0), (0.5 * r, 0.02),
-    ]  # fmt: skip
+        (0.2 * r, length),
+        (0.55 * r, length - 0.006),
+        (r, length - 0.02),
+        (r, 0.004),
+        (0.8 * r, 0.0),
+        (0.5 * r, 0.0),
+        (0.5 * r, 0.02),
+    ]
     body.add(lay(s.lathe(profile, 20)), skin, "barrel")
     button = b.slide("button", body, (1, 0, 0), 0.0, travel, (0, 0, lift))
     button.add(
@@ -221,9 +233,12 @@ def scissors(rng: np.random.Generator) -> ProceduralObject:
         sign = 1 if k == 0 else -1
         z = lift + (t / 2 + 0.0002) * sign
         edge = [
-            (-0.004, -0.008 * sign), (0.02, -0.0075 * sign), (blade, 0.0005 * sign),
-            (0.02, 0.0055 * sign), (-0.004, 0.006 * sign),
-        ]  # fmt: skip
+            (-0.004, -0.008 * sign),
+            (0.02, -0.0075 * sign),
+            (blade, 0.0005 * sign),
+            (0.02, 0.0055 * sign),
+            (-0.004, 0.006 * sign),
+        ]
         half.add(_flat(edge, t, z), steel, "blade")
         # The shank crosses to the other side behind the screw.
         y = -(loop_r[k] + 0.006) * sign
@@ -232,9 +247,12 @@ def scissors(rng: np.random.Generator) -> ProceduralObject:
         )
         half.add(s.sweep(path, s.rectangle(0.011, t)), steel, "shank")
         profile = [
-            (loop_r[k] - 0.0045, -0.003), (loop_r[k], -0.004), (loop_r[k] + 0.0015, 0),
-            (loop_r[k], 0.004), (loop_r[k] - 0.0045, 0.003),
-        ]  # fmt: skip
+            (loop_r[k] - 0.0045, -0.003),
+            (loop_r[k], -0.004),
+            (loop_r[k] + 0.0015, 0),
+            (loop_r[k], 0.004),
+            (loop_r[k] - 0.0045, 0.003),
+        ]
         ring = s.ring(profile, 28)
         stretch = float(rng.uniform(1.0, 1.5))
         at = (-back - loop_r[k] * stretch * 0.9, y, lift + 0.0002 * sign)
@@ -261,9 +279,11 @@ def pliers(rng: np.random.Generator) -> ProceduralObject:
         half.add(s.cylinder(0.011, t, segments=24).moved((0, 0, z)), steel, "joint")
         # Jaws lie on their own side of the middle line (y), handles on the other.
         tip = [
-            (0.006, 0.0005 * sign), (jaw, 0.0005 * sign), (jaw, 0.004 * sign),
+            (0.006, 0.0005 * sign),
+            (jaw, 0.0005 * sign),
+            (jaw, 0.004 * sign),
             (0.006, 0.0105 * sign),
-        ]  # fmt: skip
+        ]
         half.add(_flat(tip, 2 * t, lift), steel, "jaw")
         bend = np.array(
             [

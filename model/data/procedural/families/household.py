@@ -72,8 +72,12 @@ def door(rng: np.random.Generator) -> ProceduralObject:
         elif kind < 0.85:
             knob = b.spin("knob", panel, (0, -1, 0), at) if rng.random() < 0.5 else panel
             profile = [
-                (0.014, 0.0006), (0.012, 0.03), (0.027, 0.042), (0.027, 0.055), (0.012, 0.062),
-            ]  # fmt: skip
+                (0.014, 0.0006),
+                (0.012, 0.03),
+                (0.027, 0.042),
+                (0.027, 0.055),
+                (0.012, 0.062),
+            ]
             knob.add(s.along(s.lathe(profile, 20), 1).moved(at), metal_, "knob")
         else:
             m.add(panel, m.place(m.handle("bow", 0.3, 0.05), at), metal_, "handle")
@@ -301,9 +305,11 @@ def suitcase(rng: np.random.Generator) -> ProceduralObject:
     length = 0.85 * h
     for x in (-0.18 * w, 0.18 * w):
         profile = [
-            (0.0075, bottom), (0.0105, bottom), (0.0105, bottom + h - 0.03),
+            (0.0075, bottom),
+            (0.0105, bottom),
+            (0.0105, bottom + h - 0.03),
             (0.0075, bottom + h - 0.03),
-        ]  # fmt: skip
+        ]
         sleeve = s.ring(profile, 14)
         body.add(sleeve.moved((x, y, 0)), plain("sleeve", (50, 52, 56)), "sleeve")
         bar = s.cylinder(0.0065, length, segments=12).moved((x, y, bottom + h - length / 2 + 0.02))
@@ -317,9 +323,15 @@ def suitcase(rng: np.random.Generator) -> ProceduralObject:
         parent = lid if sy < 0 else body
         top = (sx * (w / 2 - 0.07), sy * half, bottom - 0.001)
         controls.caster(
-            b, parent, top, wheel, palette, rubber(), swivel=spinner,
+            b,
+            parent,
+            top,
+            wheel,
+            palette,
+            rubber(),
+            swivel=spinner,
             heading=float(rng.random() * 6.28) if spinner else 0.0,
-        )  # fmt: skip
+        )
     return b.build()
 
 
@@ -337,8 +349,11 @@ def trash_can(rng: np.random.Generator) -> ProceduralObject:
     if round_:
         r = w / 2
         profile = [
-            (0.88 * r, lift), (r, lift + h), (r - wall, lift + h), (0.88 * r - wall, lift + wall),
-        ]  # fmt: skip
+            (0.88 * r, lift),
+            (r, lift + h),
+            (r - wall, lift + h),
+            (0.88 * r - wall, lift + wall),
+        ]
         body.add(s.lathe(profile, 32), skin, "body")
     else:
         size = (w, d, h)

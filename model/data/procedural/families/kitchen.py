@@ -180,9 +180,16 @@ def _oven_knobs(
     )
     for x in xs:
         controls.knob(
-            b, body, (float(x), y, z), radius, 0.026, palette.accent, mark, style=spec.knob_style,
+            b,
+            body,
+            (float(x), y, z),
+            radius,
+            0.026,
+            palette.accent,
+            mark,
+            style=spec.knob_style,
             limits=spec.knob_limits,
-        )  # fmt: skip
+        )
 
 
 def _cooktop(body: Body, w: float, d: float, top: float, burners: int, palette: Palette) -> None:
@@ -208,12 +215,18 @@ def oven(rng: np.random.Generator) -> ProceduralObject:
     knobs = int(rng.integers(1, 7))
     limits = [None, (0.0, 4.71), (-2.4, 2.4)][rng.integers(3)]
     spec = OvenSpec(
-        size, knobs, int(rng.integers(3)), int(rng.integers(2, 6)) if stove else 0,
-        bool(stove and rng.random() < 0.6), bool(rng.random() < 0.6),
-        float(rng.uniform(0.01, 0.06)), float(rng.uniform(0.08, 0.13)),
-        ("bar", "bow", "flat")[rng.integers(3)], limits,
+        size,
+        knobs,
+        int(rng.integers(3)),
+        int(rng.integers(2, 6)) if stove else 0,
+        bool(stove and rng.random() < 0.6),
+        bool(rng.random() < 0.6),
+        float(rng.uniform(0.01, 0.06)),
+        float(rng.uniform(0.08, 0.13)),
+        ("bar", "bow", "flat")[rng.integers(3)],
+        limits,
         float(rng.uniform(0.1, 1.3)) if rng.random() < 0.15 else 0.0,
-    )  # fmt: skip
+    )
     return build_oven(spec, appliance_palette(rng), rng)
 
 
@@ -241,9 +254,16 @@ def microwave(rng: np.random.Generator) -> ProceduralObject:
     face = front - thick
     side: m.Side = "left"
     look = m.DoorSpec(
-        side, float(rng.uniform(1.5, 2.0)), "window",
-        ("bar", "flat", "bow", None)[rng.integers(4)], 0.6 * h, 0.03, 0.5, 0.03, thick - 0.002,
-    )  # fmt: skip
+        side,
+        float(rng.uniform(1.5, 2.0)),
+        "window",
+        ("bar", "flat", "bow", None)[rng.integers(4)],
+        0.6 * h,
+        0.03,
+        0.5,
+        0.03,
+        thick - 0.002,
+    )
     m.door(
         b, body, m.Opening(-w / 2, split - 0.0015, bottom, bottom + h), front - 0.002, look, palette
     )
@@ -255,9 +275,16 @@ def microwave(rng: np.random.Generator) -> ProceduralObject:
         mark = plain("mark", (240, 240, 240))
         for z in (0.3, 0.62)[: int(rng.integers(1, 3))]:
             controls.knob(
-                b, body, (cx, face, bottom + z * h), 0.3 * panel_width, 0.02, palette.accent, mark,
-                style=int(rng.integers(3)), limits=(0.0, 4.71) if rng.random() < 0.5 else None,
-            )  # fmt: skip
+                b,
+                body,
+                (cx, face, bottom + z * h),
+                0.3 * panel_width,
+                0.02,
+                palette.accent,
+                mark,
+                style=int(rng.integers(3)),
+                limits=(0.0, 4.71) if rng.random() < 0.5 else None,
+            )
     else:
         rows, cols = int(rng.integers(3, 6)), 3
         pitch = (0.28 * panel_width, 0.6 * h / rows)

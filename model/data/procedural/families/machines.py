@@ -196,13 +196,18 @@ def coffee_machine(rng: np.random.Generator) -> ProceduralObject:
         jug = b.slide("container", body, (0, -1, 0), 0.0, 0.25, (0, cy, foot))
         outer = [(0.85 * r, 0), (r, 0.3 * jug_h), (0.7 * r, 0.9 * jug_h), (0.72 * r, jug_h)]
         inner = [
-            (0.7 * r, jug_h), (0.68 * r, 0.9 * jug_h), (0.97 * r, 0.3 * jug_h), (0.8 * r, 0.004),
-        ]  # fmt: skip
+            (0.7 * r, jug_h),
+            (0.68 * r, 0.9 * jug_h),
+            (0.97 * r, 0.3 * jug_h),
+            (0.8 * r, 0.004),
+        ]
         jug.add(s.lathe([*outer, *inner], 30).moved((0, cy, foot + 0.0008)), glass(), "jug")
         corners = [
-            (0, -0.7 * r, 0.86 * jug_h), (0, -1.5 * r, 0.8 * jug_h), (0, -1.4 * r, 0.25 * jug_h),
+            (0, -0.7 * r, 0.86 * jug_h),
+            (0, -1.5 * r, 0.8 * jug_h),
+            (0, -1.4 * r, 0.25 * jug_h),
             (0, -0.96 * r, 0.24 * jug_h),
-        ]  # fmt: skip
+        ]
         grip = s.bent_path(corners, 0.02)
         outline = s.rectangle(0.018, 0.01, 0.003)
         jug.add(s.sweep(grip + np.array([0, cy, foot]), outline), palette.dark, "handle")
@@ -223,9 +228,16 @@ def coffee_machine(rng: np.random.Generator) -> ProceduralObject:
     z = h - 0.5 * head
     if rng.random() < 0.7:
         controls.knob(
-            b, body, (0.25 * w, face, z), 0.018, 0.018, palette.accent, LIGHT,
-            style=int(rng.integers(3)), limits=(0.0, 3.1) if rng.random() < 0.5 else None,
-        )  # fmt: skip
+            b,
+            body,
+            (0.25 * w, face, z),
+            0.018,
+            0.018,
+            palette.accent,
+            LIGHT,
+            style=int(rng.integers(3)),
+            limits=(0.0, 3.1) if rng.random() < 0.5 else None,
+        )
     for k in range(int(rng.integers(1, 4))):
         size = (0.018, 0.018, 0.004)
         offset = (-0.3 * w + 0.03 * k, face, z)

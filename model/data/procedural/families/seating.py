@@ -48,9 +48,11 @@ def office_chair(
             controls.caster(b, base, top, wheel, palette, rubber(), heading=heading)
     seat_z = float(rng.uniform(0.42, 0.5))
     profile = [
-        (0.0225, hub_z + 0.02), (0.029, hub_z + 0.02), (0.027, 0.62 * seat_z),
+        (0.0225, hub_z + 0.02),
+        (0.029, hub_z + 0.02),
+        (0.027, 0.62 * seat_z),
         (0.0225, 0.62 * seat_z),
-    ]  # fmt: skip
+    ]
     sleeve = s.ring(profile, 18)
     base.add(sleeve, frame, "sleeve")
     seat = b.screw("seat", base, (0, 0, 1), (0, 0, seat_z), float(rng.uniform(0.06, 0.12)))
@@ -66,8 +68,13 @@ def office_chair(
 
 def _cloth(rng: np.random.Generator) -> tuple[int, int, int]:
     colors = (
-        (54, 58, 66), (96, 110, 124), (150, 60, 52), (70, 110, 96), (40, 70, 120), (168, 152, 128),
-    )  # fmt: skip
+        (54, 58, 66),
+        (96, 110, 124),
+        (150, 60, 52),
+        (70, 110, 96),
+        (40, 70, 120),
+        (168, 152, 128),
+    )
     return colors[rng.integers(len(colors))]
 
 

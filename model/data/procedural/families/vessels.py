@@ -25,9 +25,12 @@ def shell_profile(outline: list[tuple[float, float]], wall: float) -> list[tuple
 def _knob_on_lid(rng: np.random.Generator, z: float) -> s.Solid:
     r = float(rng.uniform(0.012, 0.02))
     profile = [
-        (0.5 * r, z - 0.001), (0.45 * r, z + 0.4 * r), (r, z + 0.9 * r), (0.9 * r, z + 1.4 * r),
+        (0.5 * r, z - 0.001),
+        (0.45 * r, z + 0.4 * r),
+        (r, z + 0.9 * r),
+        (0.9 * r, z + 1.4 * r),
         (0.3 * r, z + 1.6 * r),
-    ]  # fmt: skip
+    ]
     return s.lathe(profile, 18)
 
 
@@ -54,8 +57,11 @@ def kettle(rng: np.random.Generator) -> ProceduralObject:
     lid_r, lid_z = mouth - 0.006, h + 0.0012
     over = rng.random() < 0.5
     dome = [
-        (mouth, lid_z), (mouth, lid_z + 0.004), (0.7 * mouth, lid_z + 0.012), (0.0, lid_z + 0.016),
-    ]  # fmt: skip
+        (mouth, lid_z),
+        (mouth, lid_z + 0.004),
+        (0.7 * mouth, lid_z + 0.012),
+        (0.0, lid_z + 0.016),
+    ]
     plug = s.lathe([(lid_r, lid_z - 0.008), *dome], 32)
     if rng.random() < 0.5 and not over:
         hinge = (mouth + 0.006, 0.0, lid_z + 0.004)
@@ -73,9 +79,11 @@ def kettle(rng: np.random.Generator) -> ProceduralObject:
         _bow(b, body, outline, h, skin, dark, swings=bool(rng.random() < 0.6))
     else:
         corners = [
-            (0.93 * r, 0, 0.85 * h), (r + 0.055, 0, 0.86 * h), (r + 0.05, 0, 0.2 * h),
+            (0.93 * r, 0, 0.85 * h),
+            (r + 0.055, 0, 0.86 * h),
+            (r + 0.05, 0, 0.2 * h),
             (0.98 * r, 0, 0.16 * h),
-        ]  # fmt: skip
+        ]
         path = s.bent_path(corners, 0.04)
         body.add(s.sweep(path, s.rectangle(0.02, 0.012, 0.004)), dark, "handle")
     return b.build()
@@ -115,9 +123,11 @@ def _bow(
 def _spout(body: Body, r: float, h: float, thick: float, skin: Surface, gooseneck: bool) -> None:
     if gooseneck:
         corners = [
-            (-0.85 * r, 0, 0.25 * h), (-1.45 * r, 0, 0.3 * h), (-1.5 * r, 0, 0.85 * h),
+            (-0.85 * r, 0, 0.25 * h),
+            (-1.45 * r, 0, 0.3 * h),
+            (-1.5 * r, 0, 0.85 * h),
             (-2.0 * r, 0, 0.97 * h),
-        ]  # fmt: skip
+        ]
         path = s.bent_path(corners, 0.05)
         outline = s.circle(thick, 14)
         body.add(s.sweep(path, outline, scale=np.linspace(1.2, 0.55, len(path))), skin, "spout")
@@ -136,17 +146,22 @@ def kitchen_pot(rng: np.random.Generator) -> ProceduralObject:
     body = b.base("pot_body")
     flare = rng.uniform(0.0, 0.12)
     outline = [
-        (r * (0.9 - flare), 0.0), (r * (0.97 - flare), 0.006), (r * (1 - 0.6 * flare), 0.3 * h),
-        (r, h), (1.03 * r, h + 0.002),
-    ]  # fmt: skip
+        (r * (0.9 - flare), 0.0),
+        (r * (0.97 - flare), 0.006),
+        (r * (1 - 0.6 * flare), 0.3 * h),
+        (r, h),
+        (1.03 * r, h + 0.002),
+    ]
     body.add(s.lathe(shell_profile(outline, 0.0035), 40), skin, "body")
     if rng.random() < 0.65:
         for side in (-1, 1):
             x = side * (r - 0.002)
             corners = [
-                (x, -0.035, 0.82 * h), (x + side * 0.035, -0.03, 0.84 * h),
-                (x + side * 0.035, 0.03, 0.84 * h), (x, 0.035, 0.82 * h),
-            ]  # fmt: skip
+                (x, -0.035, 0.82 * h),
+                (x + side * 0.035, -0.03, 0.84 * h),
+                (x + side * 0.035, 0.03, 0.84 * h),
+                (x, 0.035, 0.82 * h),
+            ]
             path = s.bent_path(corners, 0.02)
             body.add(s.tube(path, 0.005, 10), grip, "handle")
     else:
@@ -194,9 +209,11 @@ def bottle(rng: np.random.Generator) -> ProceduralObject:
     profile = [(0.85 * r, 0), (r, 0.012), *bend, (neck, h)]
     body.add(s.lathe(shell_profile(profile, 0.0015), 32), skin, "body")
     outline = [
-        (neck, h - 0.32 * neck_h), (1.25 * neck, h - 0.32 * neck_h),
-        (1.25 * neck, h - 0.25 * neck_h), (neck, h - 0.25 * neck_h),
-    ]  # fmt: skip
+        (neck, h - 0.32 * neck_h),
+        (1.25 * neck, h - 0.32 * neck_h),
+        (1.25 * neck, h - 0.25 * neck_h),
+        (neck, h - 0.25 * neck_h),
+    ]
     body.add(s.ring(outline, 24), skin, "collar")
     cap_h = 0.24 * neck_h + 0.014
     z0 = h - 0.24 * neck_h
@@ -209,9 +226,12 @@ def bottle(rng: np.random.Generator) -> ProceduralObject:
         )
         inner = 1.04 * neck * np.stack([np.cos(angles), np.sin(angles)], 1)
         loops = [
-            s.at(inner, h + 0.001), s.at(inner, z0), s.at(knurl, z0),
-            s.at(knurl, z0 + cap_h - 0.002), s.at(0.92 * knurl, z0 + cap_h),
-        ]  # fmt: skip
+            s.at(inner, h + 0.001),
+            s.at(inner, z0),
+            s.at(knurl, z0),
+            s.at(knurl, z0 + cap_h - 0.002),
+            s.at(0.92 * knurl, z0 + cap_h),
+        ]
         lid.add(s.loft(loops), cap, "cap")
     elif style < 0.85:
         at = (0, 0, h + 0.005)
@@ -225,9 +245,11 @@ def bottle(rng: np.random.Generator) -> ProceduralObject:
     else:
         pump = b.slide("lid", body, (0, 0, -1), 0.0, 0.018, (0, 0, h))
         outline = [
-            (0.32 * neck, h - 0.001), (1.2 * neck, h - 0.001), (1.2 * neck, h + 0.012),
+            (0.32 * neck, h - 0.001),
+            (1.2 * neck, h - 0.001),
+            (1.2 * neck, h + 0.012),
             (0.32 * neck, h + 0.012),
-        ]  # fmt: skip
+        ]
         body.add(s.ring(outline, 24), cap, "cap_base")
         at = (0, 0, h + 0.023)
         pump.add(s.cylinder(0.28 * neck, 0.05, segments=14).moved(at), metal("steel"), "stem")
@@ -287,8 +309,12 @@ def dispenser(rng: np.random.Generator) -> ProceduralObject:
         body.add(s.loft(levels, ring=True), skin, "shoulder")
     else:
         outline = [
-            (0.42 * w, 0), (0.5 * w, 0.01), (0.5 * w, 0.8 * h), (0.3 * w, 0.97 * h), (0.25 * w, h),
-        ]  # fmt: skip
+            (0.42 * w, 0),
+            (0.5 * w, 0.01),
+            (0.5 * w, 0.8 * h),
+            (0.3 * w, 0.97 * h),
+            (0.25 * w, h),
+        ]
         body.add(s.lathe(shell_profile(outline, 0.002), 30), skin, "body")
     r = 0.016
     profile = [(0.0062, h - 0.0005), (r, h - 0.0005), (r, h + 0.016), (0.0062, h + 0.016)]

@@ -42,10 +42,13 @@ def dishwasher(rng: np.random.Generator) -> ProceduralObject:
     top = bottom + h - strip
     style: m.HandleStyle | None = ("bar", "bow", "flat", "lip")[rng.integers(4)]
     m.door(
-        b, body, m.Opening(-w / 2 + 0.001, w / 2 - 0.001, bottom + 0.002, top - 0.003),
+        b,
+        body,
+        m.Opening(-w / 2 + 0.001, w / 2 - 0.001, bottom + 0.002, top - 0.003),
         front - 0.002,
-        m.DoorSpec("bottom", np.pi / 2, "plain", style, 0.7 * w, 0.04, 0.5, 0.06, thick), palette,
-    )  # fmt: skip
+        m.DoorSpec("bottom", np.pi / 2, "plain", style, 0.7 * w, 0.04, 0.5, 0.06, thick),
+        palette,
+    )
     count = int(rng.integers(2, 7))
     if strip:
         center = (0, front - thick / 2, top + strip / 2)
@@ -56,9 +59,15 @@ def dishwasher(rng: np.random.Generator) -> ProceduralObject:
             size = (0.026, 0.016, 0.005)
             controls.push_button(b, body, at, size, palette.accent, round_=bool(k % 2))
         controls.knob(
-            b, body, (0.4 * w, front - thick, top + strip / 2), 0.028, 0.022, palette.accent,
-            plain("mark", (230, 230, 230)), style=int(rng.integers(3)),
-        )  # fmt: skip
+            b,
+            body,
+            (0.4 * w, front - thick, top + strip / 2),
+            0.028,
+            0.022,
+            palette.accent,
+            plain("mark", (230, 230, 230)),
+            style=int(rng.integers(3)),
+        )
     for k in range(int(rng.integers(1, 3))):
         z = opening.z0 + (0.08 + 0.5 * k) * opening.height
         shelf = b.slide("shelf", body, (0, -1, 0), 0.0, 0.62 * d, (0, 0, z))
@@ -87,8 +96,13 @@ def washing_machine(rng: np.random.Generator) -> ProceduralObject:
     drum = b.spin("drum", body, (0, 1, 0), (0, 0, cz))
     r = 0.93 * radius
     profile = [
-        (r, 0), (r, 0.6 * d), (0.0, 0.6 * d), (0.0, 0.59 * d), (0.95 * r, 0.59 * d), (0.95 * r, 0),
-    ]  # fmt: skip
+        (r, 0),
+        (r, 0.6 * d),
+        (0.0, 0.6 * d),
+        (0.0, 0.59 * d),
+        (0.95 * r, 0.59 * d),
+        (0.95 * r, 0),
+    ]
     shell = s.lathe(profile, 28)
     at = (0, front + 0.05, cz)
     drum.add(s.along(shell, 1).scaled((1, -1, 1)).moved(at), metal("steel"), "drum")
@@ -127,9 +141,11 @@ def _round_opening(
         )
     outer, inner = unit * reach[:, None], unit * radius
     loops = [
-        s.at(outer, wall / 2), s.at(outer, -wall / 2), s.at(inner, -wall / 2),
+        s.at(outer, wall / 2),
+        s.at(outer, -wall / 2),
+        s.at(inner, -wall / 2),
         s.at(inner, wall / 2),
-    ]  # fmt: skip
+    ]
     plate = s.along(s.loft(loops, ring=True), 1).moved((0, front + wall / 2, cz))
     body.add(plate, palette.front, "front")
     z = bottom + h / 2
@@ -159,16 +175,22 @@ def _porthole(
     origin = (hinge_x, front - 0.5 * thick, cz)
     door = b.hinge("door", body, axis, origin, 0.0, float(rng.uniform(1.8, 2.6)))
     profile = [
-        (0.72 * radius, 0.004), (outer, 0.004), (outer, 0.6 * thick), (0.92 * outer, thick),
+        (0.72 * radius, 0.004),
+        (outer, 0.004),
+        (outer, 0.6 * thick),
+        (0.92 * outer, thick),
         (0.78 * radius, 0.9 * thick),
-    ]  # fmt: skip
+    ]
     rim = s.ring(profile, 36)
     surface = palette.accent if rng.random() < 0.5 else metal("white")
     door.add(s.along(rim, 1).moved((0, front, cz)), surface, "rim")
     profile = [
-        (0.74 * radius, 0.012), (0.74 * radius, 0.024), (0.0, 0.03), (0.0, 0.024),
+        (0.74 * radius, 0.012),
+        (0.74 * radius, 0.024),
+        (0.0, 0.03),
+        (0.0, 0.024),
         (0.7 * radius, 0.012),
-    ]  # fmt: skip
+    ]
     bowl = s.lathe(profile, 28)
     door.add(s.along(bowl, 1).moved((0, front, cz)), glass((90, 110, 120), 160), "glass")
     lug = s.box((0.05, 0.02, 0.09), (side * (outer - 0.012), front - 0.5 * thick, cz), 0.004)
@@ -200,9 +222,16 @@ def _washing_controls(
     body.add(s.box(size, (0.155 * w, front - 0.006, z), 0.003), palette.dark, "control_panel")
     mark = plain("mark", (240, 240, 240))
     controls.knob(
-        b, body, (0.0, face, z), 0.03, 0.025, metal("white"), palette.dark,
-        style=int(rng.integers(3)), limits=None if rng.random() < 0.7 else (-2.6, 2.6),
-    )  # fmt: skip
+        b,
+        body,
+        (0.0, face, z),
+        0.03,
+        0.025,
+        metal("white"),
+        palette.dark,
+        style=int(rng.integers(3)),
+        limits=None if rng.random() < 0.7 else (-2.6, 2.6),
+    )
     size = (0.15 * w, 0.004, 0.35 * strip)
     center = (0.17 * w, face - 0.001, z)
     body.add(s.box(size, center), pictured("panel", int(rng.integers(5))), "display")
@@ -229,9 +258,14 @@ def toilet(rng: np.random.Generator) -> ProceduralObject:
         return s.at(egg * f + np.array([0, shift]), z)
 
     levels = [
-        at(0.6, 0, 0.05), at(0.55, 0.08, 0.05), at(0.75, 0.6 * h, 0.03), at(1.0, h - 0.02),
-        at(1.0, h), at(0.75, h), at(0.5, 0.55 * h, 0.02),
-    ]  # fmt: skip
+        at(0.6, 0, 0.05),
+        at(0.55, 0.08, 0.05),
+        at(0.75, 0.6 * h, 0.03),
+        at(1.0, h - 0.02),
+        at(1.0, h),
+        at(0.75, h),
+        at(0.5, 0.55 * h, 0.02),
+    ]
     body.add(s.loft(levels), white, "bowl")
     back = length / 2
     tank_d, tank_h, tank_w = 0.18, float(rng.uniform(0.3, 0.4)), w + float(rng.uniform(0.0, 0.08))
@@ -304,9 +338,11 @@ def faucet(rng: np.random.Generator) -> ProceduralObject:
         path = np.vstack([[0, 0, z + 0.001], arc, [0, -reach, z + rise - 0.03]])
     else:
         corners = [
-            (0, 0, z + 0.001), (0, 0, z + rise), (0, -reach, z + rise + 0.01),
+            (0, 0, z + 0.001),
+            (0, 0, z + rise),
+            (0, -reach, z + rise + 0.01),
             (0, -reach, z + rise - 0.03),
-        ]  # fmt: skip
+        ]
         path = s.bent_path(corners, 0.03)
     swivel.add(s.tube(path, thin, 14), skin, "spout")
     swivel.add(s.cylinder(1.1 * r, 0.02, segments=24).moved((0, 0, z + 0.0108)), skin, "collar")
