@@ -25,16 +25,20 @@ def test_a_limit_that_rises_is_told_and_one_that_falls_is_not():
     before = {"house": {"files": 700, "lines": 100_000}}
     now = {"house": {"files": 701, "lines": 90_000}}
     assert [*raised(now, before)] == ["files: the limit rose from 700 to 701"]
+    moved = {"packages": {"app": 4, "model": 6}}, {"packages": {"app": 5, "model": 5}}
+    assert not [*raised(*moved)]
+    grown = {"packages": {"app": 6, "model": 5}}, {"packages": {"app": 5, "model": 5}}
+    assert [*raised(*grown)] == ["packages: the limit rose from 10 to 11"]
 
 
 def test_an_allowance_raises_the_lines_by_what_was_used_and_no_more_than_it_says():
-    table = 'used = 0 }\n"faults of whole kinds"'
-    assert table in TEXT
-    spent = TEXT.replace(table, table.replace("0", "40", 1))
+    entry = '"the screen" = { most = 600, used = '
+    assert entry + "0" in TEXT
+    spent = TEXT.replace(entry + "0", entry + "40")
     assert limits_of(spent)["house"]["lines"] == limits_of(TEXT)["house"]["lines"] + 40
     assert limits_of(spent)["packages"]["app"] == limits_of(TEXT)["packages"]["app"] + 40
     with pytest.raises(ValueError, match="used 9999 of 600"):
-        limits_of(TEXT.replace(table, table.replace("0", "9999", 1)))
+        limits_of(TEXT.replace(entry + "0", entry + "9999"))
 
 
 def test_members_and_vague_docstrings_are_counted():
