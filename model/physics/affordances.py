@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -119,12 +119,8 @@ def find_affordances(
             None,
         )
         for joint in joints if surface is not None else ():
-            kept += attempt(
-                failed,
-                f"{joint.name}: the search for affordances",
-                lambda j=joint: list(_Search(obj.tree, surface, j).best(most)),
-                [],
-            )
+            places = partial(_places, obj.tree, surface, joint, most)
+            kept += attempt(failed, f"{joint.name}: the search for affordances", places, [])
     _FOUND[obj] = (collision, (most, seed), tuple(kept), failed)
     said += failed
     return tuple(kept)
@@ -134,6 +130,10 @@ _FOUND: WeakKeyDictionary[
     ArticulatedObject,
     tuple[Mapping[str, Sequence[Shape]], tuple[int, int], tuple[Affordance, ...], list[str]],
 ] = WeakKeyDictionary()
+
+
+def _places(tree: KinematicTree, surface: _Surface, joint: Joint, most: int) -> list[Affordance]:
+    return list(_Search(tree, surface, joint).best(most))
 
 
 def _own(joint: Joint) -> bool:
