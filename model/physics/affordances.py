@@ -8,9 +8,9 @@ the free edge of a door, the rim of a lid and the face of a button come out of t
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cache, cached_property, partial
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -111,16 +111,11 @@ def find_affordances(
     known = {a.joint for a in kept}
     joints = [j for j in obj.tree.joints if _own(j) and j.name not in known] if collision else []
     failed: list[str] = []
-    if joints:
-        surface = attempt(
-            failed,
-            "the surface that grippers touch",
-            lambda: _Surface.of(obj, collision, np.random.default_rng(seed)),
-            None,
-        )
-        for joint in joints if surface is not None else ():
-            places = partial(_places, obj.tree, surface, joint, most)
-            kept += attempt(failed, f"{joint.name}: the search for affordances", places, [])
+    surface = cache(lambda: _Surface.of(obj, collision, np.random.default_rng(seed)))
+    for joint in joints:
+        search = f"{joint.name}: the search for affordances"
+        places = partial(_places, obj.tree, surface, joint, most)
+        kept += attempt(failed, search, places, [])
     _FOUND[obj] = (collision, (most, seed), tuple(kept), failed)
     said += failed
     return tuple(kept)
