@@ -92,8 +92,7 @@ def find_affordances(
 ) -> tuple[Affordance, ...]:
     """Places for each joint that moves on its own, best first; none where no hand fits.
 
-    Affordances that ``obj`` has, of joints that it still has, are kept. A search that fails
-    leaves its joint without any.
+    Affordances of ``obj`` whose joints remain are kept; a search that fails finds none.
 
     Args:
         collision: link → shapes, object frame: what a gripper meets. Links without any count by
@@ -113,9 +112,8 @@ def find_affordances(
     failed: list[str] = []
     surface = cache(lambda: _Surface.of(obj, collision, np.random.default_rng(seed)))
     for joint in joints:
-        search = f"{joint.name}: the search for affordances"
         places = partial(_places, obj.tree, surface, joint, most)
-        kept += attempt(failed, search, places, [])
+        kept += attempt(failed, f"{joint.name}: the search for affordances", places, [])
     _FOUND[obj] = (collision, (most, seed), tuple(kept), failed)
     said += failed
     return tuple(kept)
@@ -127,8 +125,10 @@ _FOUND: WeakKeyDictionary[
 ] = WeakKeyDictionary()
 
 
-def _places(tree: KinematicTree, surface: _Surface, joint: Joint, most: int) -> list[Affordance]:
-    return list(_Search(tree, surface, joint).best(most))
+def _places(
+    tree: KinematicTree, surface: Callable[[], _Surface], joint: Joint, most: int
+) -> list[Affordance]:
+    return list(_Search(tree, surface(), joint).best(most))
 
 
 def _own(joint: Joint) -> bool:
