@@ -26,7 +26,6 @@ from pathlib import Path
 from typing import BinaryIO
 
 from model.core.files import OLD
-from model.io.assets.reader import recover
 
 END_SECONDS = 4.0
 """Seconds that the server may take to close; supervisors kill after 5 s or more."""
@@ -229,17 +228,16 @@ class WorkspaceLease:
 def unfinished(workspace: Path) -> list[Path]:
     """Files and folders that aren't whole: being written, or left by a process that was killed."""
     found = (path for pattern in _UNFINISHED for path in workspace.glob(pattern))
-    return [path for path in found if not path.is_symlink()]  # but second annotations' sources
+    return [p for p in found if not p.is_symlink()]  # but second annotations' sources
 
 
 def remove_leftovers(workspace: Path) -> list[Path]:
     """Remove what is unfinished, and put back assets whose replacement was cut off.
 
-    Only for a workspace in which nobody writes.
-
-    Returns:
-        What was removed.
+    Only for a workspace in which nobody writes. Returns the removed paths.
     """
+    from model.io.assets.reader import recover  # heavy, and --help comes by here
+
     found = unfinished(workspace)
     for path in found:
         if path.name.endswith(OLD) and path.parent.name == "assets":
