@@ -41,8 +41,10 @@ def serve_backend(options: BackendCommand) -> int:
         ConfigurationError: where an option can't work or the extra isn't installed.
     """
     token = _token(options)
-    _check(options)
     name = options.predictor
+    if is_backend(name):
+        raise ConfigurationError(f"--predictor {name}: a backend can't ask another one")
+    check_predictor(name)
     try:
         from app.server.backend_server import (  # imports an extra
             Backend,
@@ -91,21 +93,6 @@ def _token(options: BackendCommand) -> str | None:
     return token
 
 
-def _check(options: BackendCommand) -> None:
-    for option, value in (
-        ("--workers", options.workers),
-        ("--waiting", options.waiting),
-        ("--max-request-mb", options.max_request_mb),
-    ):
-        if value < 1:
-            raise ConfigurationError(f"{option} {value} must be 1 or more")
-    if is_backend(options.predictor):
-        raise ConfigurationError(
-            f"--predictor {options.predictor}: a backend can't ask another one"
-        )
-    check_predictor(options.predictor)
-
-
 def serve(options: ServeCommand, end: EndSignals) -> int:
     """Check the options while nothing is running yet, then serve until interrupted."""
     config = make_config(options)
@@ -150,7 +137,7 @@ def make_config(options: ServeCommand) -> ServeConfig:
     if token is None and not is_loopback(options.host):
         token = new_token()
     Login(token)  # refuses one that is too short
-    check_segmenter(options.segmenter)
+    check_segmenter(options.segmentation.segmenter)
     if options.finder != "lexicon":
         load_finder(options.finder, FinderOptions(options.finder_url))
     check_predictor(options.prediction.predictor)
@@ -171,7 +158,6 @@ def make_config(options: ServeCommand) -> ServeConfig:
         "storage",
         "host",
         "max_upload_mb",
-        "segmenter",
         "finder",
         "finder_url",
     )
@@ -185,6 +171,7 @@ def make_config(options: ServeCommand) -> ServeConfig:
         up_axis=options.reading.up_axis,
         unit_scale=options.reading.unit_scale,
         masks=options.masks,
+        segmenter=options.segmentation.segmenter,
         predictor=predictor,
         allowed_origins=options.allow_origin,
         trusted_proxies=options.trusted_proxy,
