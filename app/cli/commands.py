@@ -265,6 +265,7 @@ class SceneConvertCommand(SceneInspectCommand):
 class BackendCommand(Command):
     """Predict for other machines over HTTP."""
 
+    place: ClassVar[str] = "app.cli.serve:serve_backend"
     predictor: str = option("predictor of the joints", "NAME", DEFAULT_PREDICTOR)
     host: str = option(
         "address to listen at; others than this machine need a token", "HOST", "127.0.0.1"
@@ -278,10 +279,6 @@ class BackendCommand(Command):
     max_request_mb: int = option(
         "largest object that a client may send", "MB", 200, parse=positive_count
     )
-
-    def run(self) -> int:
-        """Answer requests until interrupted."""
-        return at_place("app.cli.serve:serve_backend")(self)
 
 
 @dataclass(frozen=True, kw_only=True)

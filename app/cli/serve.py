@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from app.cli.commands import BackendCommand, ServeCommand
 from app.cli.options import OidcOptions
+from app.cli.output import Result
 from app.cli.predict import check_backend, chosen_predictor
 from app.server import backend_tasks
 from app.server.config import TOKEN_VARIABLE, ServeConfig
@@ -20,6 +21,7 @@ from app.server.network import check_address, free_port, is_loopback, url
 from app.server.oidc import SECRET_VARIABLE, OidcSettings
 from model.core.errors import ConfigurationError, InputFileError
 from model.core.packages import install_command
+from model.core.progress import Progress
 from model.io.geometry_files import STAGES, SUFFIXES
 from model.io.masks import read_masks
 from model.io.model_files import articulated_stage, find_assets, is_model
@@ -34,7 +36,7 @@ if TYPE_CHECKING:
     from app.server.server import Server
 
 
-def serve_backend(options: BackendCommand) -> int:
+def serve_backend(options: BackendCommand, _: Progress) -> Result:
     """Check the options, load the predictor, then answer until interrupted.
 
     Raises:
@@ -78,7 +80,7 @@ def serve_backend(options: BackendCommand) -> int:
     finally:
         for worker in workers:
             worker.close()
-    return 0
+    return Result(None, lambda: None)
 
 
 def _token(options: BackendCommand) -> str | None:

@@ -31,7 +31,7 @@ def test_the_reference_is_up_to_date():
     assert DOCUMENT.read_text(encoding="utf-8") == reference(), "run: python -m app.cli.reference"
 
 
-@pytest.mark.parametrize(("name", "command"), commands())
+@pytest.mark.parametrize(("name", "command"), list(commands()))
 def test_every_command_and_option_is_explained(name, command, capsys):
     assert description(command).endswith(".")
     assert main([*name.split(), "--help"]) == 0

@@ -34,6 +34,7 @@ from app.cli.benchmarks.ui import (
     cabinet_cloud,
     drawer_ray,
     wait_for,
+    waiting_times,
 )
 from app.cli.output import Result, console, print_records
 from app.cli.serve import start_server
@@ -124,16 +125,12 @@ def _phase(tabs: list[tuple[Any, Any]], seconds: float, seed: int, attack: Any) 
     files = Counter[str]() if attack is None else attack(end)
     for thread in threads:
         thread.join()
-    times = [1000 * t for t in taken if t < LOST] or [1000 * LOST]
-    p50, p95, most = (round(float(v)) for v in np.percentile(times, (50, 95, 100)))
     lost = sum(t >= LOST for t in taken)
     return {
         "with": "the worst files" if attack else "nobody else",
         "clicks": len(taken),
         "lost": lost,
-        "p50 ms": p50,
-        "p95 ms": p95,
-        "longest ms": most,
+        **waiting_times([t for t in taken if t < LOST] or [LOST]),
         **{what: files[what] for what in ("opened", "refused", "left")},
     }
 

@@ -28,6 +28,7 @@ from app.cli.benchmarks.ui import (
     cabinet_cloud,
     drawer_ray,
     wait_for,
+    waiting_times,
 )
 from app.cli.output import Result, print_figures, print_records
 from app.cli.serve import start_server
@@ -220,25 +221,17 @@ def _row(
     errors = sum((p.errors for p in [*first, *found]), Counter())
     taken = [t for p in found for t in p.taken]
     began = [p.taken[0] for p in first if p.taken]
-    p50, p95, most = (_percentile(taken, q, 1000) for q in (50, 95, 100))
     return {
         "people": people,
         "clicks": len(taken),
         "errors": sum(errors.values()),
-        "p50 ms": p50,
-        "p95 ms": p95,
-        "longest ms": most,
-        "first click p95 s": _percentile(began, 95),
+        **waiting_times(taken),
+        "first click p95 s": round(float(np.percentile(began, 95)), 1) if began else None,
         "idle MB": round(memory[0]),
         "all open MB": round(memory[1]),
         "after MB": round(memory[2]),
         **{f"status {status}": count for status, count in sorted(errors.items())},
     }
-
-
-def _percentile(seconds: list[float], q: float, scale: float = 1.0) -> float | None:
-    """Percentile ``q`` of times, multiplied by ``scale``; None without any."""
-    return round(float(np.percentile(seconds, q)) * scale, 1) if seconds else None
 
 
 class _Person(threading.Thread):

@@ -233,6 +233,15 @@ def _measure(path: Path, workspace: Path, options: UiBench) -> dict[str, Any]:
         server.close()
 
 
+def waiting_times(seconds: list[float]) -> dict[str, Any]:
+    """Median, 95th percentile and longest of some times, in ms; None without any."""
+    names = ("p50 ms", "p95 ms", "longest ms")
+    if not seconds:
+        return dict.fromkeys(names)
+    found = 1000 * np.percentile(seconds, (50, 95, 100))
+    return {name: round(float(value), 1) for name, value in zip(names, found, strict=True)}
+
+
 def drawer_ray(low: Array, drawer: int, rng: np.random.Generator) -> tuple[Any, Any]:
     """A ray that meets a drawer of the cabinet from the front: origin and direction."""
     target = np.array([rng.uniform(-0.3, 0.3), low[1], 0.15 + 0.3 * drawer])
