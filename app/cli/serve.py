@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from app.cli.commands import BackendCommand, ServeCommand
 from app.cli.options import OidcOptions
+from app.cli.output import Result
 from app.cli.predict import check_backend, chosen_predictor
 from app.server import backend_tasks
 from app.server.config import TOKEN_VARIABLE, ServeConfig
@@ -20,6 +21,7 @@ from app.server.network import check_address, free_port, is_loopback, url
 from app.server.oidc import SECRET_VARIABLE, OidcSettings
 from model.core.errors import ConfigurationError, InputFileError
 from model.core.packages import install_command
+from model.core.progress import Progress
 from model.io.geometry_files import STAGES, SUFFIXES
 from model.io.masks import read_masks
 from model.io.model_files import articulated_stage, find_assets, is_model
@@ -34,15 +36,17 @@ if TYPE_CHECKING:
     from app.server.server import Server
 
 
-def serve_backend(options: BackendCommand) -> int:
+def serve_backend(options: BackendCommand, _: Progress) -> Result:
     """Check the options, load the predictor, then answer until interrupted.
 
     Raises:
         ConfigurationError: where an option can't work or the extra isn't installed.
     """
     token = _token(options)
-    _check(options)
     name = options.predictor
+    if is_backend(name):
+        raise ConfigurationError(f"--predictor {name}: a backend can't ask another one")
+    check_predictor(name)
     try:
         from app.server.backend_server import (  # imports an extra
             Backend,
@@ -76,7 +80,7 @@ def serve_backend(options: BackendCommand) -> int:
     finally:
         for worker in workers:
             worker.close()
-    return 0
+    return Result(None, lambda: None)
 
 
 def _token(options: BackendCommand) -> str | None:
@@ -89,21 +93,6 @@ def _token(options: BackendCommand) -> str | None:
         raise ConfigurationError("--token must have ASCII letters, digits and signs only")
     Login(token)  # refuses one that is too short
     return token
-
-
-def _check(options: BackendCommand) -> None:
-    for option, value in (
-        ("--workers", options.workers),
-        ("--waiting", options.waiting),
-        ("--max-request-mb", options.max_request_mb),
-    ):
-        if value < 1:
-            raise ConfigurationError(f"{option} {value} must be 1 or more")
-    if is_backend(options.predictor):
-        raise ConfigurationError(
-            f"--predictor {options.predictor}: a backend can't ask another one"
-        )
-    check_predictor(options.predictor)
 
 
 def serve(options: ServeCommand, end: EndSignals) -> int:
@@ -150,7 +139,7 @@ def make_config(options: ServeCommand) -> ServeConfig:
     if token is None and not is_loopback(options.host):
         token = new_token()
     Login(token)  # refuses one that is too short
-    check_segmenter(options.segmenter)
+    check_segmenter(options.segmentation.segmenter)
     if options.finder != "lexicon":
         load_finder(options.finder, FinderOptions(options.finder_url))
     check_predictor(options.prediction.predictor)
@@ -171,7 +160,6 @@ def make_config(options: ServeCommand) -> ServeConfig:
         "storage",
         "host",
         "max_upload_mb",
-        "segmenter",
         "finder",
         "finder_url",
     )
@@ -185,6 +173,7 @@ def make_config(options: ServeCommand) -> ServeConfig:
         up_axis=options.reading.up_axis,
         unit_scale=options.reading.unit_scale,
         masks=options.masks,
+        segmenter=options.segmentation.segmenter,
         predictor=predictor,
         allowed_origins=options.allow_origin,
         trusted_proxies=options.trusted_proxy,

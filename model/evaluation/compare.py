@@ -238,19 +238,6 @@ def print_comparison(comparison: Comparison) -> None:
         console.print(Text(" ".join(parts)))
 
 
-def print_table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """Any table: the first column is text, the others are numbers."""
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(title=Text(title))
-    for i, column in enumerate(header):
-        table.add_column(column, justify="right" if i else "left")
-    for row in rows:
-        table.add_row(*(Text(c) for c in row))
-    _console().print(table)
-
-
 def _console() -> Console:
     from rich.console import Console
 

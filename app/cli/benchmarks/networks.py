@@ -25,9 +25,9 @@ import numpy as np
 import torch
 from safetensors.torch import save_file
 
+from app.cli.bench_commands import NetworksBench
 from app.cli.benchmarks.shapes import chest, joined
 from app.cli.output import Result, print_records
-from app.cli.research_commands import BenchCommand
 from model.core.asset import Asset
 from model.core.errors import ConfigurationError
 from model.core.packages import require
@@ -77,23 +77,23 @@ class NetworksConfig:
     training: FullConfig = field(default_factory=FullConfig)
 
 
-def networks_bench(options: BenchCommand, progress: Progress) -> Result:
+def networks_bench(options: NetworksBench, progress: Progress) -> Result:
     """Measure with the options of the command.
 
     Raises:
         ConfigurationError: for an unknown size.
     """
-    for name in options.sizes or ():
+    for name in options.sizes:
         if name not in QWEN3:
             raise ConfigurationError(f"no size {name!r}; there are {', '.join(QWEN3)}")
     sizes = {name: QWEN3[name] for name in options.sizes} if options.sizes else None
-    report = measure(NetworksConfig(sizes=sizes, train=options.train), progress)
+    report = measure(NetworksConfig(sizes=sizes, train=options.train or None), progress)
 
     def show() -> None:
         for title, rows in tables(report):
             print_records(title, rows)
 
-    return report, show
+    return Result(report, show)
 
 
 def measure(config: NetworksConfig, progress: Progress = no_progress) -> dict[str, Any]:
