@@ -1,0 +1,221 @@
+"""The evidence by which joints are chosen, as log-probabilities of the answer's words.
+
+Geometry offers candidates. Its rules with the parts' words, the network's reading and a workspace's
+accepted joints each give every joint type and candidate a log-probability; the highest sum is the
+answer, and nothing overrules it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+from scipy.special import logsumexp, softmax
+
+from model.core.joint import JOINT_KINDS, Joint
+from model.prediction.arti4urdf import vocabulary as v
+from model.prediction.arti4urdf.decoding import Answer
+from model.prediction.arti4urdf.structure import MECHANISMS, RANKS, SLOTS, Structure
+from model.prediction.arti4urdf.vocabulary import Decision
+from model.prediction.experience import (
+    MOST,
+    UNSEEN,
+    Experience,
+    Motions,
+    Recalled,
+    extent_along,
+    in_part,
+    part_name,
+)
+from model.prediction.geometric.roles import NAMED, mechanism_scores, named_mechanism
+from model.prediction.geometric.tree import rooted_tree
+
+Array = npt.NDArray[np.float64]
+Bools = npt.NDArray[np.bool_]
+
+FLOOR = 0.002
+"""Probability of words that the rules exclude."""
+ACCEPTED_TYPES, ACCEPTED_MOTIONS = 40.0, 5.0
+"""Weights of the log-shares of accepted joints, by joint type and by motion; chosen with half of
+Infinigen's objects. Two that agree on a type outweigh the rules, one doesn't."""
+
+
+@dataclass(frozen=True)
+class HybridSettings:
+    """Influence of geometry, which also decides the tree.
+
+    Attributes:
+        weight: of geometry's log-probabilities of joint types and candidates.
+        swept: log-odds in favour of a candidate's own limits, from rules and motion sweep.
+    """
+
+    weight: float = 5.0
+    swept: float = 10.0
+
+
+def geometric_prior(structure: Structure) -> Array:
+    """(P, SIZE) log-probabilities of joint types and candidates; 0 for all other words."""
+    known = {i: k for i, k in enumerate(structure.features) if k is not None}
+    out = np.zeros((len(structure.sampled), v.SIZE))
+    for i, context in enumerate(structure.contexts):
+        if i not in known:
+            continue
+        named, fixed = named_mechanism(context), FLOOR
+        scores = mechanism_scores(context, known[i], known)
+        mechanisms = softmax(1.5 * np.array([scores.get(m, -2.0) for m in MECHANISMS]))
+        if named is not None:  # a name may be wrong: what it leaves open is the shape's
+            mechanisms *= 1 - NAMED
+            if named == "fixed":
+                fixed = NAMED
+            else:
+                mechanisms[MECHANISMS.index(named)] += NAMED
+        out[i] = _word_odds(structure, i, mechanisms, fixed)
+    return out
+
+
+def _word_odds(structure: Structure, part: int, mechanisms: Array, fixed: float) -> Array:
+    """(SIZE,) log-probabilities from those of the mechanisms."""
+    slots, types = np.zeros(SLOTS), np.full(len(v.TYPES), FLOOR)
+    types[v.TYPES.index("fixed")] = fixed
+    for k, mechanism in enumerate(MECHANISMS):
+        found = structure.slots[part][k * RANKS : (k + 1) * RANKS]
+        scores = np.array([p.score for p in found if p is not None])
+        if not len(scores):
+            continue
+        slots[k * RANKS : k * RANKS + len(scores)] = mechanisms[k] * softmax(2.0 * scores)
+        best = found[0]
+        assert best is not None
+        kind = "screw" if best.travel is not None or mechanism == "screw" else best.type
+        types[v.TYPES.index(kind)] += mechanisms[k]
+    out = np.zeros(v.SIZE)
+    out[v.TYPE_IDS] = np.log(types / types.sum())
+    out[v.SLOT_IDS] = np.log(np.maximum(slots, FLOOR / SLOTS))
+    out[v.ID["<free>"]] = np.log(FLOOR)
+    return out
+
+
+def recalled(experience: Experience | None, structure: Structure) -> dict[int, Recalled]:
+    """Evidence about parts from accepted objects of the same category."""
+    if experience is None:
+        return {}
+    parts = {i: _motions(structure, i) for i in range(len(structure.sampled))}
+    return experience.recall(structure.sampled.category, parts)
+
+
+def _motions(structure: Structure, part: int) -> Motions:
+    found = [p for p in structure.slots[part] if p is not None]
+    lines = [in_part(structure.sampled, part, p.axis, p.origin) for p in found]
+    axes, arms = (np.array([line[k] for line in lines]).reshape(-1, 3) for k in (0, 1))
+    turns = np.array([not JOINT_KINDS[p.type].slides for p in found], bool)
+    return Motions(structure.sampled.shapes[part].name, axes, arms, turns)
+
+
+def experience_prior(structure: Structure, known: Mapping[int, Recalled]) -> Array:
+    """(P, SIZE) log-shares of accepted joints by joint type and by candidate."""
+    out = np.zeros((len(structure.sampled), v.SIZE))
+    for i, found in known.items():
+        present = [p is not None for p in structure.slots[i]]
+        types = np.array([found.objects * found.types.get(t, 0.0) for t in v.TYPES])
+        motions = np.log((found.agreeing + UNSEEN) / (found.objects + UNSEEN))
+        out[i, v.SLOT_IDS[present]] = ACCEPTED_MOTIONS * motions
+        out[i, v.TYPE_IDS] = ACCEPTED_TYPES * np.log((types + UNSEEN) / (found.objects + UNSEEN))
+    return out
+
+
+def parents(
+    structure: Structure, kept: Mapping[int, int], known: Mapping[int, Recalled]
+) -> list[int]:
+    """Parent of each part by geometry, or by name where most accepted objects have that one.
+
+    Args:
+        kept: part → the parent that a person fixed. known: about parts, from accepted objects.
+    """
+    sampled = structure.sampled
+    root, found = structure.assembly.root, list(structure.assembly.parent)
+    if kept:
+        root, found = rooted_tree(sampled, kept, [])
+    names = [part_name(s.name) for s in sampled.shapes]
+    for i, about in known.items():
+        parent = about.agreed(about.parents)
+        if parent is None or i in kept or i == root:
+            continue
+        fitting = [k for k, name in enumerate(names) if name == parent and k != i]
+        above = root if not parent else min(fitting, key=lambda k: sampled.gap[i, k], default=None)
+        if above is not None and not _below(found, above, i):
+            found[i] = above
+    return found
+
+
+def _below(parent: list[int], part: int, above: int) -> bool:
+    """True if a part is ``above`` or one of its descendants."""
+    while part >= 0:
+        if part == above:
+            return True
+        part = parent[part]
+    return False
+
+
+def other_motions(
+    answer: Answer, structure: Structure, part: int, evidence: Array, same: Bools
+) -> Iterator[Decision]:
+    """The decision about a part with each of its candidates' motions, likeliest first.
+
+    Args:
+        evidence: (SIZE,) log-probabilities that were added to the network's.
+        same: (SLOTS, SLOTS) candidates with the same motion.
+    """
+    types, chosen = answer.record(part, "type"), answer.record(part, "slot")
+    slots = np.array([k for k, p in enumerate(structure.slots[part]) if p is not None], int)
+    if types is None or chosen is None or not len(slots):
+        return
+    offered = [structure.slots[part][k] for k in slots]
+    slides = np.array([p is not None and JOINT_KINDS[p.type].slides for p in offered])
+    kind = types.words[v.TYPE_IDS]
+    moving = np.where(slides, kind[v.PRISMATIC], kind[[v.REVOLUTE, v.CONTINUOUS, v.SCREW]].sum())
+    words = v.SLOT_IDS[slots]
+    odds = evidence[words] + np.where(np.isfinite(chosen.plain[words]), chosen.plain[words], 0.0)
+    for group in (slides, ~slides):
+        if group.any():
+            odds[group] -= logsumexp(odds[group])
+    shared = same[np.ix_(slots, slots)] @ np.exp(odds)
+    likely = np.log(np.maximum(moving, 1e-12)) + np.log(np.maximum(shared, 1e-12))
+    for k in np.lexsort((-odds, -likely)):
+        found = offered[k]
+        assert found is not None
+        decision = answer.decisions[part]
+        stays = decision.type == v.SCREW and not slides[k]
+        name = v.TYPES[v.SCREW] if stays else found.type
+        yield replace(
+            decision, slot=int(slots[k]), type=v.TYPES.index(name), lower=-1, upper=-1, numbers=[]
+        )
+
+
+def with_known_range(
+    joints: list[Joint], structure: Structure, part: int, known: Recalled
+) -> list[Joint]:
+    """The joint of a part with the limits on which accepted joints agree, if it has limits."""
+    if len(joints) != 1 or not joints[0].limited:
+        return joints
+    [joint] = joints
+    axis = structure.sampled.frame.object_from_working.T @ np.asarray(joint.axis)
+    found = known.range_about(axis)
+    if found is None:
+        return joints
+    scale = 1.0
+    if not joint.rotates:
+        scale = extent_along(structure.sampled, part, axis) * structure.sampled.frame.diagonal
+    return [replace(joint, lower=found[0] * scale, upper=found[1] * scale)]
+
+
+def follows(structure: Structure, decision: Decision, part: int, known: Recalled) -> bool:
+    """True if the decision about a part has the type and motion of most accepted joints."""
+    if known.agreed(known.types) != v.TYPES[decision.type]:
+        return False
+    if decision.slot < 0:
+        return True
+    if decision.slot == v.FREE:
+        return False
+    at = sum(p is not None for p in structure.slots[part][: decision.slot])
+    return bool(known.agreeing[at] >= MOST * known.objects)
