@@ -263,6 +263,11 @@ class BenchCommand(Command):
         "(default: table)"
     )
     engine: str = option(f"assets: {ENGINE_HELP}", "NAME,NAME", "mujoco,sapien")
+    without: tuple[str, ...] | None = option(
+        "joints: also without these mechanisms of the prediction, or without each (all)",
+        "NAME",
+        nargs="+",
+    )
     before: Path | None = option("assets, joints: --json of an earlier run, shown beside", "FILE")
     scene: Path | None = option(
         "robot: open joints of this scene in MJCF instead, as scene convert writes it", "FILE"

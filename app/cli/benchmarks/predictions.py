@@ -5,6 +5,7 @@ opens what is exported, and what simulators and validators accept.
 
 from __future__ import annotations
 
+import itertools
 import json
 import re
 import resource
@@ -43,11 +44,12 @@ from model.evaluation.scans import run as run_scans
 from model.evaluation.scans import to_json as scans_json
 from model.evaluation.segmentation import BenchConfig, DataSet
 from model.evaluation.segmentation import run as run_segment
+from model.prediction.ablation import SWITCHES
 from model.prediction.arti4urdf.decoding import decode
 from model.prediction.arti4urdf.network import load_weights
 from model.prediction.arti4urdf.predictor import Arti4UrdfPredictor, make_prompt
 from model.prediction.arti4urdf.structure import read_structure
-from model.prediction.registry import Predictor, load_predictor
+from model.prediction.registry import DEFAULT, Predictor, load_predictor
 from model.training.arti4urdf.small_trainer import (
     both,
     foreign_wholes,
@@ -62,6 +64,7 @@ from model.validation.engines import MUJOCO, require_engines
 FOLDERS = (
     ("PartNet-Mobility", "partnet-mobility", "partnet_mobility"),
     ("Infinigen", "urdf", "infinigen"),
+    ("simulators", "urdf", "simulator_objects"),
     ("ReplicaCAD", "urdf", "articulated_free/habitat"),
     ("LIBERO", "mjcf", "articulated_free/libero"),
 )
@@ -75,14 +78,22 @@ def joints_bench(options: BenchCommand, progress: Progress) -> Result:
     """Measure with the options of the command."""
     before = {} if options.before is None else read_json(options.before)
     found = sources(options.data, SPLITS[options.half or "table"])
-    runs = [(title, data, names) for title, data in found.items() for names in (True, False)]
+    without = options.without or ()
+    left_out = ["", *(SWITCHES if "all" in without else without)]
+    runs = list(itertools.product(found.items(), (True, False), left_out))
     rows = []
-    for k, (title, (data, split), names) in enumerate(runs):
+    for k, ((title, (data, split)), names, mechanism) in enumerate(runs):
         config = EvaluationConfig(
-            data, split, names=names, jobs=options.jobs, limit=options.limit or None
+            data,
+            split,
+            predictor=f"without:{mechanism}" if mechanism else DEFAULT,
+            names=names,
+            jobs=options.jobs,
+            limit=options.limit or None,
         )
         span = scaled_progress(progress, k / len(runs), (k + 1) / len(runs))
         said = f"{title}, {'names' if names else 'no names'}"
+        said += f", without {mechanism}" if mechanism else ""
         rows.append(row(said, evaluate(config, progress=span)))
     title = "Predicted joints (earlier figures in brackets)" if before else "Predicted joints"
     return {"table": rows}, lambda: print_records(title, beside(rows, before))
