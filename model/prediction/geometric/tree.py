@@ -11,8 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from model.core.motion_lexicon import CATEGORY_PARENTS
-from model.core.names import base_score, category_key, known_word, mechanism_of, words
+from model.core.names import base_score, mechanism_of, words
 from model.core.progress import attempt
 from model.prediction.geometric.context import UP, Assembly, snapped, unit
 from model.prediction.geometric.sampled_object import CONTACT_GAP, SampledObject
@@ -143,7 +142,7 @@ def spanning_parents(sampled: SampledObject, root: int) -> list[int]:
             continue
         if j is not None and (mutual or held.get(j) is None) and not _below(parent, j, i):
             parent[i] = j
-    return _named_parents(sampled, root, _leaves_apart(sampled, root, parent))
+    return _leaves_apart(sampled, root, parent)
 
 
 def _leaves_apart(sampled: SampledObject, root: int, parent: list[int]) -> list[int]:
@@ -228,32 +227,6 @@ def _both_slender(sampled: SampledObject, root: int, i: int, j: int) -> bool:
 def _small(sampled: SampledObject, holder: int, held: int) -> float:
     """1 if the holder is smaller than the part that it would carry."""
     return float(sampled.shapes[holder].size < 0.8 * sampled.shapes[held].size)
-
-
-def _named_parents(sampled: SampledObject, root: int, parent: list[int]) -> list[int]:
-    """Apply the category's parents by name."""
-    table = CATEGORY_PARENTS.get(category_key(sampled.category), {})
-    if not table:
-        return parent
-    names = [words(s.name) for s in sampled.shapes]
-    for i, name in enumerate(names):
-        if i == root or not name:
-            continue
-        for word, above in table.items():
-            if known_word(name[-1], (word,)) is None:
-                continue
-            near = [
-                j
-                for j, other in enumerate(names)
-                if j not in (i, root)
-                and other
-                and known_word(other[-1], (above,)) is not None
-                and sampled.gap[i, j] < 4 * CONTACT_GAP
-                and not _below(parent, j, i)
-            ]
-            if near:
-                parent[i] = min(near, key=lambda j: (sampled.gap[i, j], j))
-    return parent
 
 
 def _above(parent: list[int], link: int) -> list[int]:
