@@ -27,7 +27,6 @@ SWITCHES: dict[str, dict[str, Any]] = {
     "front": {"mechanisms.front_of": lambda assembly, _: (assembly.front, 0.0)},
     "contact with other parts": {"tree._holder": None},
     "leaves of one front": {"tree._leaves_apart": THIRD},
-    "enclosing base": {"tree._encloses": 0.0},
     "chains": {"tree.chain_plane": None, "edge_hinges._chain_proposals": []},
     "handles": {"edge_hinges._handle_cue": 0.0},
     "barrels": {"edge_hinges._barrels": None},

@@ -93,18 +93,7 @@ def root_scores(sampled: SampledObject) -> Array:
     for i, s in enumerate(shapes):
         if size[i] > 0.3 and low[i] > 0.06 and (s.ball or blades(s) is not None):
             out[i] -= 1.5
-    for i in np.argsort(-out)[: min(3, n)]:
-        out[i] += 1.2 * _encloses(sampled, int(i))
     return out
-
-
-def _encloses(sampled: SampledObject, i: int) -> float:
-    """0..1: mean share of the larger other parts that part ``i`` encloses."""
-    found = []
-    for j in sorted(sampled.others(i), key=lambda j: -sampled.shapes[j].size)[:6]:
-        covers = [sampled.cover(j, d, (i,)) for d in (*np.eye(3), *-np.eye(3))]
-        found.append(float(np.mean(covers)))
-    return float(np.mean(found)) if found else 0.0
 
 
 def spanning_parents(sampled: SampledObject, root: int) -> list[int]:
