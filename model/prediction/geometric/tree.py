@@ -85,9 +85,6 @@ def root_scores(sampled: SampledObject) -> Array:
     # The base stands on the ground; so do wheels, but they are small.
     grounded = (low < 0.02) & (size > 0.3 * size.max())
     out += 0.9 * grounded
-    feet = (low < 0.06) & (size < 0.2) & (low < low.max())
-    if feet.sum() >= 3:
-        out += 0.9 * (touches @ feet) / feet.sum()  # it stands on its wheels
     out += 1.5 * named
     # Balls and propellers carry nothing.
     for i, s in enumerate(shapes):
