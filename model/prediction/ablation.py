@@ -18,7 +18,6 @@ from model.prediction.arti4urdf.predictor import Arti4UrdfPredictor, hybrid
 
 RULES_ALONE = replace(HybridSettings(), weight=1000.0)
 """Geometry's weight with which the network's reading no longer counts."""
-FIRST, SECOND, THIRD = (lambda *a, k=k: a[k] for k in range(3))
 
 SWITCHES: dict[str, dict[str, Any]] = {
     "network": {},
@@ -26,7 +25,7 @@ SWITCHES: dict[str, dict[str, Any]] = {
     "usual motions of a category": {"roles.CATEGORY_BONUS": 0.0},
     "front": {"mechanisms.front_of": lambda assembly, _: (assembly.front, 0.0)},
     "contact with other parts": {"tree._holder": None},
-    "leaves of one front": {"tree._leaves_apart": THIRD},
+    "leaves of one front": {"tree._leaves_apart": lambda sampled, root, parent: parent},
     "chains": {"tree.chain_plane": None, "edge_hinges._chain_proposals": []},
     "handles": {"edge_hinges._handle_cue": 0.0},
     "barrels": {"edge_hinges._barrels": None},
@@ -37,7 +36,7 @@ SWITCHES: dict[str, dict[str, Any]] = {
     "bails": {"motion_scores._bail": (0.0, 0.0)},
     "pins at ends": {"revolute._end_pivots": []},
     "swept ranges": {"mechanisms.SWEPT_LIMITS": {}},
-    "shut panels start at zero": {"limits.from_zero": SECOND},
+    "shut panels start at zero": {"limits.from_zero": lambda _, motion: motion},
     "usual stops": {"context.usual_stop": float("inf")},
 }
 """Mechanism → names in :mod:`model.prediction.geometric`, and their replacements: a function that
@@ -77,8 +76,8 @@ class WithoutMechanism:
                     if callable(original) and not callable(value)
                     else {"new": value}
                 )
-                for module in list(sys.modules.values()):
-                    ours = module.__name__.startswith("model.prediction")
+                for key, module in list(sys.modules.items()):
+                    ours = key.startswith("model.prediction")
                     if ours and vars(module).get(name) is original:
                         stack.enter_context(patch.object(module, name, **what))
             return self._hybrid.predict(segmented, locked=locked, seed=seed, progress=progress)
