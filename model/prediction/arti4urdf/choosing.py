@@ -30,7 +30,7 @@ from model.prediction.experience import (
     part_name,
 )
 from model.prediction.geometric.roles import NAMED, mechanism_scores, named_mechanism
-from model.prediction.geometric.tree import rooted_tree
+from model.prediction.geometric.tree import is_below, rooted_tree
 
 Array = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
@@ -142,18 +142,9 @@ def parents(
             continue
         fitting = [k for k, name in enumerate(names) if name == parent and k != i]
         above = root if not parent else min(fitting, key=lambda k: sampled.gap[i, k], default=None)
-        if above is not None and not _below(found, above, i):
+        if above is not None and not is_below(found, above, i):
             found[i] = above
     return found
-
-
-def _below(parent: list[int], part: int, above: int) -> bool:
-    """True if a part is ``above`` or one of its descendants."""
-    while part >= 0:
-        if part == above:
-            return True
-        part = parent[part]
-    return False
 
 
 def other_motions(

@@ -126,7 +126,7 @@ def spanning_parents(sampled: SampledObject, root: int) -> list[int]:
         mutual = j is not None and held.get(j) == i
         if mutual and (gap[i, root], i) < (gap[j, root], j):
             continue
-        if j is not None and (mutual or held.get(j) is None) and not _below(parent, j, i):
+        if j is not None and (mutual or held.get(j) is None) and not is_below(parent, j, i):
             parent[i] = j
     return _leaves_apart(sampled, root, parent)
 
@@ -224,7 +224,7 @@ def _above(parent: list[int], link: int) -> list[int]:
     return out
 
 
-def _below(parent: list[int], link: int, top: int) -> bool:
+def is_below(parent: list[int], link: int, top: int) -> bool:
     """True if ``link`` is ``top`` or a descendant of it."""
     while link >= 0:
         if link == top:
