@@ -1,22 +1,21 @@
-"""The evidence by which joints are chosen, as log-probabilities of the answer's words.
+"""The evidence of rules, words and accepted joints, as log-probabilities of the answer's words.
 
-Geometry offers candidates. Its rules with the parts' words, the network's reading and a workspace's
-accepted joints each give every joint type and candidate a log-probability; the highest sum is the
-answer, and nothing overrules it.
+Geometry offers candidates. Its rules with the parts' words, the network's reading and the accepted
+joints of a workspace give each joint type a log-probability, the highest sum is the answer; the
+candidates are scored by :mod:`model.prediction.arti4urdf.motion_ranker`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import logsumexp, softmax
+from scipy.special import softmax
 
 from model.core.joint import JOINT_KINDS, Joint
 from model.prediction.arti4urdf import vocabulary as v
-from model.prediction.arti4urdf.decoding import Answer
 from model.prediction.arti4urdf.structure import MECHANISMS, RANKS, SLOTS, Structure
 from model.prediction.arti4urdf.vocabulary import Decision
 from model.prediction.experience import (
@@ -37,9 +36,9 @@ Bools = npt.NDArray[np.bool_]
 
 FLOOR = 0.002
 """Probability of words that the rules exclude."""
-ACCEPTED_TYPES, ACCEPTED_MOTIONS = 40.0, 5.0
-"""Weights of the log-shares of accepted joints, by joint type and by motion; chosen with half of
-Infinigen's objects. Two that agree on a type outweigh the rules, one doesn't."""
+ACCEPTED_TYPES = 40.0
+"""Weight of the log-shares of accepted joints by joint type: two that agree outweigh the rules, one
+doesn't."""
 
 
 @dataclass(frozen=True)
@@ -111,16 +110,31 @@ def _motions(structure: Structure, part: int) -> Motions:
     return Motions(structure.sampled.shapes[part].name, axes, arms, turns)
 
 
-def experience_prior(structure: Structure, known: Mapping[int, Recalled]) -> Array:
-    """(P, SIZE) log-shares of accepted joints by joint type and by candidate."""
+def accepted_types(structure: Structure, known: Mapping[int, Recalled]) -> Array:
+    """(P, SIZE) weighted log-shares of accepted joints by joint type; 0 for all other words."""
     out = np.zeros((len(structure.sampled), v.SIZE))
     for i, found in known.items():
-        present = [p is not None for p in structure.slots[i]]
         types = np.array([found.objects * found.types.get(t, 0.0) for t in v.TYPES])
-        motions = np.log((found.agreeing + UNSEEN) / (found.objects + UNSEEN))
-        out[i, v.SLOT_IDS[present]] = ACCEPTED_MOTIONS * motions
         out[i, v.TYPE_IDS] = ACCEPTED_TYPES * np.log((types + UNSEEN) / (found.objects + UNSEEN))
     return out
+
+
+def accepted_motions(structure: Structure, known: Mapping[int, Recalled]) -> dict[int, Array]:
+    """Part → (SLOTS,) log-shares of accepted joints with the motion of each candidate."""
+    out: dict[int, Array] = {}
+    for i, found in known.items():
+        out[i] = np.zeros(SLOTS)
+        present = [p is not None for p in structure.slots[i]]
+        out[i][present] = np.log((found.agreeing + UNSEEN) / (found.objects + UNSEEN))
+    return out
+
+
+def of_accepted_type(decision: Decision, known: Recalled) -> Decision:
+    """The decision, with or without a stop as most accepted joints have it, if it turns."""
+    agreed, turning = known.agreed(known.types), (v.REVOLUTE, v.CONTINUOUS)
+    if decision.type in turning and agreed in ("revolute", "continuous"):
+        return replace(decision, type=v.TYPES.index(agreed))
+    return decision
 
 
 def parents(
@@ -145,41 +159,6 @@ def parents(
         if above is not None and not is_below(found, above, i):
             found[i] = above
     return found
-
-
-def other_motions(
-    answer: Answer, structure: Structure, part: int, evidence: Array, same: Bools
-) -> Iterator[Decision]:
-    """The decision about a part with each of its candidates' motions, likeliest first.
-
-    Args:
-        evidence: (SIZE,) log-probabilities that were added to the network's.
-        same: (SLOTS, SLOTS) candidates with the same motion.
-    """
-    types, chosen = answer.record(part, "type"), answer.record(part, "slot")
-    slots = np.array([k for k, p in enumerate(structure.slots[part]) if p is not None], int)
-    if types is None or chosen is None or not len(slots):
-        return
-    offered = [structure.slots[part][k] for k in slots]
-    slides = np.array([p is not None and JOINT_KINDS[p.type].slides for p in offered])
-    kind = types.words[v.TYPE_IDS]
-    moving = np.where(slides, kind[v.PRISMATIC], kind[[v.REVOLUTE, v.CONTINUOUS, v.SCREW]].sum())
-    words = v.SLOT_IDS[slots]
-    odds = evidence[words] + np.where(np.isfinite(chosen.plain[words]), chosen.plain[words], 0.0)
-    for group in (slides, ~slides):
-        if group.any():
-            odds[group] -= logsumexp(odds[group])
-    shared = same[np.ix_(slots, slots)] @ np.exp(odds)
-    likely = np.log(np.maximum(moving, 1e-12)) + np.log(np.maximum(shared, 1e-12))
-    for k in np.lexsort((-odds, -likely)):
-        found = offered[k]
-        assert found is not None
-        decision = answer.decisions[part]
-        stays = decision.type == v.SCREW and not slides[k]
-        name = v.TYPES[v.SCREW] if stays else found.type
-        yield replace(
-            decision, slot=int(slots[k]), type=v.TYPES.index(name), lower=-1, upper=-1, numbers=[]
-        )
 
 
 def with_known_range(

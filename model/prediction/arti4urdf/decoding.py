@@ -7,7 +7,7 @@ their probability, so that a hinge isn't outvoted because three mechanisms propo
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
@@ -59,6 +59,7 @@ class Answer:
     Attributes:
         decisions: by part. root: index of the base. records: the choices in order.
         tokens: all of the answer. passes: forward passes of the decoder.
+        motions: part → (K,) its candidates, and the log-odds of each by the motion ranker.
     """
 
     decisions: tuple[Decision, ...]
@@ -66,6 +67,9 @@ class Answer:
     records: tuple[ChoiceRecord, ...]
     tokens: tuple[Token, ...]
     passes: int
+    motions: Mapping[int, tuple[npt.NDArray[np.int64], npt.NDArray[np.float32]]] = field(
+        default_factory=dict
+    )
 
     def record(self, part: int, kind: str) -> ChoiceRecord | None:
         """The first choice of a kind about a part, or None."""

@@ -23,16 +23,18 @@ from model.prediction.arti4urdf import vocabulary as v
 from model.prediction.arti4urdf.answer import joints_of_decision, write_answer
 from model.prediction.arti4urdf.choosing import (
     HybridSettings,
-    experience_prior,
+    accepted_motions,
+    accepted_types,
     follows,
     geometric_prior,
-    other_motions,
+    of_accepted_type,
     parents,
     recalled,
     with_known_range,
 )
 from model.prediction.arti4urdf.decoding import Answer, ChoiceRecord, decode
 from model.prediction.arti4urdf.decoding import same_motion as same_motions
+from model.prediction.arti4urdf.motion_ranker import load_motion_ranker, other_motions
 from model.prediction.arti4urdf.network import SHIPPED, ArtiModel, Prompt, load_weights
 from model.prediction.arti4urdf.structure import (
     MECHANISMS,
@@ -196,7 +198,15 @@ class Arti4UrdfPredictor:
         answer = self.answer(prompt, structure, locks, prior, known)
         assembly = None
         if self.hybrid is not None:
-            tree = [d.parent for d in answer.decisions]
+            votes = accepted_motions(structure, known)
+            rank = load_motion_ranker()
+            answer = rank(answer, structure, prompt.arrays, rules, same, frozenset(locks), votes)
+            decisions = [
+                of_accepted_type(d, known[i]) if i in known and i not in locks else d
+                for i, d in enumerate(answer.decisions)
+            ]
+            answer = replace(answer, decisions=tuple(decisions))
+            tree = [d.parent for d in decisions]
             assembly = replace(structure.assembly, root=answer.root, parent=tree)
         kept = {j.child for j in locked}
         for i, link in enumerate(links):
@@ -212,7 +222,7 @@ class Arti4UrdfPredictor:
                     evidence = {**evidence, EXPERIENCE: self.experience.trust}
             builder.add(joints, evidence, note)
             if len(joints) == 1 and assembly is not None:
-                others = other_motions(answer, structure, i, prior[i], same[i])
+                others = other_motions(answer, structure, i, rules[i], same[i])
                 made = (joints_of_decision(structure, i, d, assembly) for d in others)
                 builder.alternatives[link] = distinct_joints(
                     joints[0], made, structure.sampled.frame.diagonal
@@ -231,7 +241,7 @@ class Arti4UrdfPredictor:
         """
         if self.hybrid is None:
             return np.zeros_like(rules)
-        out = self.hybrid.weight * rules + experience_prior(structure, known)
+        out = self.hybrid.weight * rules + accepted_types(structure, known)
         out[:, v.ID["<as_offered>"]] = self.hybrid.swept
         return out
 

@@ -1,4 +1,4 @@
-"""The evidence by which joints are chosen: what examples add, and the motions that come next."""
+"""The evidence by which joints are chosen: what the rules and accepted objects add."""
 
 from dataclasses import replace
 
@@ -8,50 +8,15 @@ import pytest
 pytest.importorskip("torch", reason="torch is not installed")
 
 from model.core.articulated_object import SegmentedObject
-from model.core.joint import same_motion
 from model.data.procedural.generate import make
 from model.prediction.arti4urdf import vocabulary as v
 from model.prediction.arti4urdf.choosing import (
-    HybridSettings,
     geometric_prior,
-    other_motions,
     parents,
 )
-from model.prediction.arti4urdf.decoding import same_motion as same_motions
-from model.prediction.arti4urdf.network import ArtiModel
-from model.prediction.arti4urdf.predictor import Arti4UrdfPredictor, make_prompt
 from model.prediction.arti4urdf.structure import MECHANISMS, RANKS, read_structure
 from model.prediction.experience import Recalled
 from tests.model.prediction.geometric.archetypes import cooktop
-
-
-def test_other_motions_come_by_their_odds_and_differ(tiny_model: ArtiModel) -> None:
-    obj = make("Oven", 11, 0).object
-    whole = SegmentedObject(obj.name, obj.parts, obj.category)
-    structure = read_structure(whole)
-    prompt = make_prompt(structure, whole, 0)
-    same = same_motions(prompt)
-    predictor = Arti4UrdfPredictor(tiny_model, hybrid=HybridSettings())
-    prior = predictor.prior(structure, geometric_prior(structure), {})
-    answer = predictor.answer(prompt, structure, {}, prior)
-    part = next(i for i, d in enumerate(answer.decisions) if d.slot >= 0)
-    found = list(other_motions(answer, structure, part, prior[part], same[part]))
-    assert same[part][found[0].slot, answer.decisions[part].slot], "the chosen motion comes first"
-    assert {True, False} == {v.TYPES[d.type] == "prismatic" for d in found}
-    assert all(d.parent == answer.decisions[part].parent for d in found)
-    assert not list(other_motions(answer, structure, answer.root, prior[part], same[part]))
-
-    prediction = predictor.predict(whole)
-    assert prediction.tree is not None and prediction.alternatives
-    diagonal = float(np.linalg.norm(np.ptp(whole.bounds, axis=0)))
-    for link in prediction.alternatives:
-        likely = prediction.likely(link)
-        assert 2 <= len(likely) <= 3
-        for k, joint in enumerate(likely):
-            assert (joint.name, joint.child) == (likely[0].name, link)
-            assert not any(same_motion(joint, j, 0.15, 0.06 * diagonal) for j in likely[:k])
-    locked = (prediction.tree.joints[0],)
-    assert locked[0].child not in predictor.predict(whole, locked=locked).alternatives
 
 
 def test_accepted_parents_replace_geometry_s_unless_locked_or_in_a_circle() -> None:
