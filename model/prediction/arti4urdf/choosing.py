@@ -56,12 +56,13 @@ class HybridSettings:
 
 def geometric_prior(structure: Structure) -> Array:
     """(P, SIZE) log-probabilities of joint types and candidates; 0 for all other words."""
+    known = {i: k for i, k in enumerate(structure.features) if k is not None}
     out = np.zeros((len(structure.sampled), v.SIZE))
-    if len(out) < 2:
-        return out
     for i, context in enumerate(structure.contexts):
+        if i not in known:
+            continue
         named, fixed = named_mechanism(context), FLOOR
-        scores = mechanism_scores(context)
+        scores = mechanism_scores(context, known[i], known)
         mechanisms = softmax(1.5 * np.array([scores.get(m, -2.0) for m in MECHANISMS]))
         if named is not None:  # a name may be wrong: what it leaves open is the shape's
             mechanisms *= 1 - NAMED

@@ -234,8 +234,9 @@ def structure_arrays(structure: Structure, rng: np.random.Generator) -> Structur
     sampled = structure.sampled
     n = len(sampled)
     features, scores = structure.features, structure.root_scores
+    known = {i: k for i, k in enumerate(features) if k is not None}
     rows = [
-        _scalars(structure.contexts[i], features[i], float(scores[i] - scores.max()))
+        _scalars(structure.contexts[i], features[i], known, float(scores[i] - scores.max()))
         for i in range(n)
     ]
     candidates = [_candidates(structure.slots[i], sampled.shapes[i].center) for i in range(n)]
@@ -261,7 +262,9 @@ def _drawn(points: Array, count: int, rng: np.random.Generator) -> Array:
     return points[rng.choice(len(points), count, replace=len(points) < count)]
 
 
-def _scalars(context: PartContext, k: PartFeatures | None, root_score: float) -> list[float]:
+def _scalars(
+    context: PartContext, k: PartFeatures | None, others: dict[int, PartFeatures], root_score: float
+) -> list[float]:
     shape, sampled = context.shape, context.sampled
     half = np.sort(shape.box.half)
     out = [
@@ -280,7 +283,7 @@ def _scalars(context: PartContext, k: PartFeatures | None, root_score: float) ->
         context.assembly.front_certainty,
     ]
     out += _feature_scalars(context, k)
-    scored = motion_scores(context, k) if k is not None else {}
+    scored = motion_scores(context, k, others) if k is not None else {}
     scored.pop("drop", None)  # the shipped network was trained without it
     out += [scored.get(m, -2.0) for m in MECHANISMS]
     named, _ = mechanism_of(shape.name, sampled.category)

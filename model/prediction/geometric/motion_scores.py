@@ -175,6 +175,7 @@ class _Cues:
 
     part: PartContext
     features: PartFeatures
+    others: dict[int, PartFeatures]
     small: float
     large: float
     rod: float
@@ -185,13 +186,14 @@ class _Cues:
     level_disc: bool
 
 
-def _cues(part: PartContext, k: PartFeatures) -> _Cues:
+def _cues(part: PartContext, k: PartFeatures, others: dict[int, PartFeatures]) -> _Cues:
     rod = 1 - _step(k.slender, 0.42, 0.2)
     large = _step(k.size, 0.2, 0.15)
     held_below = k.end_contact > 0.4 or max(k.contact_spread[1:]) < 0.35
     return _Cues(
         part,
         k,
+        others,
         small=1 - _step(k.size, 0.14, 0.08),
         large=large,
         rod=rod,
@@ -203,9 +205,15 @@ def _cues(part: PartContext, k: PartFeatures) -> _Cues:
     )
 
 
-def motion_scores(part: PartContext, features: PartFeatures) -> Scores:
-    """Mechanism → score from a part's features; the highest is the likeliest."""
-    c = _cues(part, features)
+def motion_scores(
+    part: PartContext, features: PartFeatures, others: dict[int, PartFeatures]
+) -> Scores:
+    """Mechanism → score; the highest is the likeliest.
+
+    Args:
+        part: within its object. features: of the part. others: of all unnamed parts, by index.
+    """
+    c = _cues(part, features, others)
     scores: Scores = {}
     for group in (_round_parts, _parts_on_top, _panels, _drawers, _long_parts, _pairs):
         name = f"the rule on {group.__name__.strip('_').replace('_', ' ')}"
@@ -251,13 +259,18 @@ def _round_parts(c: _Cues) -> Scores:
 
 
 def _parts_on_top(c: _Cues) -> Scores:
-    """Caps, pot lids, turntables, heads on stems."""
+    """Caps, pot lids, turntables, casters, seats, heads on stems."""
     k, disc, part = c.features, c.features.disc, c.part
     swivel, screw, lift = 0.0, 0.0, 0.1
     if c.upright_disc and k.flat < 0.35 and k.top > 0.5 and k.bottom > 0.5:
         swivel += 2.8  # a turntable inside
+    if _holds_wheel(c):
+        swivel += 3.5
     if c.on_stem:
         swivel += 1.0 + 0.9 * (1 - c.panel)
+    wheels = sum(o.disc is not None and o.axis_up < 0.35 and o.grounded for o in c.others.values())
+    if c.on_stem and wheels >= 3 and k.size > 0.4:
+        screw = swivel + 1.0  # the seat of an office chair
     if c.upright_disc and disc is not None:
         aside = float(np.linalg.norm((part.shape.center - part.parent_shape.center)[:2]))
         width = 2 * float(np.sort(part.parent_shape.box.half)[0])
@@ -400,6 +413,20 @@ def _tallness(context: PartContext) -> float:
     """Height over width of the whole object."""
     extent = context.sampled.high - context.sampled.low
     return float(extent[2] / max(extent[0], extent[1], 1e-6))
+
+
+def _holds_wheel(c: _Cues) -> bool:
+    """True if it is a small part near the ground that carries a wheel."""
+    context = c.part
+    if c.features.size > 0.2 or c.features.height > 0.3:
+        return False
+    for j, other in c.others.items():
+        if j == context.part or context.sampled.gap[j, context.part] > 2 * CONTACT_GAP:
+            continue
+        wheel = other.disc is not None and other.axis_up < 0.35 and other.grounded
+        if wheel and context.assembly.parent[j] == context.part:
+            return True
+    return False
 
 
 def passes_sibling(context: PartContext) -> bool:

@@ -31,6 +31,7 @@ from model.prediction.geometric.edge_hinges import edge_proposals
 from model.prediction.geometric.limits import from_zero
 from model.prediction.geometric.mechanisms import face_front, propose
 from model.prediction.geometric.motion_scores import (
+    PartFeatures,
     Scores,
     measure_features,
     motion_scores,
@@ -56,25 +57,42 @@ class MechanismGuess:
 
 def guess_mechanisms(assembly: Assembly) -> dict[int, MechanismGuess]:
     """The likeliest mechanism of each part but the root, by index."""
-    contexts = (PartContext(assembly, i) for i in range(len(assembly.sampled)))
-    return {c.part: _guess(c) for c in contexts if c.part != assembly.root}
+    guesses: dict[int, MechanismGuess] = {}
+    unnamed: dict[int, PartFeatures] = {}
+    for i in range(len(assembly.sampled)):
+        if i == assembly.root:
+            continue
+        context = PartContext(assembly, i)
+        named: Mechanism | None
+        named = context.attempt("its name", partial(named_mechanism, context), None)
+        features = None
+        if named is None:
+            features = context.attempt("its features", partial(measure_features, context), None)
+        if features is not None:
+            unnamed[i] = features
+        else:
+            mechanism: Mechanism = named or "fixed"
+            guesses[i] = MechanismGuess(mechanism, NAMED, named is not None)
+    for i, features in unnamed.items():
+        context = PartContext(assembly, i)
+        rules = partial(mechanism_scores, context, features, unnamed)
+        nothing: Scores = {"fixed": 0.0}
+        scores = context.attempt("the rules on its motion", rules, nothing)
+        best = max(scores, key=lambda m: scores[m])
+        probability = 0.9 * float(softmax(1.5 * np.array(list(scores.values()))).max())
+        guesses[i] = MechanismGuess(best, probability, False)
+    return guesses
 
 
-def _guess(part: PartContext) -> MechanismGuess:
-    named: Mechanism | None
-    named = part.attempt("its name", partial(named_mechanism, part), None)
-    if named is not None:
-        return MechanismGuess(named, NAMED, True)
-    nothing: Scores = {"fixed": 0.0}
-    scores = part.attempt("the rules on its motion", partial(mechanism_scores, part), nothing)
-    best = max(scores, key=lambda m: scores[m])
-    probability = 0.9 * float(softmax(1.5 * np.array(list(scores.values()))).max())
-    return MechanismGuess(best, probability, False)
+def mechanism_scores(
+    part: PartContext, features: PartFeatures, unnamed: dict[int, PartFeatures]
+) -> Scores:
+    """Scores from a part's features, with the bonus of its category's usual mechanisms.
 
-
-def mechanism_scores(part: PartContext) -> Scores:
-    """Scores from a part's features, with the bonus of its category's usual mechanisms."""
-    scores = motion_scores(part, measure_features(part))
+    Args:
+        unnamed: features of all unnamed parts by index, including this one.
+    """
+    scores = motion_scores(part, features, unnamed)
     for usual in CATEGORY_MOTIONS.get(part.category, ()):
         scores[usual] = scores.get(usual, 0.0) + CATEGORY_BONUS
     return scores
@@ -85,7 +103,8 @@ def named_mechanism(part: PartContext) -> Mechanism | None:
     named, _ = mechanism_of(part.shape.name, part.sampled.category)
     several = mechanisms_of(part.shape.name, part.sampled.category)
     if len(several) > 1:  # people call a drawer's front a "drawer door": its shape decides
-        scores = motion_scores(part, measure_features(part))
+        features = measure_features(part)
+        scores = motion_scores(part, features, {part.part: features})
         named = max(several, key=lambda m: scores.get(m, -np.inf))
     turns = any(w in TURN_PREFIX for w in part.words)
     if named == "flap" and not turns and _is_round_cap(part):
@@ -254,7 +273,13 @@ def _mechanism(context: PartContext, kind: JointType) -> Mechanism:
     named = named_mechanism(context)
     if named in fit:
         return named
-    scores = mechanism_scores(context)
+    others = [PartContext(context.assembly, i) for i in range(len(context.sampled))]
+    unnamed = {
+        i: measure_features(other)
+        for i, other in enumerate(others)
+        if i != context.assembly.root and (i == context.part or named_mechanism(other) is None)
+    }
+    scores = mechanism_scores(context, unnamed[context.part], unnamed)
     if named is not None:
         other = (SLIDING if JOINT_KINDS[kind].slides else TURNING).get(named)
         if other is not None:

@@ -631,6 +631,31 @@ def sliding_door() -> Thing:
     )
 
 
+def office_chair() -> Thing:
+    legs = [
+        turned(box((0.14, 0, 0.08), (0.26, 0.03, 0.03)), Z, (0, 0, 0), a)
+        for a in (0, 72, 144, 216, 288)
+    ]
+    parts, truth = {}, {}
+    for i, a in enumerate((0, 72, 144, 216, 288)):
+        at = np.array((0.26 * np.cos(np.deg2rad(a)), 0.26 * np.sin(np.deg2rad(a)), 0.0))
+        side = (-np.sin(np.deg2rad(a)), np.cos(np.deg2rad(a)), 0.0)
+        parts[f"wheel{i}"] = ("wheel", rod(np.add(at, (0, 0, 0.032)), side, 0.032, 0.02))
+        truth[f"wheel{i}"] = Truth("continuous", side, tuple(np.add(at, (0, 0, 0.032))))
+    return Thing(
+        "Chair",
+        {
+            "base": ("chair_leg", join(*legs, rod((0, 0, 0.22), Z, 0.02, 0.3))),
+            "seat": (
+                "seat",
+                join(box((0, 0, 0.4), (0.45, 0.45, 0.06)), box((0.22, 0, 0.7), (0.04, 0.4, 0.5))),
+            ),
+            **parts,
+        },
+        {"seat": Truth("continuous", Z, (0, 0, 0)), **truth},
+    )
+
+
 def microwave() -> Thing:
     return Thing(
         "Microwave",
@@ -790,6 +815,7 @@ THINGS: dict[str, Callable[[], Thing]] = {
         plate_lamp,
         lidded_box,
         sliding_door,
+        office_chair,
         microwave,
         pump_bottle,
         rocker_switch,
