@@ -7,7 +7,7 @@ from contextlib import ExitStack
 from dataclasses import replace
 from importlib import import_module
 from typing import Any
-from unittest.mock import patch
+from unittest.mock import Mock, patch
 
 from model.core.articulated_object import Prediction, SegmentedObject
 from model.core.errors import ConfigurationError
@@ -71,13 +71,10 @@ class WithoutMechanism:
                 if isinstance(original, dict):
                     stack.enter_context(patch.dict(original, value, clear=True))
                     continue
-                what = (
-                    {"return_value": value}
-                    if callable(original) and not callable(value)
-                    else {"new": value}
-                )
+                constant = callable(original) and not callable(value)
+                new = Mock(return_value=value) if constant else value
                 for key, module in list(sys.modules.items()):
                     ours = key.startswith("model.prediction")
                     if ours and vars(module).get(name) is original:
-                        stack.enter_context(patch.object(module, name, **what))
+                        stack.enter_context(patch.object(module, name, new))
             return self._hybrid.predict(segmented, locked=locked, seed=seed, progress=progress)
