@@ -62,6 +62,15 @@ WEIGHTS: dict[Mechanism, EdgeWeights] = {
     "temple": EdgeWeights(short=2.5, long=0.0, contact=4.0, margin=0.0, handle=0.3, back=0.8),
 }
 
+CATEGORY_UPRIGHT: dict[str, float] = {
+    "refrigerator": 2.0,
+    "door": 2.0,
+    "safe": 1.5,
+    "washingmachine": 0.8,
+    "microwave": 0.5,
+}
+"""Additional weight of vertical axes for a category's doors."""
+
 
 @dataclass(frozen=True, eq=False)
 class _Panel:
@@ -249,7 +258,8 @@ def _edge_score(
     half = context.shape.box.half
     reasons: list[Reason] = []
     upright = abs(float(axis @ UP))
-    score = weights.upright * upright + weights.level * (1 - upright)
+    more = CATEGORY_UPRIGHT.get(context.category, 0.0) if weights.upright else 0.0
+    score = (weights.upright + more) * upright + weights.level * (1 - upright)
     if weights.bottom and direction[2] < -0.5:
         score += weights.bottom
         reasons.append(Reason.BOTTOM_EDGE)
