@@ -36,6 +36,7 @@ class EdgeWeights:
         back: the edge is away from the object's front.
         wall: beyond the edge the parent rises above the panel (a toilet's tank).
         ajar: the panel is open by a few degrees about this edge.
+        inner: the edge lies deeper within the parent; for temples without a better cue.
         barrels: hinge barrels lie along the edge; enough to outweigh the handle that they look
             like.
     """
@@ -52,6 +53,7 @@ class EdgeWeights:
     back: float = 0.0
     wall: float = 0.0
     ajar: float = 2.0
+    inner: float = 0.0
     barrels: float = 5.0
 
 
@@ -59,7 +61,9 @@ WEIGHTS: dict[Mechanism, EdgeWeights] = {
     "hinge": EdgeWeights(upright=0.9, long=0.8),
     "drop": EdgeWeights(level=1.0, bottom=3.0, margin=0.3, handle=1.5),
     "flap": EdgeWeights(level=1.2, long=0.6, back=1.2, margin=0.4, handle=1.2, wall=2.0),
-    "temple": EdgeWeights(short=2.5, long=0.0, contact=4.0, margin=0.0, handle=0.3, back=0.8),
+    "temple": EdgeWeights(
+        short=2.5, long=0.0, contact=4.0, margin=0.0, handle=0.3, back=0.8, inner=1.5
+    ),
 }
 
 CATEGORY_UPRIGHT: dict[str, float] = {
@@ -147,6 +151,8 @@ def _edge_proposal(panel: _Panel, across: int, along: int, side: float) -> Joint
     score += weights.contact * held
     if held > 0.3:
         reasons.append(Reason.ONLY_CONTACT)
+    if weights.inner and abs(held) < 0.3 and context.shape.slenderness < SLENDER:
+        score += weights.inner * _inner(context, direction, across)
     ajar = _ajar(context, panel.out_normal, direction, axis) if panel.closed else 0.0
     score += weights.ajar * ajar
     if ajar > 0.5:
@@ -309,6 +315,12 @@ def _margin(context: PartContext, direction: Array) -> float:
     return max(
         0.0, end - float(context.shape.center @ direction) - context.shape.box.reach(direction)
     )
+
+
+def _inner(context: PartContext, direction: Array, across: int) -> float:
+    """-1..1: how much deeper than the opposite edge this one lies within the parent."""
+    deeper = _margin(context, direction) - _margin(context, -direction)
+    return float(np.clip(deeper / max(2 * float(context.shape.box.half[across]), 1e-6), -1, 1))
 
 
 def _handle_cue(context: PartContext, across: int, along: int, side: float, normal: int) -> float:
