@@ -92,6 +92,9 @@ class JointsBench(ProcessesBench):
 
     place: ClassVar[str] = "app.cli.benchmarks.predictions:joints_bench"
     before: Path | None = option("--json of an earlier run, shown beside", "FILE")
+    without: tuple[str, ...] = option(
+        "also without these mechanisms of the prediction, or without each (all)", "NAME...", ()
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,6 +5,7 @@ opens what is exported, and what simulators and validators accept.
 
 from __future__ import annotations
 
+import itertools
 import json
 import re
 import resource
@@ -52,11 +53,12 @@ from model.evaluation.scans import run as run_scans
 from model.evaluation.scans import to_json as scans_json
 from model.evaluation.segmentation import BenchConfig, DataSet
 from model.evaluation.segmentation import run as run_segment
+from model.prediction.ablation import SWITCHES
 from model.prediction.arti4urdf.decoding import decode
 from model.prediction.arti4urdf.network import load_weights
 from model.prediction.arti4urdf.predictor import Arti4UrdfPredictor, make_prompt
 from model.prediction.arti4urdf.structure import read_structure
-from model.prediction.registry import Predictor, load_predictor
+from model.prediction.registry import DEFAULT, Predictor, load_predictor
 from model.training.arti4urdf.small_trainer import (
     both,
     foreign_wholes,
@@ -71,6 +73,7 @@ from model.validation.engines import MUJOCO, require_engines
 FOLDERS = (
     ("PartNet-Mobility", "partnet-mobility", "partnet_mobility"),
     ("Infinigen", "urdf", "infinigen"),
+    ("simulators", "urdf", "simulator_objects"),
     ("ReplicaCAD", "urdf", "articulated_free/habitat"),
     ("LIBERO", "mjcf", "articulated_free/libero"),
 )
@@ -84,13 +87,20 @@ def joints_bench(options: JointsBench, progress: Progress) -> Result:
     """Score joints on every source, with names and without."""
     before = {} if options.before is None else read_json(options.before)
     found = sources(options.data, SPLITS[options.half])
-    runs = [(title, data, names) for title, data in found.items() for names in (True, False)]
+    left_out = ["", *(SWITCHES if "all" in options.without else options.without)]
+    runs = list(itertools.product(found.items(), (True, False), left_out))
     rows = []
-    for (title, (data, split), names), part in each_with_progress(runs, progress):
+    for ((title, (data, split)), names, mechanism), part in each_with_progress(runs, progress):
         config = EvaluationConfig(
-            data, split, names=names, jobs=options.jobs, limit=options.limit or None
+            data,
+            split,
+            predictor=f"without:{mechanism}" if mechanism else DEFAULT,
+            names=names,
+            jobs=options.jobs,
+            limit=options.limit or None,
         )
         said = f"{title}, {'names' if names else 'no names'}"
+        said += f", without {mechanism}" if mechanism else ""
         rows.append(row(said, evaluate(config, progress=part)))
     title = "Predicted joints (earlier figures in brackets)" if before else "Predicted joints"
     return Result({"table": rows}, lambda: print_records(title, beside(rows, before)))
