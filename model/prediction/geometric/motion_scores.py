@@ -157,6 +157,9 @@ LAP = 0.5 * CONTACT_GAP
 """Smallest overlap (diagonals) of panels that slide past each other; the edges of neighbours in one
 plane are located to within that."""
 
+NEXT_TO = 0.06
+"""Largest gap (diagonals) between adjacent fronts."""
+
 
 def _step(value: float, at: float, width: float) -> float:
     """0 well below ``at``, 1 well above, linear in between."""
@@ -350,6 +353,7 @@ def _drawers(c: _Cues) -> Scores:
         drawer += 2.4 * part.closed * wide * low * c.large * flat
     else:
         drawer += 1.8 * k.exit_score * c.panel * c.standing * wide * low * c.large
+    drawer += 3.4 * part.closed * c.panel * c.standing * c.large * spans_doors(part)
     return {"slide_out": 0.3 + drawer - (2.0 if k.disc is not None else 0.0)}
 
 
@@ -455,6 +459,33 @@ def passes_sibling(context: PartContext) -> bool:
         if LAP < min(lap) < 0.6 * narrow:
             return True
     return False
+
+
+def spans_doors(context: PartContext) -> bool:
+    """True if it is a wide front above or below two or more adjacent doors in its plane, as the
+    freezer drawer of a refrigerator."""
+    shape, sampled = context.shape, context.sampled
+    normal = context.panel_normal
+    if abs(normal[2]) > 0.3:
+        return False
+    level = unit(np.cross(UP, normal))
+    width, height = 2 * shape.box.reach(level), float(shape.high[2] - shape.low[2])
+    doors: dict[float, list[float]] = {1.0: [], -1.0: []}
+    for j in sampled.others(context.part):
+        other = sampled.shapes[j]
+        if j in (context.parent, context.assembly.root):
+            continue
+        wide, tall = 2 * other.box.reach(level), float(other.high[2] - other.low[2])
+        step = other.center - shape.center
+        in_plane = abs(float((other.slab_center - shape.slab_center) @ normal)) < 2 * CONTACT_GAP
+        within = abs(float(step @ level)) + wide / 2 < width / 2 + 2 * CONTACT_GAP
+        gap = abs(float(step[2])) - (height + tall) / 2
+        level_with = step[2] == 0  # neither above nor below
+        if in_plane and within and tall > wide and abs(gap) < NEXT_TO and not level_with:
+            doors[float(np.sign(step[2]))].append(wide)
+    return width > 1.1 * height and any(
+        len(side) > 1 and sum(side) > 0.7 * width for side in doors.values()
+    )
 
 
 def _bail(context: PartContext, k: PartFeatures) -> tuple[float, float]:

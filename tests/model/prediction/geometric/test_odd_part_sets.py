@@ -86,8 +86,23 @@ def test_no_rule_fails_on_odd_part_sets(caplog: pytest.LogCaptureFixture) -> Non
         ArticulatedObject("odd", segmented.parts, prediction.tree)
 
 
+def test_a_front_level_with_a_door_spans_none() -> None:
+    """The step between two small fronts at one height has no sign, as on an oven's knobs."""
+    parts = [
+        Part(f"link_{i}", Mesh(CORNERS * size + low, FACES))
+        for i, (low, size) in enumerate(
+            [((0, 0.02, 0), (1.0, 0.5, 1.0)), ((0.2, 0, 0.49), (0.06, 0.02, 0.02)),
+             ((0.225, 0, 0.48), (0.01, 0.02, 0.04))]
+        )
+    ]  # fmt: skip
+    sampled = sample_object(SegmentedObject("oven", tuple(parts)))
+    part = context.PartContext(context.Assembly(sampled, 0, [-1, 0, 0]), 1)
+    assert sampled.shapes[1].center[2] == sampled.shapes[2].center[2]
+    assert not motion_scores.spans_doors(part)
+
+
 RULES = [
-    (motion_scores, "passes_sibling"), (roles, "motion_scores"), (roles, "measure_features"),
+    (motion_scores, "spans_doors"), (roles, "motion_scores"), (roles, "measure_features"),
     (roles, "named_mechanism"), (mechanisms, "front_of"), (predictor, "part_evidence"),
     (tree, "root_scores"), (tree, "spanning_parents"), (predictor, "propose"),
     (predictor, "joints_of"), (context.PartContext, "covers_of"), (context.PartContext, "shut"),
