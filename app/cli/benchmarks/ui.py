@@ -22,12 +22,12 @@ import zstandard
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
-from app.cli.benchmarks.shapes import Array, grid_box, joined
+from app.cli.benchmarks.shapes import Array, grid_box
 from app.cli.output import Result, console, table_of
 from app.cli.research_commands import BenchCommand
 from app.cli.serve import start_server
 from app.server.config import ServeConfig
-from model.core.geometry import Mesh, PointCloud
+from model.core.geometry import Mesh, PointCloud, merged
 from model.core.joint import Joint
 from model.core.progress import Progress
 from model.core.tree import KinematicTree
@@ -189,7 +189,7 @@ def cabinet_cloud(count: int, rng: np.random.Generator) -> PointCloud:
 
 def _cabinet_mesh(faces: int) -> Mesh:
     cells = max(2, int(np.sqrt(faces / (len(_panels()) * 6 * 2))))
-    return joined([grid_box(cells, center, size) for center, size in _panels()])
+    return merged([grid_box(cells, center, size) for center, size in _panels()])
 
 
 def wait_for(condition: Any, what: str) -> None:

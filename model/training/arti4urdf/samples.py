@@ -20,13 +20,13 @@ from model.core.articulated_object import ArticulatedObject
 from model.core.errors import ArtiworldError, ConfigurationError
 from model.core.files import draft_of
 from model.core.joint import JOINT_KINDS, Joint
+from model.core.pool import in_processes
 from model.core.progress import Progress, no_progress
 from model.data.datasets import GroundTruth, training_ids
 from model.data.procedural.corruption import MIXED, corrupted, sometimes
 from model.data.procedural.generate import COMPOSITE, family_names, make
 from model.data.registry import recognised
 from model.evaluation.joint_metrics import UsableLimits, chain, interval_iou
-from model.evaluation.pool import in_processes
 from model.prediction.arti4urdf.structure import (
     SLOTS,
     Structure,

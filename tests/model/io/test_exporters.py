@@ -23,7 +23,7 @@ from model.core.geometry import Material, Mesh, PointCloud
 from model.core.joint import Joint, Mimic
 from model.core.shapes import Primitive, Solid
 from model.core.tree import KinematicTree
-from model.data.folders import read_mjcf
+from model.data.folders import MjcfFolder
 from model.io.assets.asset_folder import write_asset
 from model.io.assets.reader import load_object, mujoco_problems, object_from_links, reading_notes
 from model.io.export import registry
@@ -438,7 +438,7 @@ def test_metallic_and_roughness_are_in_every_format(exported):
     assert [surfaces["red"][f"{k}Factor"] for k in ("metallic", "roughness")] == [0.75, 0.25]
     model = mujoco.MjModel.from_xml_path(str(exported["mjcf"][0]))
     assert {0.75, -1.0} == set(model.mat_metallic) and 0.25 in model.mat_roughness
-    parts = {p.link: p for p in read_mjcf(exported["mjcf"][0]).object.parts}
+    parts = {p.link: p for p in MjcfFolder(exported["mjcf"][0].parent).load("object").object.parts}
     assert parts["link_base"].mesh.materials[0].metallic == 0.75
     for name in ("urdf", "sdf"):
         mtl = exported[name][0].parent / "meshes" / "base.mtl"
