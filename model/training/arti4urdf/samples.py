@@ -34,7 +34,7 @@ from model.prediction.arti4urdf.structure import (
     read_structure,
     structure_arrays,
 )
-from model.prediction.arti4urdf.vocabulary import TYPES
+from model.prediction.arti4urdf.vocabulary import SCREW, TYPES
 from model.prediction.geometric.context import JointProposal
 
 Array = npt.NDArray[np.float64]
@@ -112,7 +112,7 @@ def label(structure: Structure, truth: ArticulatedObject) -> Labels | None:
                 continue
             final = structure.candidate(i, slot)
             assert final is not None
-            own = final.travel if kind == "screw" else (final.lower, final.upper)
+            own = final.travel if kind == TYPES[SCREW] else (final.lower, final.upper)
             if own is None or (kind == "revolute" and h.type == "continuous"):
                 continue
             aligned = float(final.axis @ axis) > 0
@@ -129,7 +129,7 @@ def _kind(joints: tuple[Joint, ...]) -> str | None:
     if len(joints) == 2 and len(turning) == 1:
         a, b = (np.asarray(j.axis) for j in joints)
         if abs(float(a @ b)) > 0.99:
-            return "screw"
+            return TYPES[SCREW]
     return None
 
 
