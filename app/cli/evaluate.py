@@ -19,14 +19,15 @@ from app.cli.research_commands import EvaluateCommand
 from app.cli.simulated_annotator import BY_HAND, AnnotatorConfig, AnnotatorScore, annotate
 from model.core.errors import ConfigurationError
 from model.core.files import write_json
+from model.core.pool import robust_map
 from model.core.progress import Progress, no_progress
+from model.core.tables import escaped, table
 from model.data.folders import export_parts
 from model.data.registry import DatasetOptions, open_dataset
 from model.evaluation.compare import compare, print_comparison, print_reports
 from model.evaluation.html_report import write_html
-from model.evaluation.pool import robust_map
 from model.evaluation.predictions import Frame
-from model.evaluation.report import escaped, read_report, table, write_markdown
+from model.evaluation.report import read_report, write_markdown
 from model.evaluation.run import TRUTH, Corruption, EvaluationConfig, chosen_ids, require_predictor
 from model.evaluation.run import evaluate as evaluate_method
 from model.io.model_files import safe_link

@@ -20,8 +20,8 @@ from app.cli.output import Result, check_output
 from app.server.export_tasks import ExportTask, export_one
 from model.core.errors import ArtiworldError, ConfigurationError, InputFileError
 from model.core.joint import JointDynamics
+from model.core.pool import robust_map
 from model.core.progress import Progress
-from model.evaluation.pool import robust_map
 from model.io.export.registry import exporter_names, load_exporter
 from model.io.export.simready import AboutPackage, remember, remembered
 from model.physics.collision.build import CollisionSettings, Method

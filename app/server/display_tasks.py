@@ -26,7 +26,7 @@ from model.core.files import draft_of
 from model.core.geometry import Mesh, PointCloud
 from model.core.progress import Progress, no_progress
 from model.core.tree import KinematicTree
-from model.evaluation import render
+from model.geometry import drawing
 from model.geometry.ambient_light import CreaseEdges, crease_edges, is_plain, with_ambient_occlusion
 from model.geometry.display import display_asset, thin
 from model.geometry.levelling import box_yaw
@@ -360,7 +360,7 @@ def part_payloads(
 
 SIZE = (208, 156)
 """Pixels of a thumbnail: a card of the gallery on a sharp screen."""
-_VIEW = render.View(azimuth=-math.pi / 2 - 0.6, width=3 * SIZE[0] // 2, height=3 * SIZE[1] // 2)
+_VIEW = drawing.View(azimuth=-math.pi / 2 - 0.6, width=3 * SIZE[0] // 2, height=3 * SIZE[1] // 2)
 
 
 def draw_thumbnail(path: Path, workspace: Path, options: ReadOptions) -> Path:
@@ -381,7 +381,7 @@ def draw_thumbnail(path: Path, workspace: Path, options: ReadOptions) -> Path:
     asset = moved(asset, options.frame.object_from_read)
     whole = Part("link_0", asset.mesh, asset.cloud)
     obj = ArticulatedObject("thumbnail", (whole,), KinematicTree(("link_0",), ()))
-    image = render.draw(obj, view=_VIEW).resize(SIZE, Image.Resampling.LANCZOS)
+    image = drawing.draw(obj, view=_VIEW).resize(SIZE, Image.Resampling.LANCZOS)
     with draft_of(target) as draft:
         image.save(draft, "WEBP", quality=80)
     return target

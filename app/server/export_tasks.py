@@ -11,8 +11,9 @@ from model.core.packages import install_command
 from model.core.progress import Progress, no_progress, scaled_progress
 from model.geometry.completion import as_scanned, complete
 from model.io.assets.reader import PROVENANCE, load_object, reading_notes
+from model.io.export.formats import losses_of
 from model.io.export.manifest import about_asset, write_about
-from model.io.export.registry import EXPORTERS, load_exporter, losses_of, write_object
+from model.io.export.registry import EXPORTERS, load_exporter, write_object
 from model.io.export.simready import (
     VALIDATOR,
     AboutPackage,

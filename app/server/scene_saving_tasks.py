@@ -22,16 +22,15 @@ from app.server.scene_tasks import SceneItem, Shape
 from model.core.articulated_object import ArticulatedObject, Part
 from model.core.errors import ArtiworldError, CommandError, InputFileError
 from model.core.files import write_json
-from model.core.geometry import Mesh, PointCloud
+from model.core.geometry import Mesh, PointCloud, merged
 from model.core.joint import Joint
 from model.core.progress import Progress, no_progress
+from model.core.tables import write_page
 from model.core.tree import KinematicTree
-from model.evaluation import render
-from model.evaluation.html_report import write_page
+from model.geometry import drawing
 from model.io.assets.asset_folder import write_asset
 from model.io.assets.reader import read_provenance
 from model.io.file_names import FileNames
-from model.io.urdf.meshes import merged
 from model.physics.simulation_values import physics_of
 from model.scenes.asset_parts import asset_digest
 from model.scenes.convert import ConvertSettings, alone, asset_job, shorten_limits
@@ -235,9 +234,9 @@ def _scene_picture(rows: Sequence[ReportRow], shapes: Mapping[Path, Shape | str]
     links = tuple(p.link for p in parts)
     fixed = tuple(Joint(link, "fixed", links[0], link, (0, 0, 1), (0, 0, 0)) for link in links[1:])
     whole = ArticulatedObject("scene", parts, KinematicTree(links, fixed))
-    view = render.View(azimuth=-1.05, elevation=0.6, width=1100, height=620)
-    return render.png(
-        render.draw(whole, colors={link: STATES[link.split()[0]][1] for link in links}, view=view)
+    view = drawing.View(azimuth=-1.05, elevation=0.6, width=1100, height=620)
+    return drawing.png(
+        drawing.draw(whole, colors={link: STATES[link.split()[0]][1] for link in links}, view=view)
     )
 
 
@@ -247,15 +246,15 @@ def _thumbnail(row: ReportRow) -> bytes | None:
         obj = articulated_object(row.source, row.tree)
     except ArtiworldError:
         return None
-    colors = render.part_colors([p.link for p in obj.parts], obj.tree.root)
-    shown = render.draw(
+    colors = drawing.part_colors([p.link for p in obj.parts], obj.tree.root)
+    shown = drawing.draw(
         obj,
         colors=colors,
-        q=render.half_open(obj),
+        q=drawing.half_open(obj),
         joints=True,
-        view=render.View(azimuth=-math.pi / 2 - 0.6, width=220, height=180),
+        view=drawing.View(azimuth=-math.pi / 2 - 0.6, width=220, height=180),
     )
-    return render.png(shown)
+    return drawing.png(shown)
 
 
 _BOX_FACES = np.array(

@@ -116,6 +116,23 @@ class KinematicTree:
         )
         return KinematicTree(tuple(names.get(x, x) for x in self.links), joints)
 
+    def moved(self, matrix: npt.NDArray[np.float64]) -> KinematicTree:
+        """The same mechanism after (4, 4) ``matrix`` has moved the object: any affine map.
+
+        Slides are stretched as their axis is. In a mirror a turn goes the other way round; where
+        the map stretches across its axis it is none any more, and the axis goes along.
+        """
+        if (matrix == np.eye(4)).all():
+            return self
+        along = {j.name: matrix[:3, :3] @ np.asarray(j.axis) for j in self.joints}
+        scale = {
+            j.name: float(f"{np.linalg.norm(along[j.name]):.12g}") if j.slides else 1.0
+            for j in self.joints
+        }
+        way = float(np.sign(np.linalg.det(matrix[:3, :3])))
+        joints = tuple(_moved(j, matrix, along[j.name], scale, way) for j in self.joints)
+        return replace(self, joints=joints)
+
     def joint_values(self, q: Mapping[str, float]) -> dict[str, float]:
         """Value of each moving joint by name: missing ones are 0, mimics follow.
 
@@ -182,6 +199,37 @@ def moving_chain(tree: KinematicTree, link: str, holds: Callable[[str], bool]) -
             break
         chain.insert(0, joint.parent)
     return tuple(chain)
+
+
+def _moved(
+    joint: Joint,
+    matrix: npt.NDArray[np.float64],
+    along: npt.NDArray[np.float64],
+    scale: Mapping[str, float],
+    way: float,
+) -> Joint:
+    own, length = scale[joint.name], float(np.linalg.norm(along))
+    unit = along / length if joint.slides else way * along / (length or 1.0)
+    mimic, dynamics = joint.mimic, joint.dynamics
+    if mimic is not None:
+        multiplier = mimic.multiplier * own / scale[mimic.joint]
+        mimic = replace(mimic, multiplier=multiplier, offset=mimic.offset * own)
+    if dynamics is not None:  # newtons stay newtons, whatever the unit of length
+        slow, fast = dynamics.damping, dynamics.velocity
+        dynamics = replace(
+            dynamics,
+            damping=None if slow is None else slow / own,
+            velocity=None if fast is None else fast * own,
+        )
+    return replace(
+        joint,
+        axis=tuple((unit + 0.0).tolist()),
+        origin=tuple((matrix[:3, :3] @ np.asarray(joint.origin) + matrix[:3, 3]).tolist()),
+        lower=None if joint.lower is None else joint.lower * own,
+        upper=None if joint.upper is None else joint.upper * own,
+        mimic=mimic,
+        dynamics=dynamics,
+    )
 
 
 def _reversed(joint: Joint) -> Joint:

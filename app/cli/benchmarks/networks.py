@@ -26,10 +26,11 @@ import torch
 from safetensors.torch import save_file
 
 from app.cli.bench_commands import NetworksBench
-from app.cli.benchmarks.shapes import chest, joined
+from app.cli.benchmarks.shapes import chest
 from app.cli.output import Result, print_records
 from model.core.asset import Asset
 from model.core.errors import ConfigurationError
+from model.core.geometry import merged
 from model.core.packages import require
 from model.core.progress import Progress, no_progress
 from model.geometry.sampling import sample_surface
@@ -327,7 +328,7 @@ def _point_sam(config: NetworksConfig, device: str) -> dict[str, Any]:
 
 
 def _cloud(points: int) -> Asset:
-    mesh = joined([part.mesh for part in chest(6).parts if part.mesh is not None])
+    mesh = merged([part.mesh for part in chest(6).parts if part.mesh is not None])
     cloud, _ = sample_surface(mesh, points, np.random.default_rng(0))
     return Asset("chest", cloud=cloud)
 

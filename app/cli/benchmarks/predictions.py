@@ -37,14 +37,14 @@ from model.core.files import read_json
 from model.core.packages import require
 from model.core.progress import Progress, no_progress
 from model.data.registry import DatasetOptions, recognised
-from model.evaluation.assets import beside, folder_runs
+from model.evaluation.assets import AssetsConfig, beside
 from model.evaluation.assets import run as run_assets
 from model.evaluation.assets import to_json as assets_json
+from model.evaluation.bench import folder_runs
 from model.evaluation.report import Report
 from model.evaluation.rivals import compare_rivals
 from model.evaluation.rivals import to_json as rivals_json
-from model.evaluation.robot import folder_runs as folders_of_robot
-from model.evaluation.robot import open_scene
+from model.evaluation.robot import RobotConfig, open_scene
 from model.evaluation.robot import run as run_robot
 from model.evaluation.robot import to_json as robot_json
 from model.evaluation.run import EvaluationConfig, evaluate
@@ -355,7 +355,8 @@ def robot_bench(options: RobotBench, progress: Progress) -> Result:
         return Result(report, lambda: _print(report))
     if options.video is not None:
         check_output(options.video, option="--video")
-    configs = folders_of_robot(
+    configs = folder_runs(
+        RobotConfig,
         None if options.data is None else data_in(options.data),
         half=options.half,
         limit=options.limit or 0,
@@ -385,7 +386,8 @@ def assets_bench(options: AssetsBench, progress: Progress) -> Result:
     engines = require_engines(options.engine)
     before = {} if options.before is None else read_json(options.before)
     configs = folder_runs(
-        options.data,
+        AssetsConfig,
+        None if options.data is None else DatasetOptions("partnet-mobility", options.data),
         half=options.half,
         limit=options.limit or 0,
         jobs=options.jobs,

@@ -23,11 +23,11 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 from app.cli.bench_commands import UiBench
-from app.cli.benchmarks.shapes import Array, grid_box, joined
+from app.cli.benchmarks.shapes import Array, grid_box
 from app.cli.output import Result, print_figures
 from app.cli.serve import start_server
 from app.server.config import ServeConfig
-from model.core.geometry import Mesh, PointCloud
+from model.core.geometry import Mesh, PointCloud, merged
 from model.core.joint import Joint
 from model.core.progress import Progress
 from model.core.tree import KinematicTree
@@ -177,7 +177,7 @@ def cabinet_cloud(count: int, rng: np.random.Generator) -> PointCloud:
 
 def _cabinet_mesh(faces: int) -> Mesh:
     cells = max(2, int(np.sqrt(faces / (len(_panels()) * 6 * 2))))
-    return joined([grid_box(cells, center, size) for center, size in _panels()])
+    return merged([grid_box(cells, center, size) for center, size in _panels()])
 
 
 def wait_for(condition: Callable[[], Any], what: str) -> Any:

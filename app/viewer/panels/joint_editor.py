@@ -21,7 +21,7 @@ from app.viewer.picture.motion import Motion
 from app.viewer.tab import Tab
 from app.viewer.words import joints as words
 from app.viewer.words.common import CHOSEN, NONE
-from model.core.composite_joints import Composite, composite_of
+from model.core.composite_joints import COMPOSITES, Composite, composite_of
 from model.core.errors import CommandError
 from model.core.joint import JOINT_TYPES, Joint, Mimic, same_motion
 from model.core.tree import KinematicTree
@@ -60,7 +60,7 @@ class JointMotion:
     def _set_kind(self) -> None:
         tree, joint = self._selected()
         kind = words.MOTIONS[self._kind.value]
-        pitch = self._pitch.value / 1000 if kind == "screw" else 0.0
+        pitch = self._pitch.value / 1000 if COMPOSITES[kind].pitched else 0.0
         self._tab.do(cmd.SetComposite(moved_part(tree, joint.child), Composite(kind, pitch)))  # type: ignore[arg-type]
 
     def _follow(self) -> None:
@@ -79,10 +79,9 @@ class JointMotion:
         doc = obj.document
         part = moved_part(tree, joint.child)
         now = composite_of(tree, part, holds_part)
-        titles = {kind: title for title, kind in words.MOTIONS.items()}
-        put(self._kind, "value", titles[now.kind])
-        put(self._pitch, "visible", now.kind == "screw")
-        if now.kind == "screw":
+        put(self._kind, "value", COMPOSITES[now.kind].title)
+        put(self._pitch, "visible", now.pitch != 0)
+        if now.pitch:
             put(self._pitch, "value", round(now.pitch * 1000, 3))
         others = [j for j in tree.joints if j.moves and j.name != joint.name]
         put(self._leader, "options", (NONE, *(joint_title(doc, j.child) for j in others)))

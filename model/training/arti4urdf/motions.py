@@ -21,8 +21,8 @@ import numpy as np
 import numpy.typing as npt
 
 from model.core.errors import ArtiworldError
+from model.core.pool import robust_map
 from model.data.registry import DatasetOptions, open_dataset
-from model.evaluation.pool import robust_map
 from model.prediction.arti4urdf import vocabulary as v
 from model.prediction.arti4urdf.choosing import geometric_prior
 from model.prediction.arti4urdf.decoding import same_motion
