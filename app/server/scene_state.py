@@ -161,6 +161,11 @@ def drawn_labels(work: Work) -> str | None:
     return None if work.drawn is None else work.drawn.labels
 
 
+def order(rows: Sequence[Row]) -> list[str]:
+    """Return the ids in the order of a review: undecided ones, lowest confidence first."""
+    return [r.id for r in rows if r.undecided]
+
+
 def decided_text(rows: Sequence[Row]) -> str:
     """Return how many of the articulable objects are decided."""
     rows = [r for r in rows if r.work is not None and r.status not in ("failed", "missing")]

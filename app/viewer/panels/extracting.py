@@ -78,8 +78,8 @@ class SourcePanel:
         if now == self._drawn:
             return
         self._drawn = now
-        put(self._room_note, "content", _room_note(obj, self._tab.in_scene))
-        put(self._back, "visible", doc.left_out is not None)
+        put(self._room_note, content=_room_note(obj, self._tab.in_scene))
+        put(self._back, visible=doc.left_out is not None)
 
 
 def _room_note(obj: OpenObject, in_scene: bool) -> str:
@@ -124,10 +124,10 @@ class PickPanel:
         """Bring it up to date."""
         picking, obj = self._tab.selection.picking, self._tab.selection.object
         for handle in (self._how, self._name, self._take):
-            put(handle, "visible", picking)
+            put(handle, visible=picking)
         if not picking:  # the next object has another name
-            put(self._name, "value", "")
+            put(self._name, value="")
         doc = None if obj is None else obj.document
-        put(self._back, "visible", picking and doc is not None and doc.left_out is not None)
+        put(self._back, visible=picking and doc is not None and doc.left_out is not None)
         ready = picking and doc is not None and doc.segmentation is not None
-        put(self._take, "disabled", not ready)
+        put(self._take, disabled=not ready)

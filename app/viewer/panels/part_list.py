@@ -156,8 +156,8 @@ class CategoryGuess:
         )
         self._shown = tuple(filter(self._project.settings.knows_category, self._shown))
         if self._shown:
-            put(self._row, "options", tuple(g + _MARK for g in self._shown))
-        put(self._row, "visible", bool(self._shown))
+            put(self._row, options=tuple(g + _MARK for g in self._shown))
+        put(self._row, visible=bool(self._shown))
 
     def take_first(self) -> str | None:
         """Take the likeliest category; None where none is suggested."""
@@ -212,10 +212,10 @@ class QuickNames:
         self._names = names[:SHOWN] or names_for(category)
         for k, row in zip(range(0, SHOWN, ROW), self._rows, strict=True):
             names = self._names[k : k + ROW]
-            put(row, "visible", visible and bool(names))
+            put(row, visible=visible and bool(names))
             if not names:
                 continue
-            put(row, "options", tuple(CHOSEN * (name == chosen) + name for name in names))
+            put(row, options=tuple(CHOSEN * (name == chosen) + name for name in names))
 
 
 PARTS_SHOWN = 200
@@ -304,7 +304,7 @@ class PartList:
             share = percent(shares[part]) if part in shares else ""
             rows.append(self._row(part, name, share))
         add = button("part add", "", words.ADD_PART, style="aw-small")
-        put(self._rows, "content", f'<div class="aw-parts">{"".join(rows)}{add}</div>')
+        put(self._rows, content=f'<div class="aw-parts">{"".join(rows)}{add}</div>')
         name, picking = _part_name(doc, selection.part), selection.picking
         settings = self._project.settings
         own = settings.part_names(doc.category)
@@ -402,7 +402,7 @@ class PromptList:
         entries = prompt_entries(doc.prompts, elements)
         mine = [entry for entry in entries if entry.part == tab.selection.part]
         note = words.prompt_count(len(mine), len(entries))
-        put(self._note, "content", note if doc.prompts else words.NO_PROMPTS)
+        put(self._note, content=note if doc.prompts else words.NO_PROMPTS)
         wanted = mine[-PROMPTS_SHOWN:]
         if [entry for _, entry in self._buttons] == wanted:
             return

@@ -65,10 +65,10 @@ class ObjectHeader:
     def draw(self, obj: OpenObject) -> None:
         """Bring the header up to date."""
         broken = obj.problem is not None
-        put(self._status, "content", "\n\n".join(self._lines(obj)))
-        put(self._again, "visible", broken)
-        put(self._remove, "visible", broken and not self._tab.in_scene)
-        put(self._reopen, "visible", obj.document.review.state == "accepted")
+        put(self._status, content="\n\n".join(self._lines(obj)))
+        put(self._again, visible=broken)
+        put(self._remove, visible=broken and not self._tab.in_scene)
+        put(self._reopen, visible=obj.document.review.state == "accepted")
 
     def _lines(self, obj: OpenObject) -> list[str]:
         doc, asset, review = obj.document, obj.asset, obj.document.review
