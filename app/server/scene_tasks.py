@@ -244,7 +244,7 @@ def prepare_for_picking(
     if np.ptp(np.asarray(asset.bounds)[:, :2], axis=0).max() <= ROOM_METRES:
         return None
     try:
-        return prepare_tasks.floor_and_walls(folder, workspace, None, progress)
+        return prepare_tasks.floor_and_walls(workspace, None, folder, progress)
     except CommandError:
         return None  # it has none
 

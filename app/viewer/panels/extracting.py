@@ -9,8 +9,8 @@ from typing import Any
 
 import viser
 
-from app.server.cutting import cut_out, leave_out
 from app.server.open_object import OpenObject
+from app.server.preparing import cut_out, leave_out
 from app.viewer.panels.widgets import put
 from app.viewer.tab import Tab, plain
 from app.viewer.words import annotate as words
@@ -52,7 +52,7 @@ class SourcePanel:
         one = what == words.EXCLUDE_ACTIONS[1]
         if one and not part:
             raise CommandError(words.EXCLUDE_BASE)
-        leave_out(obj, "part" if one else "floor and walls", part, tab.user)
+        leave_out(obj, part if one else None, tab.user)
 
     def restore(self) -> None:
         """Restore the excluded geometry."""
