@@ -7,7 +7,7 @@ from __future__ import annotations
 import hashlib
 import json
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -361,6 +361,30 @@ class Shape:
     faces: npt.NDArray[np.uint32] | None
     colors: npt.NDArray[np.uint8] | None = None
     spacing: float = 0.0
+
+
+BOX = Shape(
+    np.array([[-0.5] * 3, [0.5] * 3]),
+    np.array([[i >> k & 1 for k in range(3)] for i in range(8)], np.float32) - 0.5,
+    np.array([[0, 2, 1], [1, 2, 3], [4, 5, 6], [5, 7, 6], [0, 1, 4], [1, 5, 4],
+              [2, 6, 3], [3, 6, 7], [0, 4, 2], [2, 4, 6], [1, 3, 5], [3, 7, 5]], np.uint32),
+)  # fmt: skip
+"""A cube of 1 m; vertex i is at the upper end of axis k where bit k of i is set."""
+
+
+def placed(
+    item: SceneItem, shapes: Mapping[Path, Shape | str]
+) -> tuple[Shape, FloatArray, FloatArray] | None:
+    """Return an object's shape, its (4, 4) pose in the scene and its (3,) scale: a vertex v is at
+    ``pose @ (scale * v)``. None where the shape isn't known (yet)."""
+    obj = item.obj
+    if obj.box is not None:
+        return BOX, obj.world_from_object, np.asarray(obj.box)
+    shape = None if item.path is None else shapes.get(item.path)
+    if not isinstance(shape, Shape):
+        return None
+    at = obj.placed(shape.bounds)
+    return shape, at.world_from_asset, at.scale
 
 
 @dataclass(frozen=True, eq=False)

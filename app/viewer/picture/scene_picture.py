@@ -18,12 +18,12 @@ from viser import transforms as vtf
 
 from app.server.display_tasks import front_direction
 from app.server.scene_state import Row
-from app.server.scene_tasks import SceneItem, Shape
+from app.server.scene_tasks import SceneItem, Shape, placed
 from app.server.scene_workspace import SceneWorkspace
 from app.viewer.picture import palette
 from app.viewer.picture.ghosts import Ghosts
 from app.viewer.picture.scene_nodes import (
-    CORNERS,
+    Group,
     Look,
     Node,
     Placement,
@@ -45,12 +45,6 @@ from app.viewer.picture.stage import (
 ROOT = SCENE_ROOT
 Array = npt.NDArray[np.float64]
 
-_BOX = Shape(
-    np.array([[-0.5] * 3, [0.5] * 3]),
-    CORNERS,
-    np.array([[0, 2, 1], [1, 2, 3], [4, 5, 6], [5, 7, 6], [0, 1, 4], [1, 5, 4],
-              [2, 6, 3], [3, 6, 7], [0, 4, 2], [2, 4, 6], [1, 3, 5], [3, 7, 5]], np.uint32),
-)  # fmt: skip
 _EDGES = np.array([[a, a | bit] for bit in (1, 2, 4) for a in range(8) if not a & bit])
 
 
@@ -94,13 +88,8 @@ class ScenePicture:
 
     def placement(self, item: SceneItem) -> tuple[Shape, Placement] | None:
         """An object's shape and place; None where it isn't known (yet)."""
-        if item.obj.box is not None:
-            return _BOX, Placement(item.obj.world_from_object, np.asarray(item.obj.box))
-        shape = None if item.path is None else self._workspace.shapes.get(item.path)
-        if not isinstance(shape, Shape):
-            return None
-        placed = item.obj.placed(shape.bounds)
-        return shape, Placement(placed.world_from_asset, placed.scale)
+        found = placed(item, self._workspace.shapes)
+        return None if found is None else (found[0], Placement(*found[1:]))
 
     def bounds(self, ids: Sequence[str] | None = None) -> Array | None:
         """(2, 3) of objects in the scene's frame; of all where None."""
@@ -203,25 +192,18 @@ class ScenePicture:
             return
         if known is not None:
             self._nodes.pop(key).remove()
-        placements: list[Placement] = []
-        shape: Shape | None = None
-        link, work = "", None
-        for id in ids:
-            found = self.placement(self._workspace.items[id])
-            assert found is not None
-            shape, placement = found
-            placements.append(
-                Placement(placement.world, np.ones(3)) if key[0] == "part" else placement
-            )
+        found = [f for id in ids if (f := self.placement(self._workspace.items[id]))]
+        shape, work, link = found[0][0], None, ""
+        placements = [placement for _, placement in found]
         if key[0] == "part":
+            placements = [Placement(placement.world, np.ones(3)) for placement in placements]
             work, link = self._workspace.works[key[1]], key[3]
             assert work.drawn is not None
             shape = work.drawn.shapes[link]
-        assert shape is not None
         self._look = None
         self._chunks += 1
-        name = f"{ROOT}/{key[0]}/{self._chunks}"
-        self._nodes[key] = send(self._client, name, tuple(ids), shape, placements, work, link)
+        group = Group(tuple(ids), shape, placements, work, link)
+        self._nodes[key] = send(self._client, f"{ROOT}/{key[0]}/{self._chunks}", group)
 
     def _paint(self, status: Mapping[str, str], selected: str | None) -> None:
         """Colors by state, of the selected object by part, or as the source has them; all ghosts
