@@ -206,6 +206,12 @@ class PartPayload:
     vertices: npt.NDArray[np.float32] | None = None
     faces: npt.NDArray[np.int32] | None = None
 
+    @property
+    def shape(self) -> npt.NDArray[np.float32]:
+        """(N, 3) its vertices, or the points of a cloud."""
+        shape = self.points if self.vertices is None else self.vertices
+        return np.zeros((0, 3), np.float32) if shape is None else shape
+
 
 def open_asset(
     path: Path,

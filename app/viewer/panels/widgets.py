@@ -85,6 +85,33 @@ class Place:
             show_markup(self._tab.client, self._name, html)
 
 
+class Dialog:
+    """A dialog over the picture, which a button or a key closes."""
+
+    def __init__(self, tab: Tab) -> None:
+        self._tab = tab
+        self._modal: Any = None
+
+    def _open(self, title: str) -> Any:
+        """Begin another dialog; returns it, for its widgets."""
+        self.close()
+        self._modal = self._tab.client.gui.add_modal(title)
+        return self._modal
+
+    def _add_close(self, label: str) -> None:
+        self._tab.client.gui.add_button(label, color="gray").on_click(self._close_clicked)
+
+    def _close_clicked(self, _: Any) -> None:
+        self.close()
+
+    def close(self) -> bool:
+        """Close the dialog; whether it was there."""
+        modal, self._modal = self._modal, None
+        if modal is not None:
+            modal.close()
+        return modal is not None
+
+
 @lru_cache(maxsize=128)
 def icon(name: Any) -> str:
     """An icon as SVG, which says nothing to screen readers."""

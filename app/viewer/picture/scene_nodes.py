@@ -81,10 +81,15 @@ def nearly_hit(
 
 def meets_boxes(origin: Array, direction: Array, boxes: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:
     """(N,) which of the (N, 2, 3) axis-parallel boxes a ray goes through."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        a, b = (boxes[:, 0] - origin) / direction, (boxes[:, 1] - origin) / direction
-    enter, leave = np.fmax.reduce(np.fmin(a, b), axis=1), np.fmin.reduce(np.fmax(a, b), axis=1)
+    enter, leave = through_box(origin, direction, boxes[:, 0], boxes[:, 1])
     return leave >= np.maximum(enter, 0.0)
+
+
+def through_box(origin: Array, direction: Array, low: Array, high: Array) -> tuple[Array, Array]:
+    """(N,) multiples of ``direction`` at which rays enter and leave axis-parallel boxes."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        a, b = (low - origin) / direction, (high - origin) / direction
+    return np.fmax.reduce(np.fmin(a, b), axis=1), np.fmin.reduce(np.fmax(a, b), axis=1)
 
 
 def within_tolerance(origin: Array, boxes: npt.NDArray[Any]) -> npt.NDArray[Any]:

@@ -34,8 +34,8 @@ from app.viewer.picture.scene_nodes import (
     wxyz_of,
 )
 from app.viewer.picture.stage import (
-    GRID,
     SCENE_ROOT,
+    add_floor,
     aim,
     fitting_distance,
     set_stage,
@@ -224,19 +224,8 @@ class ScenePicture:
         if floor == self._floor:
             return
         first, self._floor = self._floor is None, floor
-        cell = 10.0 ** np.floor(np.log10(span)) / 2
-        self._client.scene.add_grid(
-            f"{ROOT}/ground",
-            width=4 * span,
-            height=4 * span,
-            position=(*bounds.mean(0)[:2], float(bounds[0, 2]) - 2e-3),
-            cell_size=float(cell),
-            section_size=float(2 * cell),
-            cell_color=GRID[self.dark][0],
-            section_color=GRID[self.dark][1],
-            infinite_grid=True,
-            fade_distance=6 * span,
-        )
+        place, scene = (*bounds.mean(0)[:2], float(bounds[0, 2]) - 2e-3), self._client.scene
+        add_floor(scene, f"{ROOT}/ground", span, place, (1, 0, 0, 0), fade=6, dark=self.dark)
         if self.ghosted is None and (first or self.camera is None):
             self.frame()
 
