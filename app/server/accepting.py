@@ -15,7 +15,6 @@ from app.server.acceptances import acceptance_record, carry_out
 from app.server.names import display_text
 from app.server.open_object import OpenObject
 from app.server.validating import AcceptanceRequest
-from model.core.asset import Source
 from model.core.errors import CommandError
 from model.validation.report import ValidationReport
 from sessions import commands as cmd
@@ -92,7 +91,7 @@ def accept(
     record = acceptance_record(
         apply(state, command, Context(who, "")),
         services.store.history(obj.record.id),
-        _source_record(obj),
+        obj.need_asset().source,
         report,
         override,
         warnings_seen=report is not None and report is seen,
@@ -196,8 +195,3 @@ def _refuse(
         obj.notify("Not accepted", str(error), "yellow")
     else:
         refused(error)
-
-
-def _source_record(obj: OpenObject) -> Source:
-    asset = obj.need_asset()
-    return Source(asset.path, asset.sha256, asset.up_axis, asset.unit_scale, asset.shift)

@@ -132,7 +132,7 @@ class Preparing:
             return 0.0
         supported = level.support is not None and self._share(OBJECT) > _LEAST_OBJECT
         if level.askew:  # slanted lamps are, too: a format that declares its axis is trusted more
-            sure = level.confidence >= SURE and (supported or not declares_up(asset.path))
+            sure = level.confidence >= SURE and (supported or not declares_up(asset.source.path))
         else:
             sure = level.confidence >= _VERY_SURE and supported and self._along_an_axis
         return level.tilt if sure else 0.0
@@ -141,7 +141,7 @@ class Preparing:
     def _along_an_axis(self) -> bool:
         """True if another axis of the file seems to be up, and its format doesn't declare one."""
         found, asset = self.current, self._obj.asset
-        if found is None or asset is None or declares_up(asset.path):
+        if found is None or asset is None or declares_up(asset.source.path):
             return False
         _, y, z = found.levelling.up
         return max(abs(y), -z) > np.cos(TILT)
@@ -156,7 +156,7 @@ class Preparing:
             return False
         level = found.levelling
         on_axis = level.confidence >= SURE and self._along_an_axis
-        return level.askew or on_axis or level.lies(declares_up(asset.path))
+        return level.askew or on_axis or level.lies(declares_up(asset.source.path))
 
     @property
     def _rejected(self) -> bool:
@@ -254,7 +254,7 @@ class Preparing:
             obj.do(command, who)
 
         task, options = prepare_tasks.restored_elements, obj.read_options
-        _start(obj, keep, task, asset.path, options, camera, stroke)
+        _start(obj, keep, task, asset.source.path, options, camera, stroke)
 
 
 def leave_out(obj: ObjectContext, part: int | None, who: str) -> None:
@@ -278,10 +278,11 @@ def _leave_out(
 def cut_out(obj: ObjectContext, part: int, who: str, done: Callable[[int], None]) -> None:
     """Make one part an object of its own in the queue; ``done`` gets its id."""
     asset = obj.need_asset()
+    source = asset.source
 
     def keep(crop: Crop) -> None:
         new = obj.services.queue.add([crop.path])[0]
-        placed = cmd.Placed(str(asset.path), asset.sha256, crop.elements, crop.position)
+        placed = cmd.Placed(str(source.path), source.sha256, crop.elements, crop.position)
         obj.services.hub.session(new).do(placed, who)
         out = cmd.CropOut(crop.name, str(crop.path), crop.elements, crop.count, crop.position)
         obj.do(out, who)

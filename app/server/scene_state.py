@@ -18,7 +18,7 @@ from app.server.job import Job
 from app.server.jobs import CLICKS
 from app.server.object_context import Services
 from app.server.observable import Observable, RunningJobs
-from app.server.part_tasks import PartSource
+from app.server.part_tasks import PartSource, source_of
 from app.server.scene_saving_tasks import Decided, MovingCopy, ReportRow, save_scene, write_report
 from app.server.scene_tasks import DrawnParts, OpenedScene, SceneItem, Shape, placed
 from model.core.errors import CommandError, InputFileError
@@ -80,18 +80,10 @@ class Work:
 
     def part_source(self, workspace: Path) -> PartSource | None:
         """Return its parts as workers cut them; None before they are drawn."""
-        if self.drawn is None:
+        if self.drawn is None or self.document.segmentation is None:
             return None
-        doc = self.document
-        return PartSource(
-            self.drawn.folder,
-            workspace,
-            self.drawn.labels,
-            doc.part_names,
-            doc.category,
-            self.name,
-            doc.complete,
-        )
+        source = source_of(self.document, self.drawn.folder, workspace, self.name)
+        return replace(source, labels=self.drawn.labels)
 
     def source(self, scene: Path, workspace: Path) -> dict[str, Any]:
         """Return its source for ``provenance.json``: the asset, not the copy in the workspace.

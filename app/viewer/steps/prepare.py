@@ -470,7 +470,7 @@ class PrepareStep:
 
 def _odd_size(obj: OpenObject) -> OddSize | None:
     asset = obj.asset
-    return None if asset is None else odd_size(asset.bounds, asset.unit_scale)
+    return None if asset is None else odd_size(asset.bounds, asset.source.unit_scale)
 
 
 def _moved(points: npt.NDArray[np.floating], matrix: Array) -> Array:
