@@ -16,9 +16,10 @@ import numpy as np
 import numpy.typing as npt
 
 from app.server import part_tasks, prepare_tasks, segmenting_tasks, tasks
+from app.server.part_tasks import PartSource
 from app.server.prompt_file import beside, read_prompts
 from app.server.tasks import ReadOptions, arrays_of, stamp, working_copy
-from model.core.articulated_object import Part, Prediction, SegmentedObject
+from model.core.articulated_object import Part, Prediction
 from model.core.asset import MAX_PARTS, Asset, Source
 from model.core.errors import ArtiworldError, CommandError
 from model.core.files import draft_of
@@ -29,7 +30,6 @@ from model.geometry.sampling import face_colors
 from model.geometry.splitting import split
 from model.io.urdf.model import save_declared
 from model.io.write import write_cloud, write_mesh
-from model.prediction.registry import load_predictor
 from model.scenes.articulable_finders import FinderOptions, default_cache, load_finder
 from model.scenes.asset_parts import (
     AssetParts,
@@ -275,7 +275,11 @@ def prepare(
     else:
         return Prepared(reason)
     progress(0.4, "predicting")
-    prediction = _predicted(item, asset, cut, workspace, predictor, progress)
+    assert cut.labels is not None
+    names = {part: name for part, name in cut.names if name}
+    source = PartSource(folder, workspace, cut.labels, names, item.category, asset.name)
+    span = scaled_progress(progress, 0.4, 1.0)
+    prediction = part_tasks.predict(source, predictor, (), 0, progress=span)
     if prediction.tree is None or not any(j.moves for j in prediction.tree.joints):
         why = "; ".join(prediction.problems) or "no reason was given"
         return replace(cut, reason=f"no joint was predicted: {why}")
@@ -323,21 +327,6 @@ def _cut_by_source(asset: Asset, element_part: npt.NDArray[np.int32], workspace:
         counts=tuple((i, count) for i, (_, count) in sorted(regions.items())),
         segmenter="source",
     )
-
-
-def _predicted(
-    item: SceneItem,
-    asset: Asset,
-    cut: Prepared,
-    workspace: Path,
-    predictor: str,
-    progress: Progress,
-) -> Prediction:
-    labels = tasks.arrays_of(workspace).get(cut.labels)
-    parts = split(asset, labels, {p: n for p, n in cut.names if n})
-    segmented = SegmentedObject(asset.name, tuple(map(part_tasks.named, parts)), item.category)
-    span = scaled_progress(progress, 0.4, 1.0)
-    return load_predictor(predictor).predict(segmented, seed=0, progress=span)
 
 
 BATCH_SECONDS = 0.4

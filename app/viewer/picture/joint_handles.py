@@ -122,9 +122,7 @@ def _axis_frame(joint: Joint, posed_from_rest: Pose) -> tuple[Any, Any]:
 def _frame_along(axis: tuple[float, float, float]) -> Any:
     """A rotation whose z is ``axis``; quaternion wxyz."""
     z = np.asarray(axis)
-    helper = np.eye(3)[int(np.argmin(np.abs(z)))]
-    x = np.cross(helper, z)
-    x /= np.linalg.norm(x)
+    x = _across(z)
     return vtf.SO3.from_matrix(np.column_stack([x, np.cross(z, x), z])).wxyz
 
 
