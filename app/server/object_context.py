@@ -110,11 +110,6 @@ class ObjectContext(Observable):
         """Carry out one user decision; it is on disk when this returns."""
         return self.live.do(command, who)
 
-    @property
-    def predicting(self) -> bool:
-        """True while a prediction is under way."""
-        return "predict" in self.jobs
-
     def need_asset(self) -> OpenedAsset:
         """Return the asset.
 

@@ -131,7 +131,7 @@ class Validation:
         if revision is None:
             self._requested = None
             return
-        if revision == self._requested or obj.predicting:
+        if revision == self._requested or "predict" in obj.jobs:
             return
         self._requested = revision
         obj.jobs.cancel("check")

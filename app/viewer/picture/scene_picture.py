@@ -86,7 +86,7 @@ class ScenePicture:
 
     # --- placements
 
-    def placement(self, item: SceneItem) -> tuple[Shape, Placement] | None:
+    def _placement(self, item: SceneItem) -> tuple[Shape, Placement] | None:
         """An object's shape and place; None where it isn't known (yet)."""
         found = placed(item, self._workspace.shapes)
         return None if found is None else (found[0], Placement(*found[1:]))
@@ -96,7 +96,7 @@ class ScenePicture:
         every: list[Array] = []
         for id, item in self._workspace.items.items():
             if ids is None or id in ids:
-                found = self.placement(item)
+                found = self._placement(item)
                 if found is not None:
                     every.append(corners_of(*found))
         if not every:
@@ -126,7 +126,7 @@ class ScenePicture:
             self._paint(status, selected)
             self._draw_outline(selected)
             item = self._workspace.items.get(self.ghosted or "")
-            found = None if item is None else self.placement(item)
+            found = None if item is None else self._placement(item)
             self._ghosts.draw(self.ghosted, self._nodes.values(), found)
         self._draw_floor()
 
@@ -134,7 +134,7 @@ class ScenePicture:
         out: dict[tuple[Any, ...], list[str]] = {}
         for id, where in status.items():
             item = self._workspace.items[id]
-            found = self.placement(item)
+            found = self._placement(item)
             if found is None or where in ("failed", "missing"):
                 continue
             if where == "static" and found[0].faces is not None:
@@ -163,7 +163,7 @@ class ScenePicture:
         for id in self._workspace.items:
             if id not in ids or id in shown:
                 continue
-            found = self.placement(self._workspace.items[id])
+            found = self._placement(self._workspace.items[id])
             if found is not None and found[0].faces is not None:
                 solid.append((id, *found))
         if solid:
@@ -192,7 +192,7 @@ class ScenePicture:
             return
         if known is not None:
             self._nodes.pop(key).remove()
-        found = [f for id in ids if (f := self.placement(self._workspace.items[id]))]
+        found = [f for id in ids if (f := self._placement(self._workspace.items[id]))]
         shape, work, link = found[0][0], None, ""
         placements = [placement for _, placement in found]
         if key[0] == "part":
@@ -233,7 +233,7 @@ class ScenePicture:
         found = None if selected is None else self._workspace.items.get(selected)
         # Where there is one object alone, a box round it would only be in the way.
         hidden = self.ghosted is not None or len(self._workspace.items) == 1
-        placement = None if found is None or hidden else self.placement(found)
+        placement = None if found is None or hidden else self._placement(found)
         key = None if placement is None else (selected, placement[1].world.tobytes())
         if key == self._outlined:
             return
@@ -340,7 +340,7 @@ class ScenePicture:
     def _from_front(self, id: str, center: Array, distance: float, otherwise: Array) -> Array:
         """(3,) unit direction from an object to an eye that sees its front, from the side and from
         as far above as what stands before it demands; ``otherwise`` where it isn't drawn."""
-        found = self.placement(self._workspace.items[id])
+        found = self._placement(self._workspace.items[id])
         if found is None:
             return otherwise
         shape, placement = found
