@@ -8,7 +8,7 @@ import threading
 from collections.abc import Callable
 from pathlib import Path
 
-from app.server.observable import Listener
+from app.server.observable import Listener, Observable
 from app.server.tasks import stamp_if_there
 from app.server.uploads import keep_upload
 from model.core.errors import CommandError
@@ -16,7 +16,7 @@ from model.io.model_files import asset_name, find_assets, refusal
 from sessions.store import ObjectRecord, Store
 
 
-class ObjectQueue:
+class ObjectQueue(Observable):
     """The queue, shared by all tabs.
 
     Args:
@@ -35,9 +35,9 @@ class ObjectQueue:
         pending: Callable[[int], bool],
         workspace: Path | None = None,
     ) -> None:
+        super().__init__()
         self._store, self._pending = store, pending
         self._lock = threading.RLock()
-        self._listeners: list[Listener] = []
         self._ids: list[int] = []
         self._records: dict[int, ObjectRecord] = {}
         self._workspace = workspace
@@ -167,18 +167,7 @@ class ObjectQueue:
 
     def subscribe(self, listener: Listener) -> Callable[[], None]:
         """Call ``listener`` when a state in the queue changes. Returns its removal."""
-        self._listeners.append(listener)
-
-        def stop() -> None:
-            if listener in self._listeners:
-                self._listeners.remove(listener)
-
-        return stop
-
-    def changed(self) -> None:
-        """Tell all tabs that the queue changed."""
-        for listener in list(self._listeners):
-            listener()
+        return self.watch(listener, lambda *_: None)
 
 
 def _kept(record: ObjectRecord, workspace: Path) -> bool:

@@ -279,7 +279,7 @@ class OpenObject(ObjectContext):
             who: the current user.
             here: with this machine's own predictor, whatever backend is set.
         """
-        if self.predicting:
+        if "predict" in self.jobs:
             return
         source, doc = self.source(), self.document
         transition(doc.review.state, "predict")  # refuses now, not after the wait

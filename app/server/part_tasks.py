@@ -52,6 +52,7 @@ from model.prediction.registry import load_predictor
 from model.segmentation.prompts import BASE
 from model.validation.report import ValidationReport
 from model.validation.runner import validate
+from sessions.document import Document
 
 
 @dataclass(frozen=True)
@@ -69,6 +70,13 @@ class PartSource:
     category: str | None = None
     title: str = "object"
     complete: bool | None = None
+
+
+def source_of(doc: Document, folder: Path, workspace: Path, title: str) -> PartSource:
+    """Return the parts of a document with labels; ``folder`` is that of the asset's arrays."""
+    assert doc.segmentation is not None
+    labels, names = doc.segmentation.labels, doc.part_names
+    return PartSource(folder, workspace, labels, names, doc.category, title, doc.complete)
 
 
 _cut: LruCache[Any, tuple[Part, ...]] = LruCache(2)
@@ -249,17 +257,8 @@ def validate_joints(
 
 
 def _cache_file(source: PartSource, tree: KinematicTree) -> Path:
-    key = fingerprint(
-        "gate",
-        validation_version(),
-        source.folder.name,
-        source.labels,
-        sorted(source.names.items()),
-        source.category,
-        source.complete,
-        tree.links,
-        tree.joints,
-    )
+    own = source.folder.name, source.labels, sorted(source.names.items()), source.category
+    key = fingerprint("gate", validation_version(), *own, source.complete, tree.links, tree.joints)
     return source.workspace / "cache" / "gate" / f"{key}.json"
 
 
@@ -323,19 +322,9 @@ def prepare_asset(
 
 
 def _draft_name(source: PartSource, tree: KinematicTree) -> Path:
-    key = fingerprint(
-        "draft",
-        version("artiworld"),
-        source.folder.name,
-        source.labels,
-        sorted(source.names.items()),
-        source.category,
-        source.title,
-        source.complete,
-        tree.links,
-        tree.joints,
-    )
-    return source.workspace / "drafts" / key
+    own = source.folder.name, source.labels, sorted(source.names.items()), source.category
+    made = source.title, source.complete, tree.links, tree.joints
+    return source.workspace / "drafts" / fingerprint("draft", version("artiworld"), *own, *made)
 
 
 def _drop_drafts(folder: Path) -> None:

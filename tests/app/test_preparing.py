@@ -13,7 +13,6 @@ from app.server.app_state import AppState
 from app.server.config import ServeConfig
 from app.server.open_object import OpenObject
 from app.server.prepare_tasks import Marks
-from model.core.asset import Source
 from model.core.files import static_assets
 from model.geometry.cleaning import CLUTTER, OUTLIER, SUPPORT
 from model.geometry.units import unusual_height
@@ -83,7 +82,7 @@ def test_provenance_leads_from_the_file_to_the_asset_and_back(opened, tmp_path: 
     obj.preparing.turn(np.diag([2.0, 2.0, 2.0, 1.0]), "twice as large", "ann")
     wait_until(lambda: obj.asset and "open" not in obj.jobs, "it is read again")
     asset = obj.need_asset()
-    source = Source(asset.path, asset.sha256, asset.up_axis, asset.unit_scale, asset.shift)
+    source = asset.source
     record = provenance(obj.state, obj.services.store.history(obj.record.id), source)
     object_from_source = np.array(record["object_from_source"])
     numbers = open_asset(tmp_path / "oven.ply", up_axis="z").element_centers

@@ -206,9 +206,9 @@ def opened_summary(obj: Any) -> Json:
         "elements": asset.element_count,
         "bounds": np.asarray(asset.bounds).tolist(),
         "part_names": list(asset.part_names),
-        "up_axis": asset.up_axis,
-        "unit_scale": asset.unit_scale,
-        "sha256": asset.sha256,
+        "up_axis": asset.source.up_axis,
+        "unit_scale": asset.source.unit_scale,
+        "sha256": asset.source.sha256,
         "warnings": len(asset.warnings),
         "labels": {str(int(i)): int(n) for i, n in zip(ids, counts, strict=True)},
     }
