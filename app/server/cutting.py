@@ -25,8 +25,8 @@ from model.scenes.scene import Decision, FloatArray, ObjectDescription, SceneObj
 from model.scenes.values import pose, rotation_from_quaternion
 from sessions import commands as cmd
 from sessions.checks import clean_text
-from sessions.document import Document
-from sessions.scene_commands import PickOut, Position, Quaternion
+from sessions.document import Document, Position, Quaternion
+from sessions.scene_commands import PickOut
 
 
 def leave_out(obj: OpenObject, what: str, part: int, who: str) -> None:
