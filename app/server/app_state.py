@@ -255,6 +255,7 @@ class AppState:
         """End the workers."""
         self._closed.set()
         self.workers.closing = True
+        self.hub.store_announced()
         self.bulk.cancel()
         self.learning.close()
         if self.scene is not None:

@@ -5,8 +5,10 @@ from __future__ import annotations
 import hashlib
 import os
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from app.server.observable import Listener, Observable
 from app.server.tasks import stamp_if_there
@@ -142,11 +144,19 @@ class ObjectQueue(Observable):
         if self.unreadable != before:
             self.changed()
 
-    def refresh(self, object_id: int) -> None:
-        """Read an object's record again, and notify the tabs where its state changed."""
-        record = self._store.object(object_id)
+    def refresh(self, object_id: int, fields: Mapping[str, Any] | None = None) -> None:
+        """Update an object's record, and notify the tabs where its state changed.
+
+        Args:
+            fields: those of the record that changed; None: it is read again.
+        """
         with self._lock:
-            before, self._records[object_id] = self._records.get(object_id), record
+            before = self._records.get(object_id)
+            if before is None or fields is None:
+                record = self._store.object(object_id)
+            else:
+                record = replace(before, **fields)
+            self._records[object_id] = record
         if before is None or before.state != record.state or self._pending(object_id):
             self.changed()
 

@@ -22,7 +22,8 @@ from model.geometry.levelling import SURE
 from model.geometry.picking import Camera, Stroke
 from model.io.geometry_files import declares_up
 from sessions import commands as cmd
-from sessions.tool_commands import SOURCE_FRAME, LeaveOut, ObjectFrame
+from sessions.document import SOURCE_FRAME, ObjectFrame
+from sessions.tool_commands import LeaveOut
 
 Array = npt.NDArray[np.float64]
 

@@ -26,7 +26,8 @@ from model.scenes.scene import Decision, FloatArray, ObjectDescription, SceneObj
 from model.scenes.values import pose, rotation_from_quaternion
 from sessions import commands as cmd
 from sessions.checks import clean_text
-from sessions.scene_commands import PickOut, Position, Quaternion
+from sessions.document import Position, Quaternion
+from sessions.scene_commands import PickOut
 
 
 class Picking:

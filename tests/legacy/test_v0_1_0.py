@@ -39,10 +39,10 @@ from model.scenes.registry import read_scene
 from model.scenes.scene import Scene
 from model.segmentation.prompts import Click
 from sessions import commands as cmd
-from sessions.document import Document, review_problems
+from sessions.document import Document, acceptance_problems, review_problems
 from sessions.provenance import provenance
 from sessions.serialise import state_from_json, state_to_json
-from sessions.state import Context, SessionState, acceptance_problems, replay
+from sessions.state import Context, SessionState, replay
 from sessions.store import Store
 from tests.builders import wait_until
 
@@ -273,7 +273,7 @@ def test_commands_are_written_as_they_were_read(read_only: Path) -> None:
     for number, seq, kind, payload in rows:
         data = json.loads(payload)
         command = cmd.from_json(data)
-        assert cmd.kind_of(command) == kind
+        assert command.kind == kind
         written = cmd.to_json(command)
         assert_includes(written, data, f"object {number}, command {seq}")
         assert cmd.from_json(written) == command

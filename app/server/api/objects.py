@@ -30,7 +30,7 @@ from sessions.commands import Command
 from sessions.credentials import Person
 from sessions.database import ObjectRecord
 from sessions.document import Document
-from sessions.state import SessionState, needed_jobs
+from sessions.state import SessionState
 
 objects_router = APIRouter(tags=["objects"])
 MOST = 500
@@ -123,7 +123,7 @@ def decide(state: AppState, object_id: int, command: Command, person: Person) ->
     if live.state.seq == 0:
         opened(state, object_id)
     after = live.do(command, person.name, role=person.role)
-    if needed_jobs(after):
+    if after.present.needs_labels:
         state.object(object_id, KEEP_SECONDS)
     return document_json(after)
 

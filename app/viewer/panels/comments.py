@@ -22,7 +22,6 @@ from app.viewer.words import annotate as annotate_words
 from app.viewer.words import review as words
 from app.viewer.words.annotate import tool_label
 from sessions import commands as cmd
-from sessions.describe import describe
 from sessions.document import CommentRecord, Document
 from sessions.project_settings import Project
 from sessions.tool_commands import ApplyTool
@@ -96,7 +95,7 @@ def what_happened(doc: Document, command: cmd.Command) -> str:
         return words.joint_changed(part_title(doc, command.joint.child))
     if isinstance(command, ApplyTool):
         command = replace(command, tool=tool_label(command.tool).lower())
-    return display_text(doc, describe(command))
+    return display_text(doc, command.describe())
 
 
 class Comments:

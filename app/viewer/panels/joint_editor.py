@@ -11,7 +11,7 @@ from typing import Any
 
 import viser
 
-from app.server import picking_tasks
+from app.server import snapping_tasks
 from app.server.jobs import EDITS, WorkerProcess
 from app.server.names import joint_title, moved_part, part_title
 from app.server.open_object import OpenObject
@@ -225,7 +225,7 @@ class JointEditor:
             return
         assert doc.tree is not None
         job = self._worker.submit(
-            picking_tasks.change_type, obj.source(), doc.tree, joint.child, kind, priority=EDITS
+            snapping_tasks.change_type, obj.source(), doc.tree, joint.child, kind, priority=EDITS
         )
         self._set(job.result(SNAP_SECONDS))
 
@@ -267,7 +267,7 @@ class JointEditor:
         joint, tree = self._need_joint(), obj.document.tree
         assert tree is not None
         job = self._worker.submit(
-            picking_tasks.snap_joint, obj.source(), tree, joint.child, to, priority=EDITS
+            snapping_tasks.snap_joint, obj.source(), tree, joint.child, to, priority=EDITS
         )
         snapped = job.result(SNAP_SECONDS)
         if snapped == joint:
