@@ -1,7 +1,7 @@
 """The HTTP side of ``artiworld backend``: one machine predicts for many annotators.
 
 ``GET /health`` needs no token and says whether one is needed. ``POST /v1/predict`` takes the
-format of :mod:`model.prediction.remote.wire`. Refusals have a status (400 malformed, 401 wrong
+format of :mod:`model.prediction.remote_backend`. Refusals have a status (400 malformed, 401 wrong
 token, 408 timeout, 413 too large, 415 wrong type, 429 too many wrong tokens, 503 busy) and a JSON
 body ``{"error": text}``; later errors are lines of the stream. Connections have limits that
 uvicorn itself lacks.
