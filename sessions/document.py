@@ -17,12 +17,11 @@ from model.core.asset import UpAxis
 from model.core.errors import CommandError
 from model.core.geometry import affine, quaternion_wxyz, uniform_scale
 from model.core.joint import Joint
-from model.core.tree import KinematicTree
+from model.core.tree import KinematicTree, holds_part
 from model.geometry.splitting import Plane
 from model.segmentation.prompts import BASE, MAX_PARTS, UNASSIGNED, Click
 from sessions.checks import check_pose, check_ref, check_unit_scale
 from sessions.review import CommentRecord, RejectReason, ReviewRecord
-from sessions.tree_edits import holds_part
 
 Decided = Literal["accept", "reject"]
 Position = tuple[float, float, float]

@@ -8,13 +8,12 @@ from model.core.articulated_object import Prediction
 from model.core.composite_joints import Composite, with_composite
 from model.core.errors import CommandError
 from model.core.joint import Joint
-from model.core.tree import KinematicTree
+from model.core.tree import KinematicTree, holds_part, replace_joint, with_chain_of
 from sessions.checks import check_ref
 from sessions.document import Document
 from sessions.part_commands import still_locked, with_new_parts
 from sessions.review import Action
 from sessions.state import Command, Context
-from sessions.tree_edits import holds_part, replace_joint, with_chain_of
 
 Edited = tuple[KinematicTree, frozenset[str]]
 """A tree, and the child links of its locked joints."""

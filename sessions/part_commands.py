@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from model.core.errors import CommandError
-from model.core.tree import KinematicTree
+from model.core.tree import KinematicTree, with_fixed, without_link
 from model.segmentation.prompts import BASE, MAX_PARTS, Click
 from sessions.checks import NAME_LIMIT, check_count, check_part, check_ref, clean_field, name_field
 from sessions.document import Document, PartInfo, RegionRef, SegmentationRecord, as_record
 from sessions.state import Command, Context, JobResult
-from sessions.tree_edits import with_fixed, without_link
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from app.cli.commands import BackendCommand, ServeCommand
 from app.cli.options import OidcOptions
 from app.cli.output import Result
 from app.cli.predict import check_backend, chosen_predictor
-from app.server import backend_tasks
+from app.server import backend_server
 from app.server.config import TOKEN_VARIABLE, ServeConfig
 from app.server.ending import EndSignals
 from app.server.jobs import WorkerProcess
@@ -62,13 +62,13 @@ def serve_backend(options: BackendCommand, _: Progress) -> Result:
     threads = max(1, (os.cpu_count() or 2) // options.workers)
     workers = [
         WorkerProcess(
-            f"backend {i}", initializer=backend_tasks.load, arguments=(name,), threads=threads
+            f"backend {i}", initializer=backend_server.load, arguments=(name,), threads=threads
         )
         for i in range(options.workers)
     ]
     try:
         # Weights that don't load must fail here, not at the first client's request.
-        for job in [worker.submit(backend_tasks.ready) for worker in workers]:
+        for job in [worker.submit(backend_server.ready) for worker in workers]:
             job.result()
         family, _, _, _, address = socket.getaddrinfo(
             options.host, options.port, type=socket.SOCK_STREAM

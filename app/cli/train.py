@@ -18,9 +18,8 @@ from app.server.ending import WorkspaceLease
 from app.server.learning import learn_from
 from model.core.errors import ConfigurationError
 from model.core.progress import Progress, no_progress
-from model.data.datasets import training_ids
 from model.data.procedural.generate import GenerateSettings, family_names, generate
-from model.data.registry import recognised
+from model.data.registry import recognised, training_ids
 from model.prediction.experience import FOLDER, record_of
 from model.training.arti4urdf import small_trainer
 from model.training.arti4urdf.confidence import PREDICTORS, fit_confidence

@@ -18,7 +18,7 @@ from app.server import display_tasks, part_tasks, segmenting_tasks
 from app.server.display_tasks import OpenedAsset, PartPayload
 from app.server.job import OutOfTimeError
 from app.server.jobs import CLICKS, EDITS, Job, JobFailed
-from app.server.likeness import Likeness
+from app.server.learning import Likeness
 from app.server.object_context import ObjectContext, SceneMember, Services
 from app.server.observable import Listener, Notice
 from app.server.preparing import Preparing

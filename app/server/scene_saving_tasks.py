@@ -27,7 +27,7 @@ from model.core.geometry import Mesh, PointCloud, merged
 from model.core.joint import Joint
 from model.core.progress import Progress, no_progress
 from model.core.tables import write_page
-from model.core.tree import KinematicTree
+from model.core.tree import KinematicTree, holds_part
 from model.geometry import drawing
 from model.io.assets.asset_folder import write_asset
 from model.io.assets.reader import read_provenance
@@ -53,7 +53,6 @@ from model.scenes.registry import read_scene
 from model.scenes.results import SCENE_JSON, Outcome, write_results
 from model.scenes.scene import Decision, SceneProblem
 from sessions.document import Document
-from sessions.tree_edits import holds_part
 
 STATES: dict[str, tuple[str, tuple[int, int, int]]] = {
     "predicted": ("predicted, not reviewed", (128, 90, 213)),

@@ -227,7 +227,6 @@ MODULES = (
     "app.server.part_tasks",
     "app.server.prepare_tasks",
     "app.server.segmenting_tasks",
-    "app.server.snapping_tasks",
 )
 """Imports of the workers' first jobs: two seconds of a processor, mostly trimesh and scipy."""
 _NUMBER = struct.Struct("<i")

@@ -23,7 +23,7 @@ from model.core.errors import InputFileError
 from model.core.files import read_json, static_assets
 from model.core.joint import JOINT_KINDS, Joint
 from model.core.tree import KinematicTree
-from model.data.datasets import GroundTruth
+from model.data.registry import GroundTruth
 from model.geometry.splitting import split
 from model.io.merging import merge_rigid, read_rigid
 from model.io.mjcf_reader import need_mujoco, read_mjcf_model
@@ -77,7 +77,7 @@ class PartNetMobility:
         return found
 
     def category(self, object_id: str) -> str | None:
-        """See :class:`~model.data.datasets.Dataset`."""
+        """See :class:`~model.data.registry.Dataset`."""
         return partnet_category(Path(self.root) / object_id)
 
     def load(self, object_id: str) -> GroundTruth:
@@ -172,7 +172,7 @@ class UrdfFolders:
         return tuple(sorted(found))
 
     def category(self, object_id: str) -> str | None:
-        """See :class:`~model.data.datasets.Dataset`."""
+        """See :class:`~model.data.registry.Dataset`."""
         said = description_beside(self._path(object_id)).get("category")
         return said if isinstance(said, str) else None
 

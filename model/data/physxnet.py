@@ -33,7 +33,7 @@ from model.core.files import read_json
 from model.core.geometry import Mesh, affine, merged
 from model.core.joint import Joint
 from model.core.tree import KinematicTree
-from model.data.datasets import GroundTruth
+from model.data.registry import GroundTruth
 from model.io.geometry_files import turned_up
 from model.io.merging import merge_rigid
 from model.io.open_asset import open_asset
@@ -68,7 +68,7 @@ class PhysXNet:
         return found
 
     def category(self, object_id: str) -> str | None:
-        """See :class:`~model.data.datasets.Dataset`."""
+        """See :class:`~model.data.registry.Dataset`."""
         said = self._read(object_id).get("category")
         return said if isinstance(said, str) else None
 

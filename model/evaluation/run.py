@@ -23,8 +23,7 @@ from model.core.errors import ArtiworldError, ConfigurationError, InputFileError
 from model.core.geometry import PointCloud, about, affine
 from model.core.pool import robust_map, time_limit
 from model.core.progress import Progress, no_progress
-from model.data.datasets import Dataset, GroundTruth, select
-from model.data.registry import DatasetOptions, open_dataset
+from model.data.registry import Dataset, DatasetOptions, GroundTruth, open_dataset, select
 from model.evaluation.joint_metrics import ObjectScore, UsableLimits, execute, score_object
 from model.evaluation.predictions import (
     LONGEST_EDGE,
@@ -135,7 +134,7 @@ class EvaluationConfig:
     """Configuration of an evaluation.
 
     Attributes:
-        data: the data set. split: which of its objects, see :mod:`model.data.datasets`.
+        data: the data set. split: which of its objects, see :mod:`model.data.registry`.
         predictor: name of the predictor, :data:`TRUTH` for the truth; or the name of
             ``predictions`` in the report.
         predictions: folder of URDFs to score instead of running a predictor.

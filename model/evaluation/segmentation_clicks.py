@@ -22,8 +22,8 @@ from model.core.articulated_object import ArticulatedObject
 from model.core.asset import Asset
 from model.core.errors import ArtiworldError, InputFileError
 from model.core.geometry import Mesh, PointCloud
-from model.data.datasets import Dataset
 from model.data.folders import PartNetMobility
+from model.data.registry import Dataset
 from model.data.simulated.depth_camera import ScanSettings, simulate_scan
 from model.data.simulated.depth_camera import View as Camera
 from model.data.simulated.scans import build, scan, visible_from

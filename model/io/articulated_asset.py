@@ -34,11 +34,7 @@ from model.io.urdf.files import (
     partnet_category,
     semantic_names,
 )
-from model.io.urdf.meshes import (
-    DeclaredCollision,
-    declared_shapes,
-    load_part,
-)
+from model.io.urdf.meshes import DeclaredCollision, declared_shapes, load_part
 from model.io.urdf.model import UrdfModel
 
 _NOTES_SHOWN = 6

@@ -115,7 +115,7 @@ def _writable(value: str) -> str:
 
 
 class JsonReader:
-    """What readers of JSON files share.
+    """Base of the readers of JSON files.
 
     Attributes:
         marks: texts in the beginning of a file, one of which it has.

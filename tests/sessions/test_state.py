@@ -12,12 +12,11 @@ from model.core.articulated_object import Prediction
 from model.core.composite_joints import Composite, composite_of
 from model.core.errors import CommandError
 from model.core.joint import Joint, Mimic
-from model.core.tree import KinematicTree
+from model.core.tree import KinematicTree, holds_part
 from model.segmentation.prompts import Click
 from sessions import commands as cmd
 from sessions.document import PartInfo, acceptance_problems, prompts_key, review_problems
 from sessions.state import MAX_UNDO, Context, SessionState, apply
-from sessions.tree_edits import holds_part
 
 REF = "ab" * 32
 OTHER_REF = "cd" * 32

@@ -11,7 +11,7 @@ from typing import Any
 
 import viser
 
-from app.server import snapping_tasks
+from app.server import part_tasks
 from app.server.jobs import EDITS, WorkerProcess
 from app.server.names import joint_title, moved_part, part_title
 from app.server.open_object import OpenObject
@@ -24,11 +24,10 @@ from app.viewer.words.common import CHOSEN, NONE
 from model.core.composite_joints import COMPOSITES, Composite, composite_of
 from model.core.errors import CommandError
 from model.core.joint import JOINT_TYPES, Joint, Mimic, same_motion
-from model.core.tree import KinematicTree
+from model.core.tree import KinematicTree, holds_part
 from model.io.file_names import FileNames
 from sessions import commands as cmd
 from sessions.document import Document
-from sessions.tree_edits import holds_part
 
 
 class JointMotion:
@@ -225,7 +224,7 @@ class JointEditor:
             return
         assert doc.tree is not None
         job = self._worker.submit(
-            snapping_tasks.change_type, obj.source(), doc.tree, joint.child, kind, priority=EDITS
+            part_tasks.change_type, obj.source(), doc.tree, joint.child, kind, priority=EDITS
         )
         self._set(job.result(SNAP_SECONDS))
 
@@ -267,7 +266,7 @@ class JointEditor:
         joint, tree = self._need_joint(), obj.document.tree
         assert tree is not None
         job = self._worker.submit(
-            snapping_tasks.snap_joint, obj.source(), tree, joint.child, to, priority=EDITS
+            part_tasks.snap_joint, obj.source(), tree, joint.child, to, priority=EDITS
         )
         snapped = job.result(SNAP_SECONDS)
         if snapped == joint:

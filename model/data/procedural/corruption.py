@@ -16,9 +16,9 @@ from model.core.errors import ConfigurationError
 from model.core.geometry import PointCloud
 from model.core.joint import Joint
 from model.core.tree import KinematicTree
-from model.data.datasets import GroundTruth
 from model.data.procedural.grammar import ProceduralObject
 from model.data.procedural.shapes import rotation
+from model.data.registry import GroundTruth
 from model.geometry.casting import Caster
 from model.geometry.sampling import sample_surface
 

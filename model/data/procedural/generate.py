@@ -24,11 +24,11 @@ from model.core.geometry import Mesh, affine, rotation_from_rpy
 from model.core.joint import Joint
 from model.core.progress import Progress, no_progress
 from model.core.tree import KinematicTree
-from model.data.datasets import GroundTruth
 from model.data.procedural.composite import random_composite
 from model.data.procedural.corruption import FAULTS, corrupted
 from model.data.procedural.families import FAMILIES, Family
 from model.data.procedural.grammar import ProceduralObject
+from model.data.registry import GroundTruth
 from model.io.write import write_mesh
 
 OBJ_FROM_OBJECT = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])

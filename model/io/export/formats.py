@@ -15,7 +15,7 @@ from model.physics.simulation_values import Physics, plain_physics
 
 
 class FileExporter:
-    """What all built-in exporters share; each has its row in :data:`FORMATS`."""
+    """Base of the built-in exporters; each has its row in :data:`FORMATS`."""
 
     name = ""
 

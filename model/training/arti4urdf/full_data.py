@@ -20,7 +20,7 @@ from model.core.articulated_object import ArticulatedObject, Part, SegmentedObje
 from model.core.errors import ArtiworldError
 from model.core.files import draft_of
 from model.core.tree import KinematicTree
-from model.data.datasets import Dataset, GroundTruth
+from model.data.registry import Dataset, GroundTruth
 from model.prediction.arti4urdf.answer import rounded, write_answer
 from model.prediction.arti4urdf.full_model import Example
 from model.prediction.arti4urdf.full_predictor import make_example

@@ -22,10 +22,9 @@ from model.core.files import draft_of
 from model.core.joint import JOINT_KINDS, Joint
 from model.core.pool import in_processes
 from model.core.progress import Progress, no_progress
-from model.data.datasets import GroundTruth, training_ids
 from model.data.procedural.corruption import MIXED, corrupted, sometimes
 from model.data.procedural.generate import COMPOSITE, family_names, make
-from model.data.registry import recognised
+from model.data.registry import GroundTruth, recognised, training_ids
 from model.evaluation.joint_metrics import UsableLimits, chain, interval_iou
 from model.prediction.arti4urdf.structure import (
     SLOTS,
@@ -351,7 +350,7 @@ def write_dataset(
 
     Args:
         root: of PartNet-Mobility or PhysXNet. folder: of the shards.
-        held_out, test_share: see :func:`model.data.datasets.training_ids`.
+        held_out, test_share: see :func:`model.data.registry.training_ids`.
         progress: reports each object.
 
     Returns:

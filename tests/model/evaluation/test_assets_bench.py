@@ -35,7 +35,7 @@ def one(monkeypatch):
             return tuple(objects)
 
         def load(self, name):
-            from model.data.datasets import GroundTruth
+            from model.data.registry import GroundTruth
 
             return GroundTruth(name, objects[name])
 

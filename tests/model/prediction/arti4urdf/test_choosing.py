@@ -10,10 +10,7 @@ pytest.importorskip("torch", reason="torch is not installed")
 from model.core.articulated_object import SegmentedObject
 from model.data.procedural.generate import make
 from model.prediction.arti4urdf import vocabulary as v
-from model.prediction.arti4urdf.choosing import (
-    geometric_prior,
-    parents,
-)
+from model.prediction.arti4urdf.choosing import geometric_prior, parents
 from model.prediction.arti4urdf.structure import MECHANISMS, RANKS, read_structure
 from model.prediction.experience import Recalled
 from tests.model.prediction.geometric.archetypes import cooktop
