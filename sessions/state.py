@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 from model.core.errors import ArtiworldError, CommandError
-from sessions.document import Document, review_problems  # noqa: F401  # of a state
+from sessions.document import Document
 from sessions.review import Action, ReviewRecord, ReviewState, Role, transition
 
 MAX_UNDO = 1000

@@ -260,7 +260,9 @@ def _print(report: dict[str, Any]) -> None:
 def _cells(row: dict[str, Any]) -> dict[str, Any]:
     """An asset's row of the table."""
     read = verdict = ""
-    figures = dict.fromkeys(("shapes", "free kept", "one hull", "rest mm", "range mm"), "")
+    figures: dict[str, str] = dict.fromkeys(
+        ("shapes", "free kept", "one hull", "rest mm", "range mm"), ""
+    )
     errors: list[str] = [row["error"]] if "error" in row else []
     if "error" not in row:
         errors = row["inertia_problems"] + [p for f in row["formats"] for p in f["problems"]]

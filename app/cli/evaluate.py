@@ -88,7 +88,11 @@ class AnnotatorReport:
     def to_markdown(self) -> str:
         """The table, and the objects that were not correct in the end."""
         rows = self.rows()
-        lines = ["# The simulated annotator", "", *table(rows[0], [r.values() for r in rows])]
+        lines = [
+            "# The simulated annotator",
+            "",
+            *table(list(rows[0]), [list(r.values()) for r in rows]),
+        ]
         lines += [
             "",
             "Means over objects that were correct in the end. Clicks until every part's IoU is "

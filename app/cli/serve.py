@@ -70,10 +70,8 @@ def serve_backend(options: BackendCommand, _: Progress) -> Result:
         # Weights that don't load must fail here, not at the first client's request.
         for job in [worker.submit(backend_server.ready) for worker in workers]:
             job.result()
-        family, _, _, _, address = socket.getaddrinfo(
-            options.host, options.port, type=socket.SOCK_STREAM
-        )[0]
-        listener = socket.create_server(address[:2], family=family, backlog=128)
+        found = socket.getaddrinfo(options.host, options.port, type=socket.SOCK_STREAM)[0]
+        listener = socket.create_server(found[4][:2], family=found[0], backlog=128)
         address = url(options.host, listener.getsockname()[1])
         print(f"ArtiWorld backend is ready: {address} (predictor {name})", flush=True)
         limited_server(Backend(settings, workers).application()).run(sockets=[listener])

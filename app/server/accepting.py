@@ -19,8 +19,9 @@ from model.core.errors import CommandError
 from model.validation.report import ValidationReport
 from sessions import commands as cmd
 from sessions.command_log import ACCEPT
+from sessions.document import review_problems
 from sessions.review import transition
-from sessions.state import Context, SessionState, apply, review_problems
+from sessions.state import Context, SessionState, apply
 from sessions.store import PendingAcceptance
 
 

@@ -19,9 +19,9 @@ from app.viewer.words import scene as words
 from app.viewer.words.common import CHOSEN, REDO_EMPTY, UNDO_EMPTY
 from model.core.errors import CommandError
 from sessions import commands as cmd
+from sessions.document import review_problems
 from sessions.review import RejectReason
 from sessions.scene_commands import DecideObjects
-from sessions.state import review_problems
 
 
 @dataclass(frozen=True)

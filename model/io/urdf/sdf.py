@@ -304,8 +304,9 @@ class _Model:
             kind = "continuous" if lower is None else "revolute"
             return Joint(base.name, kind, parent, child, (x, y, z), (0, 0, 0), lower, upper)
 
-        called = ((COMPOSITES[k].sdf, k) for k in COMPOSITE_KINDS)
-        kinds: dict[str, CompositeKind] = {tag: k for tag, k in called if tag}
+        kinds: dict[str, CompositeKind] = {
+            tag: k for k in COMPOSITE_KINDS if (tag := COMPOSITES[k].sdf)
+        }
         kind = kinds.get(given, "single")
         pitch = _pitch(joint) if COMPOSITES[kind].pitched else 0.0
         if kind != "single" and (pitch or not COMPOSITES[kind].pitched):
