@@ -306,6 +306,8 @@ class Segmenting:
         stored = self._obj.live.complete(announced, cmd.AddClick(click, record))
         if record is not None and not stored:
             self._obj.do(record, SEGMENTER)
+        elif not stored and self._obj.asset is not None:
+            self.update()  # another command stored it, while this job was still to answer it
 
     def _if_current(self, asset: OpenedAsset, keep: Callable[[T], None]) -> Callable[[T], None]:
         """Return ``keep``, which then ignores results for an asset that was replaced meanwhile."""

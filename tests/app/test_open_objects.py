@@ -292,7 +292,7 @@ def test_a_click_is_one_job_and_one_command(begin_app, tmp_path: Path) -> None:
     assert entry.who == "ann" and entry.command.click == prompt
     assert entry.command.answer.labels == obj.document.segmentation.labels
     assert obj.labels is not None and (obj.labels == 1).any()
-    assert [r.prompts for r in app_state.queue.records()] == [1]
+    wait_until(lambda: [r.prompts for r in app_state.queue.records()] == [1], "the queue knows")
     assert app_state.store.load(obj.record.id) == obj.state
     obj.do(cmd.Undo(), "ann")
     assert obj.labels is None and not obj.document.prompts

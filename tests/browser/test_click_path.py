@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import threading
 import tomllib
 from typing import Any
@@ -44,7 +45,12 @@ def test_the_way_of_a_click_stays_within_the_budget(
         wait_until(lambda: not tab.object.jobs, "the object is ready for the next one")
         workers = tab.object.lane.geometry, tab.object.lane.segmentation
         for worker in workers:
-            worker.submit(begin_trace, STATIONS).result(timeout=60)
+            traced = threading.Event()
+            began = worker.submit(begin_trace, STATIONS)
+            # An earlier test may have begun the thread of the callbacks.
+            began.add_done_callback(lambda _, traced=traced: (sys.setprofile(trace), traced.set()))
+            began.result(timeout=60)
+            assert traced.wait(60)
             submit = worker.submit
 
             def noted(function: Any, *args: Any, submit: Any = submit, **more: Any) -> Any:
@@ -61,7 +67,9 @@ def test_the_way_of_a_click_stays_within_the_budget(
     finally:
         threading.setprofile(None)
     trips = len(jobs)
-    files = trace.files.union(*(w.submit(end_trace).result(timeout=60) for w in workers))
+    ended = [worker.submit(end_trace) for worker in workers]
+    ended[0].add_done_callback(lambda _: sys.setprofile(None))
+    files = trace.files.union(*(job.result(timeout=60) for job in ended))
     told = tomllib.loads((ROOT / FILE).read_text())["click"]
     assert set(STATIONS) <= files, "a station was renamed"
     assert len(files) <= told["files"], sorted(files)
