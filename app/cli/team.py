@@ -127,7 +127,7 @@ def create(options: ReleaseCreateCommand, progress: Progress) -> Result:
 
 
 def _wanted(assets: list[AcceptedAsset], categories: tuple[str, ...]) -> list[AcceptedAsset]:
-    """Those of some categories; all where none is named."""
+    """Assets of some categories; all where none is named."""
     if not categories:
         return assets
     named = {c.casefold() for c in categories}

@@ -132,7 +132,7 @@ class Inertial:
 
 
 def together(inertials: Sequence[Inertial]) -> Inertial:
-    """Those of several bodies that are fixed to each other; at least one."""
+    """Inertial of several bodies that are fixed to each other; at least one."""
     if len(inertials) == 1:
         return inertials[0]
     mass = sum(i.mass for i in inertials)

@@ -268,7 +268,7 @@ _DEPTH_NOISE, _MISALIGNED = 0.001, 0.0003
 _SIDES: tuple[Direction, ...] = (FRONT, (0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
 
 ROOM_CLASSES = {2: "cabinet", 7: "door", 14: "refrigerator"}
-"""Those of ScanNet's 20 classes, counted from 0, that a person would pick out of a room."""
+"""Classes among ScanNet's 20, counted from 0, that a person would pick out of a room."""
 
 _BENCH_SEED = 900_000
 

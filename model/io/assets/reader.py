@@ -117,7 +117,7 @@ def load_object(asset: str | Path, progress: Progress = no_progress) -> Articula
 
 
 def _affordances(path: Path) -> tuple[Affordance, ...]:
-    """Those of a saved tree; none in one of an earlier version."""
+    """Affordances of a saved tree; none in one of an earlier version."""
     if not path.is_file():
         return ()
     try:
