@@ -22,6 +22,11 @@ def up_error(tab: Tab, source_from_object: np.ndarray) -> float:
     return float(np.degrees(np.arccos(np.clip(z, -1, 1))))
 
 
+_GROUND = (
+    "() => window.__viserMutable.nodeRefFromName['/ground'].quaternion.toArray().map(Math.abs)"
+)
+
+
 def tilt(source_from_object: np.ndarray) -> float:
     """Degrees between the true up direction and the file's +z."""
     up = source_from_object[:3, 2]
@@ -66,6 +71,8 @@ def test_one_key_levels_and_cleans_a_raw_scan(start: Any, open_tab: Any, tmp_pat
     assert abs(tab.object.asset.element_count - true) < 0.02 * true
     low, high = tab.object.asset.bounds
     np.testing.assert_allclose((low + high)[:2] / 2, 0, atol=0.05 * (high - low).max())
+    tab.drawn()
+    assert tab.page.evaluate(_GROUND)[3] == pytest.approx(1.0), "the grid lies level below it"
     assert tab.document.label == f"level by {tilt(frame):.0f}°; remove support, outliers"
     prepared = tab.object.asset
     tab.page.keyboard.press("Control+z")
