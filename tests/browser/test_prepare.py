@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from app.viewer.words.prepare import APPLY
 from tests.browser.browsing import Tab, wait_until
 from tests.raw_scans import raw_scan
 
@@ -129,8 +130,15 @@ def test_up_by_floor_and_size_by_length(start: Any, open_tab: Any, tmp_path: Pat
     wait_until(lambda: tab.document.frame.scale != 1.0, "scaled")
     assert tab.document.frame.scale == pytest.approx(0.5, rel=0.05)
     read(tab, before)
+    before = tab.object.asset
     tab.key("r")
     wait_until(lambda: tab.document.label.startswith("rotate 90°"), "rotated")
+    before = read(tab, before)
+    tab.drawn()
+    tab.field("Height [m]").fill("0.9")
+    tab.button(APPLY).click()  # takes what is in the fields
+    wait_until(lambda: tab.selection.step == "Annotate", "annotating")
+    assert np.ptp(read(tab, before).bounds[:, 2]) == pytest.approx(0.9, rel=0.05)
 
 
 def test_strokes_remove_and_restore(start: Any, open_tab: Any, tmp_path: Path) -> None:
