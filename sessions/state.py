@@ -24,7 +24,7 @@ class SessionState:
         past: former documents, oldest first, at most ``MAX_UNDO``.
         future: documents taken back; the next one to redo is last.
         seq: number of the last command that is in it; 0 before the first.
-        opened: number of the first steps by which the file was opened, which nobody undoes.
+        opened: number of the first steps, by which the file was opened.
     """
 
     present: Document = field(default_factory=Document)
@@ -35,8 +35,9 @@ class SessionState:
 
     @property
     def can_undo(self) -> bool:
-        """True if there is a step to undo."""
-        return len(self.past) > self.opened
+        """True if there is a step to undo; joints that the file holds stay."""
+        steps = (*self.past, self.present)[self.opened : self.opened + 1]
+        return len(self.past) > (self.opened if steps and steps[0].tree is not None else 0)
 
     @property
     def can_redo(self) -> bool:

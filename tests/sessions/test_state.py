@@ -89,12 +89,13 @@ def test_labels_are_no_step_and_keep_the_way_forward():
     assert state.present.needs_labels
 
 
-def test_nobody_undoes_the_opening_of_a_file():
-    opened = SessionState()
-    for command in (cmd.SetCategory("cabinet"), cmd.SetFrame("z", 0.5)):
-        opened = apply(opened, command, Context(SOURCE, ME.at))
+def test_the_joints_of_a_file_are_not_undone(predicted):
+    source, edit = Context(SOURCE, ME.at), cmd.SetCategory("box")
+    merged = apply(SessionState(), edit, source)
+    assert merged.can_undo, "parts alone, which the names of meshes gave, are"
+    opened = apply(SessionState(predicted.present), edit, source)
     assert not opened.can_undo and opened.undo_label == ""
-    edited = run(cmd.SetCategory("box"), state=opened)
+    edited = run(cmd.SetCategory("lamp"), state=opened)
     assert edited.can_undo and not run(cmd.Undo(), state=edited).can_undo
     assert state_from_json(state_to_json(edited)) == edited
     assert state_from_json({**state_to_json(edited), "opened": 0}).opened == 0
