@@ -53,11 +53,10 @@ MOST_HIDDEN = 30
 """Imports of ours inside functions outside the command line; a comment gives each a reason."""
 
 PRIVATE_WORDS = {
-    "told", "crumb", "crumbs", "speck", "specks", "stray", "strays", "relief", "spoken", "mend",
-    "mends", "mended", "mending", "wish", "wishes", "workbench", "desk", "watched", "closeup",
-    "fittings", "plates", "retype", "retyping", "retyped", "tints", "unsure", "judging", "judged",
-    "gate", "looking", "beliefs", "stalled",
-}  # fmt: skip
+    *"told crumb crumbs speck specks stray strays relief spoken mend mends mended mending".split(),
+    *"wish wishes workbench desk watched closeup fittings plates retype retyping retyped".split(),
+    *"tints unsure judging judged gate looking beliefs stalled".split(),
+}
 """Words that may not be part of an identifier; the glossary has the field's word for each."""
 
 WORD_EXCEPTIONS: set[str] = {

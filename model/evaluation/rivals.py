@@ -47,8 +47,7 @@ from model.prediction.registry import DEFAULT
 TEMPLATE = Path(__file__).with_name("rivals.html")
 OURS = {"ours": DEFAULT, "geometry alone": "geometric", LONGEST_EDGE: LONGEST_EDGE}
 """Label → predictor of the methods that are in every page."""
-FIGURES = ("tc", "apd", "opd", "ald", "dld", "usable", "m_f1", "ma_f1", "mao_f1", "part_iou",
-           "executable")  # fmt: skip
+FIGURES = tuple("tc apd opd ald dld usable m_f1 ma_f1 mao_f1 part_iou executable".split())
 """The paper's, S2O's, and whether it moves; keys of :data:`METRICS`."""
 WORK = ".rivals"
 """Folder of our own runs below the root, from which a stopped one resumes."""

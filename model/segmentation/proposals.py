@@ -132,10 +132,7 @@ class PartState:
         return least, most
 
 
-SOURCES = (
-    "contact", "absorb", "patch", "sweep",
-    "grow", "replace", "union", "cut", "walk", "mend", "keep",
-)  # fmt: skip
+SOURCES = tuple("contact absorb patch sweep grow replace union cut walk mend keep".split())
 """Sources of masks; the weights' feature names contain these words, so they stay as they are.
 
 contact, absorb, patch: one region of that merge tree; sweep: a level set of a random walk with

@@ -199,8 +199,8 @@ def test_segment_replaces_its_own_result_and_nothing_else(scan, tmp_path):
     assert (out / "link_9.obj").is_file()
     assert cut(regions(1), out).returncode == 0
     assert sorted(p.name for p in out.iterdir()) == [
-        "link_0.mtl", "link_0.obj", "link_1.mtl", "link_1.obj", "object.json",
-    ]  # fmt: skip
+        *"link_0.mtl link_0.obj link_1.mtl link_1.obj object.json".split(),
+    ]
     (out / "object.json").unlink()
     for folder in (out, tmp_path / "theirs"):
         folder.mkdir(exist_ok=True)

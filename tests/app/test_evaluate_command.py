@@ -14,9 +14,7 @@ from app.cli.simulated_annotator import BY_HAND, AnnotatorConfig, annotate
 from model.data.registry import DatasetOptions, open_dataset
 from model.io.export.urdf import UrdfExporter
 
-MADE = (
-    "--data", "procedural", "--family", "Safe", "Laptop", "--jobs", "1", "--timeout", "900"
-)  # fmt: skip
+MADE = tuple("--data procedural --family Safe Laptop --jobs 1 --timeout 900".split())
 
 
 def written(folder: Path, *ids: str) -> Path:

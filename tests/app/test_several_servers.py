@@ -157,10 +157,17 @@ def proxy(pair: Pair, tmp_path: Path) -> Iterator[str]:
     certs = tmp_path / "certs"
     certs.mkdir()
     subprocess.run(
-        ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "2", "-subj",
-         "/CN=scans.example.org", "-keyout", certs / "server.key", "-out", certs / "server.crt"],
-        check=True, capture_output=True, timeout=60,
-    )  # fmt: skip
+        [
+            *"openssl req -x509 -newkey rsa:2048 -nodes -days 2".split(),
+            *"-subj /CN=scans.example.org -keyout".split(),
+            certs / "server.key",
+            "-out",
+            certs / "server.crt",
+        ],
+        check=True,
+        capture_output=True,
+        timeout=60,
+    )
     port, text = free_port(), (DEPLOY / "nginx.conf").read_text()
     for name, host in zip(("artiworld-1", "artiworld-2"), HOSTS, strict=True):
         assert f"server {name}:8080;" in text

@@ -386,8 +386,8 @@ class PrepareStep:
         self._mark_by_default(obj)
         found = obj.preparing.current
         frame, marks = self._frame(obj), self._marked(obj)
-        now = (id(obj.asset), id(found), frame.tobytes(), marks, self._handle, self._length,
-               obj.document, tuple(obj.busy))  # fmt: skip
+        shown = (id(obj.asset), id(found), frame.tobytes(), marks, self._handle, self._length)
+        now = (*shown, obj.document, tuple(obj.busy))
         if now == self._shown_for:
             return
         self._shown_for = now

@@ -42,10 +42,8 @@ if TYPE_CHECKING:
     from tokenizers import Tokenizer
 
 GLOBAL, PART = "<g>", "<p>"
-SPECIAL_TOKENS = (
-    "<g_start>", "<g_end>", "<p_start>", "<p_end>", "<json_start>", "<json_end>", "<urdf_start>",
-    "<urdf_end>", GLOBAL, PART,
-)  # fmt: skip
+_BOUNDS = [f"<{what}_{end}>" for what in ("g", "p", "json", "urdf") for end in ("start", "end")]
+SPECIAL_TOKENS = (*_BOUNDS, GLOBAL, PART)
 END_OF_TURN = "<|im_end|>"
 IGNORED = -100
 _ATTENTION_AND_MLP = [

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from typing import Literal
 
@@ -279,10 +280,8 @@ def table(rng: np.random.Generator) -> ProceduralObject:
     for a, z in pairwise(cuts):
         r = m.Opening(float(a), float(z), low, low + tall)
         clear = m.Opening(float(a) + wall / 2, float(z) - wall / 2, low + 0.001, low + tall)
-        m.drawer(
-            b, base, r.shrunk(0.0025), y - 0.001, 0.8 * deep, inner=clear,
-            handle_style=handle, inside=wood("birch"), thickness=0.016, handle_length=0.1
-        )  # fmt: skip
+        drawer = partial(m.drawer, handle_style=handle, inside=wood("birch"), handle_length=0.1)
+        drawer(b, base, r.shrunk(0.0025), y - 0.001, 0.8 * deep, inner=clear, thickness=0.016)
     for side in pedestals:
         _pedestal(b, base, side, w, d, low - 0.01, handle)
     return b.build()
@@ -318,10 +317,8 @@ def _pedestal(
             inner = m.Opening(
                 clear.x0, clear.x1, max(cell.area.z0, clear.z0), min(cell.area.z1, clear.z1)
             )
-            m.drawer(
-                b, base, cell.area.shrunk(0.002), y - 0.001, 0.8 * deep, inner=inner,
-                handle_style=handle, inside=wood("birch"), handle_length=0.1
-            )  # fmt: skip
+            drawer = partial(m.drawer, handle_style=handle, inside=wood("birch"), handle_length=0.1)
+            drawer(b, base, cell.area.shrunk(0.002), y - 0.001, 0.8 * deep, inner=inner)
 
 
 def cart(rng: np.random.Generator) -> ProceduralObject:
@@ -365,8 +362,6 @@ def cart(rng: np.random.Generator) -> ProceduralObject:
         z0, z1 = float(levels[-2]) + 0.055, float(levels[-1]) - 0.005
         if z1 - z0 > 0.1:
             r = m.Opening(-w / 2 + 0.035, w / 2 - 0.035, z0, z1)
-            m.drawer(
-                b, body, r, -d / 2 + 0.014, 0.85 * d, inner=r.shrunk(0.002),
-                handle_style="bar", inside=palette.front, thickness=0.012
-            )  # fmt: skip
+            drawer = partial(m.drawer, handle_style="bar", inside=palette.front, thickness=0.012)
+            drawer(b, body, r, -d / 2 + 0.014, 0.85 * d, inner=r.shrunk(0.002))
     return b.build()
