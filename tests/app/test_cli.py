@@ -453,10 +453,8 @@ def cupboards(asset, tmp_path) -> Path:
 
 
 def test_one_bad_asset_does_not_end_the_export_of_a_folder(cupboards, tmp_path, capfd):
-    words = (
-        f"export {cupboards} --format urdf,mjcf --format sdf --check --out {tmp_path}/o --no-cache"
-    )
-    words = [*words.split(), "--jobs", "1", "--json"]
+    words = f"export {cupboards} --format urdf,mjcf --format sdf --check --out {tmp_path}/o"
+    words = [*words.split(), "--no-cache", "--jobs", "1", "--json"]
     assert main(words) == 2
     report = json.loads(capfd.readouterr().out)
     assert (report["written"], report["failed"]) == (1, 1)

@@ -49,12 +49,9 @@ def s3(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
             return False
 
     with pytest.MonkeyPatch.context() as patch:
-        secrets = {
-            "AWS_ENDPOINT_URL": address,
-            "AWS_ACCESS_KEY_ID": "a",
-            "AWS_SECRET_ACCESS_KEY": "b",
-        }
-        for name, value in {**secrets, "AWS_REGION": "us-east-1"}.items():
+        secrets = {"AWS_ACCESS_KEY_ID": "a", "AWS_SECRET_ACCESS_KEY": "b"}
+        place = {"AWS_ENDPOINT_URL": address, "AWS_REGION": "us-east-1"}
+        for name, value in (secrets | place).items():
             patch.setenv(name, value)
         try:
             wait_until(bucket, "the S3 server", 60)
