@@ -12,6 +12,7 @@ import json
 import math
 import time
 from collections.abc import Callable, Iterable, Mapping
+from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import lru_cache
@@ -57,6 +58,21 @@ class Reason(StrEnum):
     SUPPORT = "vertical through its support"
     SYMMETRY = "about its symmetry axis"
     UPRIGHT = "vertical"
+
+
+SWITCHES = (
+    *"network, names, front, contact with other parts, leaves of one front, chains".split(", "),
+    *"usual motions of a category, handles, barrels, ajar panels, adjacent panels".split(", "),
+    *"sliding past, drop-down doors, bails, pins at ends, swept ranges".split(", "),
+    *"shut panels start at zero, usual stops".split(", "),
+)
+"""Mechanisms of the hybrid that ``without:NAME`` leaves out, to measure what each is worth."""
+LEFT_OUT: ContextVar[str] = ContextVar("LEFT_OUT", default="")
+
+
+def left_out(mechanism: str) -> bool:
+    """True while a prediction does without one of :data:`SWITCHES`."""
+    return LEFT_OUT.get() == mechanism
 
 
 COLLISION_FREE = "Range: collision-free"

@@ -46,15 +46,7 @@ _BOUNDS = [f"<{what}_{end}>" for what in ("g", "p", "json", "urdf") for end in (
 SPECIAL_TOKENS = (*_BOUNDS, GLOBAL, PART)
 END_OF_TURN = "<|im_end|>"
 IGNORED = -100
-_ATTENTION_AND_MLP = [
-    "q_proj",
-    "k_proj",
-    "v_proj",
-    "o_proj",
-    "gate_proj",
-    "up_proj",
-    "down_proj",
-]
+_ATTENTION_AND_MLP = [f"{name}_proj" for name in ("q", "k", "v", "o", "gate", "up", "down")]
 LANGUAGE, GEOMETRY = "language_model", "geometry"
 """Folders of a saved model."""
 

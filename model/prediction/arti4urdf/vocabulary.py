@@ -27,23 +27,8 @@ REVOLUTE, CONTINUOUS, PRISMATIC, SCREW, FIXED = range(len(TYPES))
 """``screw`` stands for two joints along one axis, prismatic and continuous, with a helper link."""
 
 _STRUCTURAL = (
-    "<pad>",
-    "<bos>",
-    "<g_start>",
-    "<g_end>",
-    "<p_start>",
-    "<p_end>",
-    "<json_start>",
-    "<close>",
-    "<json_end>",
-    "<urdf_start>",
-    "<links>",
-    "<free>",
-    "<as_offered>",
-    "<urdf_end>",
-    "<child>",
-    "<joint>",
-    "<unknown>",
+    *"<pad> <bos> <g_start> <g_end> <p_start> <p_end> <json_start> <close> <json_end>".split(),
+    *"<urdf_start> <links> <free> <as_offered> <urdf_end> <child> <joint> <unknown>".split(),
 )
 STEPS = 20
 """Numbers have 2 * STEPS + 1 levels."""

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from model.core.motion_lexicon import Mechanism
 from model.core.progress import attempt
-from model.prediction.builder import Reason
+from model.prediction.builder import Reason, left_out
 from model.prediction.geometric.context import Assembly, JointProposal, PartContext, unit
 from model.prediction.geometric.edge_hinges import edge_proposals
 from model.prediction.geometric.limits import with_swept_limits
@@ -31,6 +31,7 @@ from model.prediction.geometric.revolute import (
     toggle_proposals,
     within_reach,
 )
+from model.prediction.geometric.shape import NOTHING, TINY
 
 Array = npt.NDArray[np.float64]
 
@@ -55,14 +56,16 @@ BUILDERS: dict[Mechanism, Callable[[PartContext], list[JointProposal]]] = {
 }
 """Mechanism → function that proposes its joints; see :func:`proposals_for`."""
 
-SWEPT_LIMITS: dict[Mechanism, Callable[[PartContext, JointProposal], JointProposal]] = {
-    "hinge": with_swept_limits,
-    "flap": with_swept_limits,
-    "drop": with_swept_limits,
-    "temple": with_swept_limits,
-    "pivot": within_reach,
-}
-"""Mechanisms whose limits come from a motion sweep of the chosen joint."""
+
+def swept_limits(
+    mechanism: Mechanism,
+) -> Callable[[PartContext, JointProposal], JointProposal] | None:
+    """The motion sweep that gives the chosen joint of a mechanism its limits; None without one."""
+    if left_out("swept ranges"):
+        return None
+    if mechanism in ("hinge", "flap", "drop", "temple"):
+        return with_swept_limits
+    return within_reach if mechanism == "pivot" else None
 
 
 def proposals_for(context: PartContext, mechanism: Mechanism) -> list[JointProposal]:
@@ -80,8 +83,8 @@ def propose(context: PartContext, mechanism: Mechanism) -> list[JointProposal]:
     if not found:
         reasons = (Reason.NO_PROPOSAL,)
         return [replace(p, reasons=reasons) for p in proposals_for(context, "fixed")]
-    if mechanism in SWEPT_LIMITS:
-        swept, best = SWEPT_LIMITS[mechanism], found[0]
+    swept, best = swept_limits(mechanism), found[0]
+    if swept is not None:
         found[0] = context.attempt("the motion sweep", lambda: swept(context, best), best)
     return found
 
@@ -104,6 +107,8 @@ def face_front(assembly: Assembly, mechanisms: dict[int, Mechanism]) -> None:
 
 def front_of(assembly: Assembly, mechanisms: dict[int, Mechanism]) -> tuple[Array, float]:
     """(3,) unit direction of the front and its certainty, 0..1."""
+    if left_out("front"):
+        return assembly.front, 0.0
     if assembly.category == "faucet":
         return _spout_direction(assembly), 0.8
     votes = np.zeros(3)
@@ -132,7 +137,7 @@ def _front_vote(context: PartContext, mechanism: Mechanism) -> tuple[Array, floa
     if mechanism == "flap" and context.grips:
         # So are the knob or latch of a lid.
         at = max(context.grips, key=lambda g: g[2])[0]
-        return 0.5 * shape.box.axes @ (at / np.maximum(shape.box.half, 1e-6)), 0.5
+        return 0.5 * shape.box.axes @ (at / np.maximum(shape.box.half, TINY)), 0.5
     return np.zeros(3), 0.0
 
 
@@ -140,7 +145,8 @@ def _spout_direction(assembly: Assembly) -> Array:
     """(3,) horizontal working axis along which a faucet reaches farthest from its foot."""
     flat = np.concatenate([s.outline for s in assembly.sampled.shapes])[:, :2]
     base = assembly.sampled.shapes[assembly.root]
-    low = base.points[base.points[:, 2] < base.low[2] + 0.1 * (base.high[2] - base.low[2] + 1e-9)]
+    height = base.high[2] - base.low[2] + NOTHING
+    low = base.points[base.points[:, 2] < base.low[2] + 0.1 * height]
     foot = (low if len(low) >= 8 else base.points)[:, :2].mean(0)
     best, axis = -1.0, np.array([1.0, 0.0])
     for candidate in (np.array([1.0, 0.0]), np.array([0.0, 1.0])):

@@ -8,11 +8,16 @@ import numpy.typing as npt
 from model.prediction.builder import Reason
 from model.prediction.geometric.context import JointProposal, PartContext, unit
 from model.prediction.geometric.limits import TOLERANCE, free_range
+from model.prediction.geometric.shape import NOTHING, TINY
 
 Array = npt.NDArray[np.float64]
 
 DRAWER_TRAVEL = 0.79
 """Travel of a drawer over its depth; the rest stays in the rails."""
+
+
+def _slide(axis: Array, origin: Array, travel: float, score: float, *why: Reason) -> JointProposal:
+    return JointProposal("prismatic", axis, origin, 0.0, travel, score, reasons=why)
 
 
 def slide_out_proposals(context: PartContext) -> list[JointProposal]:
@@ -33,11 +38,8 @@ def slide_out_proposals(context: PartContext) -> list[JointProposal]:
         score += 0.8 * certainty * float(direction @ front)
         score += 0.3 * float(direction @ unit(shape.center - base.center))
         depth = _drawer_depth(context, direction)
-        reasons = (Reason.OPEN_SIDE,) if covers[k] < 0.3 else ()
-        travel = DRAWER_TRAVEL * depth
-        found.append(
-            JointProposal("prismatic", direction, shape.center, 0.0, travel, score, reasons=reasons)
-        )
+        reasons = [Reason.OPEN_SIDE][: covers[k] < 0.3]
+        found.append(_slide(direction, shape.center, DRAWER_TRAVEL * depth, score, *reasons))
     return found
 
 
@@ -60,17 +62,11 @@ def slide_along_proposals(context: PartContext) -> list[JointProposal]:
     for k in (middle, long):
         for sign in (-1.0, 1.0):
             direction = sign * axes[:, k]
-            free = free_range(
-                context.sampled,
-                context.part,
-                (context.parent,),
-                rotates=False,
-                axis=direction,
-                origin=shape.center,
-                stop=min(1.0, 2 * float(shape.box.half[k])),
-                tolerance=TOLERANCE,
-            )
-            wanted = max(1e-6, min(1.0, 2 * float(shape.box.half[k])))
+            stop = min(1.0, 2 * float(shape.box.half[k]))
+            line = {"rotates": False, "axis": direction, "origin": shape.center}
+            who = (context.sampled, context.part, (context.parent,))
+            free = free_range(*who, **line, stop=stop, tolerance=TOLERANCE)
+            wanted = max(TINY, stop)
             along = float(abs(base.box.axes[:, base.order[2]] @ direction))
             away = float(direction @ unit(shape.center - base.center))
             # Sliding doors and sashes move horizontally, blades along their handle.
@@ -82,12 +78,7 @@ def slide_along_proposals(context: PartContext) -> list[JointProposal]:
                 score += 1.5
             if {"lid", "cap", "cover", "blade"} & set(context.words):
                 score += 1.0 * along
-            travel, reasons = 0.8 * wanted, (Reason.OWN_PLANE,)
-            found.append(
-                JointProposal(
-                    "prismatic", direction, shape.center, 0.0, travel, score, reasons=reasons
-                )
-            )
+            found.append(_slide(direction, shape.center, 0.8 * wanted, score, Reason.OWN_PLANE))
     return found
 
 
@@ -102,8 +93,7 @@ def lift_proposals(context: PartContext) -> list[JointProposal]:
     axis = -up if down else up
     if down:
         travel = 0.5 * 2 * context.parent_shape.box.reach(up)
-    center, reasons = context.shape.center, (Reason.UPRIGHT,)
-    return [JointProposal("prismatic", axis, center, 0.0, travel, 1.0, reasons=reasons)]
+    return [_slide(axis, context.shape.center, travel, 1.0, Reason.UPRIGHT)]
 
 
 def press_proposals(context: PartContext) -> list[JointProposal]:
@@ -119,7 +109,7 @@ def press_proposals(context: PartContext) -> list[JointProposal]:
             choices.append((d, choices[near][1]))
     surface = unit(shape.center - _surface_center(context))
     sides = np.abs(shape.box.axes.T @ np.stack([d for d, _ in choices]).T).T @ shape.box.half
-    flat = 1 - sides / max(float(sides.max()), 1e-9)
+    flat = 1 - sides / max(float(sides.max()), NOTHING)
     normal_weight = 2.0 if shape.scanned else 1.2
     for (direction, (ahead, behind)), reach, thin in zip(choices, sides, flat, strict=True):
         score = 1.2 * behind - 1.2 * ahead + thin * (0.5 if shape.scanned else 1.0)
@@ -130,12 +120,7 @@ def press_proposals(context: PartContext) -> list[JointProposal]:
         score += 0.5 * float(direction @ surface)
         score += 0.15 * float(direction @ context.assembly.front) + 0.1 * max(0.0, direction[2])
         travel = float(np.clip(0.6 * 2 * reach, 0.002, 0.02))
-        reasons = (Reason.INTO_SURFACE,)
-        found.append(
-            JointProposal(
-                "prismatic", -direction, shape.center, 0.0, travel, score, reasons=reasons
-            )
-        )
+        found.append(_slide(-direction, shape.center, travel, score, Reason.INTO_SURFACE))
     return found
 
 

@@ -13,10 +13,18 @@ import numpy as np
 import numpy.typing as npt
 
 from model.kinematics.sweep import TOLERANCE as SWEPT
-from model.prediction.builder import Reason
+from model.prediction.builder import Reason, left_out
 from model.prediction.geometric.context import UP, JointProposal, PartContext, unit
 from model.prediction.geometric.limits import TOLERANCE, free_turn
-from model.prediction.geometric.shape import PartShape, Roundness, blades, roundness, same_extents
+from model.prediction.geometric.shape import (
+    NOTHING,
+    TINY,
+    PartShape,
+    Roundness,
+    blades,
+    roundness,
+    same_extents,
+)
 from model.prediction.geometric.tree import LEAF, chain_plane
 
 Array = npt.NDArray[np.float64]
@@ -25,6 +33,9 @@ MIN_RANGE = 0.2
 """Collision-free range (rad) below which the pin is misplaced, so that its range is meaningless."""
 SPINDLE = 1.0
 """Score of a lever's axis across the leaf that holds it; chosen by us, not tuned."""
+SWING_UP, SWING_DOWN, QUARTER, LEVER_TURN = (-1.5, 1.5), (-0.8, 2.4), 1.57, 1.571
+ROCKS, TILT, LEAST_TILT = 0.28, 0.6, 0.15
+"""Usual ranges (rad) of bails that stand and hang, levers, rockers; swept and least of heads."""
 
 
 def pivot_proposals(context: PartContext) -> list[JointProposal]:
@@ -46,12 +57,15 @@ def pivot_proposals(context: PartContext) -> list[JointProposal]:
     if same_extents(shape, base):
         # Two equal parts cross; neither holds the other at its end.
         found = [dataclasses.replace(p, score=p.score + 1.0) for p in found]
-    found += _end_pivots(context, axis) + _crossed_frames(context)
+    found += [] if left_out("pins at ends") else _end_pivots(context, axis)
+    found += _crossed_frames(context)
     return [_pivot_limits(context, p) for p in found]
 
 
-def _pin(axis: Array, origin: Array, score: float, reason: Reason) -> JointProposal:
-    return JointProposal("revolute", axis, origin, score=score, reasons=(reason,))
+def _pin(
+    axis: Array, origin: Array, score: float, reason: Reason, lower: float = 0.0, upper: float = 0.0
+) -> JointProposal:
+    return JointProposal("revolute", axis, origin, lower, upper, score, reasons=(reason,))
 
 
 def _crossed_frames(context: PartContext) -> list[JointProposal]:
@@ -119,7 +133,7 @@ def _inside(point: Array, base: PartShape) -> float:
 
     The place along the parent doesn't count: a folded blade is pinned near the handle's end.
     """
-    local = np.abs(base.box.axes.T @ (point - base.center)) / np.maximum(base.box.half, 1e-6)
+    local = np.abs(base.box.axes.T @ (point - base.center)) / np.maximum(base.box.half, TINY)
     long = base.order[2]
     if local[long] < 1:
         local[long] = 0
@@ -170,30 +184,17 @@ def swing_proposals(context: PartContext) -> list[JointProposal]:
             continue
         along = (contact - contact.mean(0)) @ axis
         reach = 2 * shape.box.reach(axis)
-        spread = float(np.ptp(np.quantile(along, [0.05, 0.95]))) / max(reach, 1e-6)
+        spread = float(np.ptp(np.quantile(along, [0.05, 0.95]))) / max(reach, TINY)
         score = 2.0 * spread + 0.6 * float(shape.box.half[k] / shape.box.half.max())
         low, high = contact[along < 0], contact[along >= 0]
         origin = contact.mean(0)
         if len(low) and len(high):
             origin = 0.5 * (low.mean(0) + high.mean(0))
-        found.append(
-            JointProposal(
-                "revolute",
-                axis,
-                origin,
-                -1.5 if up else -0.8,
-                1.5 if up else 2.4,
-                score,
-                reasons=(Reason.BOTH_ENDS,),
-            )
-        )
+        found.append(_pin(axis, origin, score, Reason.BOTH_ENDS, *(SWING_UP if up else SWING_DOWN)))
     if found:
         return found
     axis = shape.box.axes[:, shape.order[1]]
-    reasons = (Reason.ONE_END,)
-    return [
-        JointProposal("revolute", axis, context.contact_center, 0.0, 1.57, 0.0, reasons=reasons)
-    ]
+    return [_pin(axis, context.contact_center, 0.0, Reason.ONE_END, 0.0, QUARTER)]
 
 
 def lever_proposals(context: PartContext) -> list[JointProposal]:
@@ -227,9 +228,7 @@ def lever_proposals(context: PartContext) -> list[JointProposal]:
         tip = tip - (tip @ axis) * axis
         if float(np.cross(axis, tip) @ context.assembly.front) < -1e-3:
             axis = -axis
-        found.append(
-            JointProposal("revolute", axis, origin, 0.0, 1.571, score, reasons=(Reason.STEM,))
-        )
+        found.append(_pin(axis, origin, score, Reason.STEM, 0.0, LEVER_TURN))
     return found
 
 
@@ -246,12 +245,10 @@ def toggle_proposals(context: PartContext) -> list[JointProposal]:
         across = max(
             float(shape.box.half[j]) for j in rest if abs(shape.box.axes[:, j] @ outward) < 0.5
         )
-        score = across / max(float(shape.box.half.max()), 1e-9)
+        score = across / max(float(shape.box.half.max()), NOTHING)
         score += 0.4 * (1 - abs(float(axis @ UP)))
         origin = shape.center - outward * 0.6 * shape.box.reach(outward)
-        found.append(
-            JointProposal("revolute", axis, origin, -0.28, 0.28, score, reasons=(Reason.MIDDLE,))
-        )
+        found.append(_pin(axis, origin, score, Reason.MIDDLE, -ROCKS, ROCKS))
     return found
 
 
@@ -261,19 +258,17 @@ def tilt_proposals(context: PartContext) -> list[JointProposal]:
     found = []
     origin = context.contact_center
     level = [k for k in range(3) if abs(shape.box.axes[2, k]) <= 0.5]
-    longest = max(float(shape.box.half.max()), 1e-9)
+    longest = max(float(shape.box.half.max()), NOTHING)
     choices = [(shape.box.axes[:, k], float(shape.box.half[k]) / longest) for k in level]
     plane = chain_plane(context.assembly, context.part)
     if plane is not None and abs(float(plane.normal[2])) < 0.5:
         # The head of a lamp turns as the members of its chain.
         choices.append((plane.normal, 1.2 + 1.5 * plane.certainty))
     for axis, score in choices:
-        down = -free_turn(context, axis, origin, -0.6, TOLERANCE)
-        up = free_turn(context, axis, origin, 0.6, TOLERANCE)
-        low, high = -max(down, 0.15), max(up, 0.15)
-        found.append(
-            JointProposal("revolute", axis, origin, low, high, score, reasons=(Reason.MOUNT,))
-        )
+        down = -free_turn(context, axis, origin, -TILT, TOLERANCE)
+        up = free_turn(context, axis, origin, TILT, TOLERANCE)
+        low, high = -max(down, LEAST_TILT), max(up, LEAST_TILT)
+        found.append(_pin(axis, origin, score, Reason.MOUNT, low, high))
     return found
 
 
@@ -316,7 +311,7 @@ def _spin_score(
     shape = context.shape
     score = 2.5 * float(np.clip(1 - r.spread / 0.11, -0.5, 1))
     # A disc turns about its short axis, a rod about its long one.
-    score += 0.4 * float(np.clip(1 - r.half / max(r.radius, 1e-6), -0.3, 1))
+    score += 0.4 * float(np.clip(1 - r.half / max(r.radius, TINY), -0.3, 1))
     level = 1 - abs(float(r.axis @ UP))
     score += _scan_bonus(shape, r.axis)
     if wheel:
@@ -352,17 +347,7 @@ def _other_hand(context: PartContext) -> int | None:
     """Another clock hand on the same dial that reaches over this one."""
     shape = context.shape
     thin = shape.box.axes[:, shape.order[0]]
-    found = [
-        j
-        for j in context.sampled.others(context.part)
-        if context.assembly.parent[j] == context.parent
-        and context.sampled.shapes[j].slenderness < 0.35
-        and abs(
-            float(context.sampled.shapes[j].box.axes[:, context.sampled.shapes[j].order[0]] @ thin)
-        )
-        > 0.95
-        and context.sampled.gap[context.part, j] < 0.05
-    ]
+    found = [j for j in context.crossing_hands(thin) if context.sampled.gap[context.part, j] < 0.05]
     return max(found, key=lambda j: (context.sampled.shapes[j].size, -j)) if found else None
 
 

@@ -26,6 +26,7 @@ from model.core.motion_lexicon import (
 )
 from model.core.names import mechanism_of, mechanisms_of
 from model.core.tree import KinematicTree, moving_chain
+from model.prediction.builder import left_out
 from model.prediction.geometric.context import Assembly, JointProposal, PartContext, joints_of
 from model.prediction.geometric.edge_hinges import edge_proposals
 from model.prediction.geometric.limits import from_zero
@@ -93,13 +94,16 @@ def mechanism_scores(
         unnamed: features of all unnamed parts by index, including this one.
     """
     scores = motion_scores(part, features, unnamed)
+    bonus = 0.0 if left_out("usual motions of a category") else CATEGORY_BONUS
     for usual in CATEGORY_MOTIONS.get(part.category, ()):
-        scores[usual] = scores.get(usual, 0.0) + CATEGORY_BONUS
+        scores[usual] = scores.get(usual, 0.0) + bonus
     return scores
 
 
 def named_mechanism(part: PartContext) -> Mechanism | None:
     """The mechanism that a part's name implies; its shape decides if the name is ambiguous."""
+    if left_out("names"):
+        return None
     named, _ = mechanism_of(part.shape.name, part.sampled.category)
     several = mechanisms_of(part.shape.name, part.sampled.category)
     if len(several) > 1:  # people call a drawer's front a "drawer door": its shape decides

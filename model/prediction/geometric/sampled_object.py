@@ -15,7 +15,7 @@ import numpy.typing as npt
 from scipy.spatial import KDTree
 
 from model.core.articulated_object import Part, SegmentedObject
-from model.prediction.geometric.shape import PartShape, rotation
+from model.prediction.geometric.shape import NOTHING, TINY, PartShape, rotation
 
 Array = npt.NDArray[np.float64]
 
@@ -434,16 +434,16 @@ class SampledObject:
         if not len(rest):
             return 0.0
         low, high = own.min(0), own.max(0)
-        cell = max(0.02, float(max(high[u] - low[u], high[v] - low[v])) / 14, 1e-6)
+        cell = max(0.02, float(max(high[u] - low[u], high[v] - low[v])) / 14, TINY)
         nu = max(1, int((high[u] - low[u]) / cell))
         nv = max(1, int((high[v] - low[v]) / cell))
 
         def index(p: Array) -> npt.NDArray[np.int64]:
             a = np.clip(
-                ((p[:, u] - low[u]) / (high[u] - low[u] + 1e-9) * nu).astype(int), 0, nu - 1
+                ((p[:, u] - low[u]) / (high[u] - low[u] + NOTHING) * nu).astype(int), 0, nu - 1
             )
             b = np.clip(
-                ((p[:, v] - low[v]) / (high[v] - low[v] + 1e-9) * nv).astype(int), 0, nv - 1
+                ((p[:, v] - low[v]) / (high[v] - low[v] + NOTHING) * nv).astype(int), 0, nv - 1
             )
             return a * nv + b
 
