@@ -242,9 +242,9 @@ def pairs_of(
             found = compared(folders[0], folders[1])
         except ArtiworldError as error:
             problem = str(error)
-        told = (one.id, other.id, one.name, one.category or "none", second.kind)
+        known = (one.id, other.id, one.name, one.category or "none", second.kind)
         by = (first.annotator or first.review.by, again.annotator or again.review.by)
-        pairs.append(Pair(*told, *by, again.review.at[:10], found, problem))
+        pairs.append(Pair(*known, *by, again.review.at[:10], found, problem))
     return sorted(pairs, key=lambda p: (-_size(p), p.object)), waiting
 
 

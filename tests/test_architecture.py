@@ -20,29 +20,17 @@ LAYERS = (
     ("app", "sessions", "model"),
     ("app.cli", "app.viewer", "app.server"),
     (
-        "model.scenes",
-        "model.training",
-        "model.evaluation",
-        "model.data",
-        "model.validation",
-        "model.prediction",
-        "model.segmentation",
-        "model.io",
-        "model.physics",
-        "model.kinematics",
-        "model.geometry",
-        "model.core",
+        *"model.scenes model.training model.evaluation model.data model.validation".split(),
+        *"model.prediction model.segmentation model.io model.physics".split(),
+        *"model.kinematics model.geometry model.core".split(),
     ),
 )
 """Each imports only those after it in its row, whatever kind of import it is."""
 
 HEAVY = {
     "torch": (
-        "model.prediction.arti4urdf",
-        "model.training",
-        "model.segmentation.adapters",
-        "model.core.checkpoints",
-        "app.cli",
+        *"model.prediction.arti4urdf model.training model.segmentation.adapters".split(),
+        *"model.core.checkpoints app.cli".split(),
     ),
     "viser": ("app.viewer", "app.server", "app.cli"),
     "sqlalchemy": ("sessions", "app.cli"),
@@ -59,12 +47,7 @@ PRIVATE_WORDS = {
 }
 """Words that may not be part of an identifier; the glossary has the field's word for each."""
 
-WORD_EXCEPTIONS: set[str] = {
-    "gate",  # the option --gate of artiworld check
-    "gate_proj",  # Qwen3's own parameter name
-    "WORD_EXCEPTIONS",
-    "PRIVATE_WORDS",
-}
+WORD_EXCEPTIONS: set[str] = {*"gate gate_proj WORD_EXCEPTIONS PRIVATE_WORDS".split()}
 """Identifiers that hold one of these words in its plain meaning."""
 
 

@@ -443,15 +443,8 @@ def _moments(superpoints: Superpoints, x: Float) -> Float:
 
 
 ROOM_FEATURES = (
-    "on_border",
-    "long_side",
-    "short_side",
-    "height_metres",
-    "bottom",
-    "top",
-    "box_filled",
-    "box_growth",
-    "click_outside",
+    *"on_border long_side short_side height_metres bottom top box_filled".split(),
+    *"box_growth click_outside".split(),
 )
 ROOM_FEATURE_NAMES = (*FEATURE_NAMES, *ROOM_FEATURES)
 """Stored in the files of weights, so these names stay as they are."""

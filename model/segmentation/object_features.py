@@ -233,16 +233,8 @@ BOX_FEATURES = (
     *"near_negatives between_positives".split(),
 )
 HISTORY_FEATURES = (
-    "change_deepest",
-    "change_other",
-    "past_deepest",
-    "past_deepest_worst",
-    "past_other",
-    "past_other_worst",
-    "last_changed",
-    "change_of_last",
-    "past_depth",
-    "past_depth_worst",
+    *"change_deepest change_other past_deepest past_deepest_worst past_other".split(),
+    *"past_other_worst last_changed change_of_last past_depth past_depth_worst".split(),
 )
 """Fit of a mask to this click and earlier ones as corrections of the masks then."""
 OBJECT_FEATURE_NAMES = (*FEATURE_NAMES, *BOX_FEATURES, *HISTORY_FEATURES)

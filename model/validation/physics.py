@@ -26,8 +26,8 @@ from model.physics.simulation_values import Physics, rough_physics
 from model.validation import messages
 from model.validation.engines import ENGINES, MUJOCO, STEP, Drive, Engine, Load, load_of
 from model.validation.messages import value
-from model.validation.mujoco_engine import mjcf_text
 from model.validation.report import PhysicsReport, Stop
+from model.validation.simulators import mjcf_text
 
 OUTSIDE = 0.2
 """Share of the range beyond a limit that counts as exploded."""

@@ -21,7 +21,6 @@ from app.cli.commands import COMMANDS
 from app.cli.export import Crashed, run_all
 from app.cli.main import main, parse
 from app.cli.options import shown
-from app.cli.reference import commands
 from app.server.ending import write_crash
 from model.core.errors import KinematicsError
 from model.io.assets.reader import read_provenance
@@ -37,6 +36,7 @@ from tests.app.run_cli import (
     cupboard,
     write_prompts,
 )
+from tests.reference import commands
 
 NEAREST = ("--segmenter", "nearest")
 HEAVY = ("torch", "viser", "open3d", "scipy", "mujoco", "sqlalchemy", "trimesh", "numpy", "rich")
@@ -199,7 +199,7 @@ def test_segment_replaces_its_own_result_and_nothing_else(scan, tmp_path):
     assert (out / "link_9.obj").is_file()
     assert cut(regions(1), out).returncode == 0
     assert sorted(p.name for p in out.iterdir()) == [
-        *"link_0.mtl link_0.obj link_1.mtl link_1.obj object.json".split(),
+        *"link_0.mtl link_0.obj link_1.mtl link_1.obj object.json".split()
     ]
     (out / "object.json").unlink()
     for folder in (out, tmp_path / "theirs"):

@@ -340,9 +340,9 @@ def _note(structure: Structure, answer: Answer, part: int) -> str:
         return explain(kind.capitalize(), (), "" if decision.slot < 0 else FREE_AXIS)
     mechanism = MECHANISMS[decision.slot // RANKS]
     swept = swept_limits(mechanism) and decision.lower < 0 and decision.type != v.CONTINUOUS
-    title = MECHANISM_TABLE["spin" if mechanism == "screw" else mechanism].title
+    title = MECHANISM_TABLE["spin" if mechanism == v.TYPES[v.SCREW] else mechanism].title
     if decision.type == v.SCREW:
-        title = MECHANISM_TABLE["screw"].title
+        title = kind.capitalize()
     return explain(title, proposal.reasons, COLLISION_FREE if swept else "")
 
 
