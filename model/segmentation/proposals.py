@@ -69,11 +69,6 @@ class PartState:
         """True if any superpoint belongs to the part."""
         return self.mask is not None and bool(self.mask.any())
 
-    @property
-    def informative_clicks(self) -> int:
-        """Clicks that changed the mask."""
-        return len(self.positive) + len(self.negative) - sum(self.confirmed)
-
     def with_click(self, superpoint: int, positive: bool) -> PartState:
         """The state with one more click; a superpoint counts where it was clicked last."""
         yes = tuple(s for s in self.positive if s != superpoint)

@@ -20,7 +20,7 @@ from model.core.joint import JOINT_KINDS, Joint, JointType, canonical_axis_sign
 from model.core.motion_lexicon import MECHANISM_TABLE, Mechanism
 from model.core.names import category_key, known_word, mechanism_of, words
 from model.core.progress import attempt
-from model.prediction.builder import Reason, left_out
+from model.prediction.builder import left_out
 from model.prediction.geometric.sampled_object import CONTACT_GAP, SampledObject
 from model.prediction.geometric.shape import NOTHING, TINY, PartShape, Protrusion
 
@@ -50,7 +50,7 @@ class JointProposal:
     upper: float = 0.0
     score: float = 0.0
     mechanism: Mechanism | None = None
-    reasons: tuple[Reason, ...] = ()
+    reasons: tuple[str, ...] = ()
     travel: tuple[float, float] | None = None
 
 

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from model.core.motion_lexicon import Mechanism
 from model.kinematics.snapping import barrel_line
-from model.prediction.builder import Reason, left_out
+from model.prediction.builder import CHAIN_PLANE, left_out
 from model.prediction.geometric.context import UP, JointProposal, PartContext, snapped, unit
 from model.prediction.geometric.limits import CATEGORY_OPENING, OPENING
 from model.prediction.geometric.sampled_object import CONTACT_GAP
@@ -145,13 +145,13 @@ def _edge_proposal(panel: _Panel, across: int, along: int, side: float) -> Joint
     held = 0.0 if panel.closed else panel.contact[across, side]
     score += weights.contact * held
     if held > 0.3:
-        reasons.append(Reason.ONLY_CONTACT)
+        reasons.append("at the only edge in contact")
     if weights.inner and abs(held) < 0.3 and context.shape.slenderness < SLENDER:
         score += weights.inner * _inner(context, direction, across)
     ajar = _ajar(context, panel.out_normal, direction, axis) if panel.closed else 0.0
     score += weights.ajar * ajar
     if ajar > 0.5:
-        reasons.append(Reason.AJAR)
+        reasons.append("panel ajar")
     open_ = not panel.closed and held > 0.3
     out = panel.out_normal
     origin = _edge_origin(context, panel.normal, across, side, out, open_, panel.local)
@@ -162,7 +162,7 @@ def _edge_proposal(panel: _Panel, across: int, along: int, side: float) -> Joint
         origin = barrels[0]
         if barrels[1] > 1:
             score += weights.barrels
-            reasons.append(Reason.BARRELS)
+            reasons.append("at visible barrels")
     arm = context.shape.center - origin
     if float(np.cross(axis, arm) @ out) < 0:
         axis = -axis  # positive q opens
@@ -181,7 +181,7 @@ def _chain_proposals(context: PartContext) -> list[JointProposal]:
     end = context.contact_center
 
     def proposal(axis: Array, score: float) -> JointProposal:
-        reasons = (Reason.CHAIN_PLANE,)
+        reasons = (CHAIN_PLANE,)
         return JointProposal("revolute", axis, end, -1.2, 1.2, score, "temple", reasons)
 
     found = []
@@ -255,15 +255,15 @@ def _edge_score(
     along: int,
     side: float,
     normal: int,
-) -> tuple[float, list[Reason]]:
+) -> tuple[float, list[str]]:
     half = context.shape.box.half
-    reasons: list[Reason] = []
+    reasons: list[str] = []
     upright = abs(float(axis @ UP))
     more = CATEGORY_UPRIGHT.get(context.category, 0.0) if weights.upright else 0.0
     score = (weights.upright + more) * upright + weights.level * (1 - upright)
     if weights.bottom and direction[2] < -0.5:
         score += weights.bottom
-        reasons.append(Reason.BOTTOM_EDGE)
+        reasons.append("at the bottom edge")
     ratio = float(half[along] / (half[along] + half[across] + NOTHING))
     score += weights.long * 2 * (ratio - 0.5) + weights.short * 2 * (0.5 - ratio)
     here = _margin(context, direction)
@@ -273,23 +273,23 @@ def _edge_score(
     handle = _handle_cue(context, across, along, side, normal)
     score += weights.handle * handle
     if handle > 0.3:
-        reasons.append(Reason.HANDLE)
+        reasons.append("opposite the handle")
     if _sibling_beyond(context, direction, across, along, normal):
         score -= weights.sibling
         # Adjacent doors turn about their outer vertical edges.
         score += weights.sibling * upright * 0.5
     elif upright > 0.5 and _sibling_beyond(context, -direction, across, along, normal):
         score += 0.6 * weights.sibling
-        reasons.append(Reason.OUTER_EDGE)
+        reasons.append("at the outer edge of two panels")
     if weights.back:
         front = context.assembly.front
         back = -float(direction @ front)
         score += weights.back * back * (0.4 + 0.6 * context.assembly.front_certainty)
         if back > 0.7:
-            reasons.append(Reason.BACK)
+            reasons.append("at the back")
     if weights.wall and _rises_beyond(context, direction) > 2 * _rises_beyond(context, -direction):
         score += weights.wall
-        reasons.append(Reason.RAISED_BACK)
+        reasons.append("at the raised back")
     return score, reasons
 
 

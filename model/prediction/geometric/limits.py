@@ -13,7 +13,7 @@ from model.core.tree import KinematicTree
 from model.kinematics.surface import surface_of
 from model.kinematics.sweep import TOLERANCE as SWEPT
 from model.kinematics.sweep import free_until
-from model.prediction.builder import Reason, left_out
+from model.prediction.builder import CHAIN_PLANE, left_out
 from model.prediction.geometric.context import JointProposal, PartContext, three
 from model.prediction.geometric.sampled_object import SampledObject
 from model.prediction.geometric.shape import PartShape, same_extents
@@ -151,7 +151,7 @@ def with_swept_limits(context: PartContext, best: JointProposal) -> JointProposa
     )
     if closing + opening > 4.4 and many:
         return replace(best, lower=-closing, upper=opening)
-    if Reason.CHAIN_PLANE in best.reasons and min(closing, opening) > best.upper:
+    if CHAIN_PLANE in best.reasons and min(closing, opening) > best.upper:
         return best  # members that pass each other collide nowhere: keep the usual limits
     total = FOLDED_TOTAL
     if best.mechanism == "flap":

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from model.core.motion_lexicon import Mechanism
 from model.core.progress import attempt
-from model.prediction.builder import Reason, left_out
+from model.prediction.builder import left_out
 from model.prediction.geometric.context import Assembly, JointProposal, PartContext, unit
 from model.prediction.geometric.edge_hinges import edge_proposals
 from model.prediction.geometric.limits import TOLERANCE, free_range, with_swept_limits
@@ -35,7 +35,7 @@ DRAWER_TRAVEL = 0.79
 """Travel of a drawer over its depth; the rest stays in the rails."""
 
 
-def _slide(axis: Array, origin: Array, travel: float, score: float, *why: Reason) -> JointProposal:
+def _slide(axis: Array, origin: Array, travel: float, score: float, *why: str) -> JointProposal:
     return JointProposal("prismatic", axis, origin, 0.0, travel, score, reasons=why)
 
 
@@ -57,7 +57,7 @@ def slide_out_proposals(context: PartContext) -> list[JointProposal]:
         score += 0.8 * certainty * float(direction @ front)
         score += 0.3 * float(direction @ unit(shape.center - base.center))
         depth = _drawer_depth(context, direction)
-        reasons = [Reason.OPEN_SIDE][: covers[k] < 0.3]
+        reasons = ["towards the open side"][: covers[k] < 0.3]
         found.append(_slide(direction, shape.center, DRAWER_TRAVEL * depth, score, *reasons))
     return found
 
@@ -97,7 +97,9 @@ def slide_along_proposals(context: PartContext) -> list[JointProposal]:
                 score += 1.5
             if {"lid", "cap", "cover", "blade"} & set(context.words):
                 score += 1.0 * along
-            found.append(_slide(direction, shape.center, 0.8 * wanted, score, Reason.OWN_PLANE))
+            found.append(
+                _slide(direction, shape.center, 0.8 * wanted, score, "within its own plane")
+            )
     return found
 
 
@@ -112,7 +114,7 @@ def lift_proposals(context: PartContext) -> list[JointProposal]:
     axis = -up if down else up
     if down:
         travel = 0.5 * 2 * context.parent_shape.box.reach(up)
-    return [_slide(axis, context.shape.center, travel, 1.0, Reason.UPRIGHT)]
+    return [_slide(axis, context.shape.center, travel, 1.0, "vertical")]
 
 
 def press_proposals(context: PartContext) -> list[JointProposal]:
@@ -139,7 +141,7 @@ def press_proposals(context: PartContext) -> list[JointProposal]:
         score += 0.5 * float(direction @ surface)
         score += 0.15 * float(direction @ context.assembly.front) + 0.1 * max(0.0, direction[2])
         travel = float(np.clip(0.6 * 2 * reach, 0.002, 0.02))
-        found.append(_slide(-direction, shape.center, travel, score, Reason.INTO_SURFACE))
+        found.append(_slide(-direction, shape.center, travel, score, "into its surface"))
     return found
 
 
@@ -221,7 +223,7 @@ def propose(context: PartContext, mechanism: Mechanism) -> list[JointProposal]:
     """
     found = sorted(proposals_for(context, mechanism), key=lambda p: -p.score)
     if not found:
-        reasons = (Reason.NO_PROPOSAL,)
+        reasons = ("no other proposal fits",)
         return [replace(p, reasons=reasons) for p in proposals_for(context, "fixed")]
     swept, best = swept_limits(mechanism), found[0]
     if swept is not None:

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from model.kinematics.sweep import TOLERANCE as SWEPT
-from model.prediction.builder import Reason, left_out
+from model.prediction.builder import left_out
 from model.prediction.geometric.context import UP, JointProposal, PartContext, unit
 from model.prediction.geometric.limits import TOLERANCE, free_turn
 from model.prediction.geometric.shape import (
@@ -29,6 +29,10 @@ from model.prediction.geometric.tree import LEAF, chain_plane
 
 Array = npt.NDArray[np.float64]
 
+CROSSED_PARTS, CROSSED_FRAMES = "where the parts cross", "where the frames cross"
+ONE_END, SUPPORT = "held at one end", "vertical through its support"
+SYMMETRY = "about its symmetry axis"
+"""Reasons for a joint's place, as in notes to the reader."""
 MIN_RANGE = 0.2
 """Collision-free range (rad) below which the pin is misplaced, so that its range is meaningless."""
 SPINDLE = 1.0
@@ -52,8 +56,8 @@ def pivot_proposals(context: PartContext) -> list[JointProposal]:
     found = []
     if cross is not None:
         inside = _inside_both(cross, shape, base, axis)
-        found.append(_pin(axis, cross, 1.5 * inside, Reason.CROSSED_PARTS))
-    found.append(_pin(axis, contact, 0.6, Reason.CONTACT))
+        found.append(_pin(axis, cross, 1.5 * inside, CROSSED_PARTS))
+    found.append(_pin(axis, contact, 0.6, "at the contact"))
     if same_extents(shape, base):
         # Two equal parts cross; neither holds the other at its end.
         found = [dataclasses.replace(p, score=p.score + 1.0) for p in found]
@@ -63,7 +67,7 @@ def pivot_proposals(context: PartContext) -> list[JointProposal]:
 
 
 def _pin(
-    axis: Array, origin: Array, score: float, reason: Reason, lower: float = 0.0, upper: float = 0.0
+    axis: Array, origin: Array, score: float, reason: str, lower: float = 0.0, upper: float = 0.0
 ) -> JointProposal:
     return JointProposal("revolute", axis, origin, lower, upper, score, reasons=(reason,))
 
@@ -78,7 +82,7 @@ def _crossed_frames(context: PartContext) -> list[JointProposal]:
     axis = np.cross(a, b)
     if np.linalg.norm(axis) < np.sin(np.deg2rad(15)):
         return []
-    return [_pin(unit(axis), context.contact_center, 2.2, Reason.CROSSED_FRAMES)]
+    return [_pin(unit(axis), context.contact_center, 2.2, CROSSED_FRAMES)]
 
 
 def crossing_point(shape: PartShape, base: PartShape, axis: Array) -> Array | None:
@@ -124,7 +128,7 @@ def _end_pivots(context: PartContext, axis: Array) -> list[JointProposal]:
         score = 0.5 + 1.2 * float(np.clip((rest - near) / 0.1, -1, 1))
         # A folding blade is held at the end that lies deeper inside the handle.
         score += 0.8 * _inside(spot, context.parent_shape)
-        found.append(_pin(axis, spot, score, Reason.ONE_END))
+        found.append(_pin(axis, spot, score, ONE_END))
     return found
 
 
@@ -160,7 +164,7 @@ def within_reach(context: PartContext, h: JointProposal) -> JointProposal:
     Only for parts that cross, as a blade that folds into its handle grazes it all the way, and
     not below :data:`MIN_RANGE`.
     """
-    if not {Reason.CROSSED_PARTS, Reason.CROSSED_FRAMES} & set(h.reasons):
+    if not {CROSSED_PARTS, CROSSED_FRAMES} & set(h.reasons):
         return h
 
     def free(stop: float) -> float:
@@ -190,11 +194,13 @@ def swing_proposals(context: PartContext) -> list[JointProposal]:
         origin = contact.mean(0)
         if len(low) and len(high):
             origin = 0.5 * (low.mean(0) + high.mean(0))
-        found.append(_pin(axis, origin, score, Reason.BOTH_ENDS, *(SWING_UP if up else SWING_DOWN)))
+        found.append(
+            _pin(axis, origin, score, "held at both ends", *(SWING_UP if up else SWING_DOWN))
+        )
     if found:
         return found
     axis = shape.box.axes[:, shape.order[1]]
-    return [_pin(axis, context.contact_center, 0.0, Reason.ONE_END, 0.0, QUARTER)]
+    return [_pin(axis, context.contact_center, 0.0, ONE_END, 0.0, QUARTER)]
 
 
 def lever_proposals(context: PartContext) -> list[JointProposal]:
@@ -228,7 +234,7 @@ def lever_proposals(context: PartContext) -> list[JointProposal]:
         tip = tip - (tip @ axis) * axis
         if float(np.cross(axis, tip) @ context.assembly.front) < -1e-3:
             axis = -axis
-        found.append(_pin(axis, origin, score, Reason.STEM, 0.0, LEVER_TURN))
+        found.append(_pin(axis, origin, score, "about its stem", 0.0, LEVER_TURN))
     return found
 
 
@@ -248,7 +254,7 @@ def toggle_proposals(context: PartContext) -> list[JointProposal]:
         score = across / max(float(shape.box.half.max()), NOTHING)
         score += 0.4 * (1 - abs(float(axis @ UP)))
         origin = shape.center - outward * 0.6 * shape.box.reach(outward)
-        found.append(_pin(axis, origin, score, Reason.MIDDLE, -ROCKS, ROCKS))
+        found.append(_pin(axis, origin, score, "about its middle", -ROCKS, ROCKS))
     return found
 
 
@@ -268,7 +274,7 @@ def tilt_proposals(context: PartContext) -> list[JointProposal]:
         down = -free_turn(context, axis, origin, -TILT, TOLERANCE)
         up = free_turn(context, axis, origin, TILT, TOLERANCE)
         low, high = -max(down, LEAST_TILT), max(up, LEAST_TILT)
-        found.append(_pin(axis, origin, score, Reason.MOUNT, low, high))
+        found.append(_pin(axis, origin, score, "about its mount", low, high))
     return found
 
 
@@ -285,22 +291,22 @@ def spin_proposals(context: PartContext) -> list[JointProposal]:
         if rough and np.abs(r.axis).max() < 0.9995:
             continue  # too noisy for directions of its own
         score, origin = _spin_score(context, r, outwardness, wheel)
-        reason = Reason.SYMMETRY if r.round else Reason.CENTER
+        reason = SYMMETRY if r.round else "through its centre, barely round"
         found.append(_continuous(r.axis, origin, score, reason))
     ball = shape.ball and shape.size > 25 * shape.noise
     poles = _poles(context) if ball and not wheel else None
     if poles is not None:
-        found.append(_continuous(poles, shape.center, 4.5, Reason.POLES))
+        found.append(_continuous(poles, shape.center, 4.5, "between its two supports"))
     fold = blades(shape)
     if fold is not None:
-        found.append(_continuous(fold[0], fold[1], 4.0, Reason.BLADES))
+        found.append(_continuous(fold[0], fold[1], 4.0, "axis of its equal blades"))
     if not found:
         thin = shape.box.axes[:, shape.order[0]]
         found.append(JointProposal("continuous", thin, shape.center))
     return found
 
 
-def _continuous(axis: Array, origin: Array, score: float, reason: Reason) -> JointProposal:
+def _continuous(axis: Array, origin: Array, score: float, reason: str) -> JointProposal:
     return JointProposal("continuous", axis, origin, score=score, reasons=(reason,))
 
 
@@ -373,9 +379,9 @@ def swivel_proposals(context: PartContext) -> list[JointProposal]:
     found = []
     r = roundness(shape.outline, up, shape.scanned)
     if r is not None:
-        found.append(_continuous(up, r.center, 1.5 - 12 * r.spread, Reason.SYMMETRY))
+        found.append(_continuous(up, r.center, 1.5 - 12 * r.spread, SYMMETRY))
     for axis, score in ((up, 0.7), (UP, 0.9)):
-        found.append(_continuous(axis, _support(context), score, Reason.SUPPORT))
+        found.append(_continuous(axis, _support(context), score, SUPPORT))
     return found
 
 
@@ -389,7 +395,7 @@ def screw_proposals(context: PartContext) -> list[JointProposal]:
     shape = context.shape
     up = context.upright()
     if "seat" in context.words or (shape.roundest is None and shape.size > 0.4):
-        seat = _continuous(up, _support(context), 1.0, Reason.SUPPORT)
+        seat = _continuous(up, _support(context), 1.0, SUPPORT)
         return [replace(seat, travel=(0.0, 0.06))]
     best: JointProposal | None = None
     along = unit(shape.center - context.parent_shape.center)
@@ -399,7 +405,7 @@ def screw_proposals(context: PartContext) -> list[JointProposal]:
         score += 0.4 * abs(float(axis @ UP)) + _scan_bonus(shape, axis)
         travel = (0.0, float(np.clip(0.6 * 2 * r.half, 0.02, 0.08)))
         if best is None or score > best.score:
-            cap = _continuous(axis, r.center, score, Reason.SYMMETRY)
+            cap = _continuous(axis, r.center, score, SYMMETRY)
             best = replace(cap, travel=travel)
     if best is None:
         best = JointProposal("continuous", up, shape.center, travel=(0.0, 0.05))
