@@ -288,7 +288,6 @@ class ClientApp:
 
     def _draw(self) -> None:
         """Send what changed since the last time."""
-        self.tab.end_notes()
         self.commands.rejecting.end_elsewhere()
         self.drawing.leave()  # before a panel shows the next object
         self._draw_panels()

@@ -287,10 +287,35 @@ def _feature_scalars(context: PartContext, k: PartFeatures | None) -> list[float
     shape = context.shape
     around = [r.spread for r in shape.roundnesses[:3]]
     handle = context.handle
-    radius = k.disc.radius if k.disc is not None else 0.0
-    out = [k.relative, k.size, float(k.disc is not None), radius, k.flat, k.axis_up, float(k.ball)]
-    out += [k.height, float(k.grounded), k.top, k.bottom, k.sides, k.covered_sides / 6, k.exposed]
-    out += [k.backed, k.exit_score, k.depth, *k.face, k.fill, k.normal_up, k.aligned, k.end_contact]
+    radius = k.shape.roundest.radius if k.shape.roundest is not None else 0.0
+    out = [
+        k.relative,
+        k.shape.size,
+        float(k.shape.roundest is not None),
+        radius,
+        k.flat,
+        k.axis_up,
+        float(k.shape.ball),
+    ]
+    out += [
+        k.height,
+        float(k.grounded),
+        k.cover.above,
+        k.cover.below,
+        k.cover.sides,
+        k.cover.count / 6,
+        k.cover.exposed,
+    ]
+    out += [
+        k.cover.backed,
+        k.exit.score,
+        k.exit.depth,
+        *k.exit.face,
+        k.shape.panel.fill,
+        k.normal_up,
+        k.aligned,
+        k.end_contact,
+    ]
     out += [*np.clip(k.contact_spread, 0, 2), k.same_size / 4, 3 * k.above_parent]
     out += [5 * s for s in (*around, 1.0, 1.0, 1.0)[:3]]
     out += [float(context.in_contact), float(context.closed)]
@@ -302,7 +327,7 @@ def _vectors(context: PartContext, k: PartFeatures | None) -> Floats:
     if k is None:
         return out
     shape = context.shape
-    out[0], out[1] = k.outward, k.exit
+    out[0], out[1] = k.cover.outward, k.exit.direction
     out[2] = context.contact_center - shape.center
     handle = context.handle
     if handle is not None:

@@ -16,9 +16,43 @@ from model.core.motion_lexicon import Mechanism
 from model.prediction.builder import left_out
 from model.prediction.geometric.context import UP, PartContext, unit
 from model.prediction.geometric.sampled_object import CONTACT_GAP
-from model.prediction.geometric.shape import NOTHING, TINY, Roundness, blades, same_extents
+from model.prediction.geometric.shape import NOTHING, TINY, PartShape, blades, same_extents
 
 Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Cover:
+    """Shares, 0..1, that the parent covers of a part.
+
+    Attributes:
+        above, below, sides: from above, from below, from the four sides on average.
+        count: covered sides of six. outward: (3,) open direction, working frame.
+        exposed: how open it is. backed: how much of the parent lies behind.
+    """
+
+    above: float
+    below: float
+    sides: float
+    count: int
+    outward: Array
+    exposed: float
+    backed: float
+
+
+@dataclass(frozen=True, eq=False)
+class Exit:
+    """The way in which a drawer would open.
+
+    Attributes:
+        direction: (3,) horizontal. score: 0..1, 1 with nothing in front and the parent behind.
+        depth: extent along it. face: horizontal and other extent across it.
+    """
+
+    direction: Array
+    score: float
+    depth: float
+    face: tuple[float, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,22 +60,11 @@ class PartFeatures:
     """Features of one part; lengths in diagonals of the object.
 
     Attributes:
-        size: diagonal of the part's box. relative: over that of its parent.
-        disc: circle fit along the symmetry axis, None if the part isn't round.
+        shape: of the part. relative: its size over that of its parent.
         flat: half thickness over radius of the disc; 0 without one.
         axis_up: 0..1, how vertical the disc's axis is.
-        scanned: a cloud, so the back may be missing. ball: round about three axes.
         height: of the part's centre, 0 at the object's bottom, 1 at its top.
         grounded: reaches the object's bottom.
-        top, bottom, sides: how much the parent covers it from above, from below, and from the
-            four sides on average, 0..1. covered_sides: number of covered sides of six.
-        outward: open direction. exposed: how open it is, 0..1. backed: how much of the parent
-            lies behind, 0..1.
-        exit: horizontal direction in which a drawer would open. exit_score: 0..1, 1 with nothing
-            in front and the parent behind.
-        depth: extent along exit. face: horizontal and other extent across exit.
-        fill: share of its rectangle that a panel fills.
-        panel: thin over middle extent. slender: middle over long extent.
         normal_up: 0..1, how vertical the thin axis is. aligned: 0..1, how well the box is aligned
             with the object's directions.
         end_contact: 0..1, 1 if it is held at one end of its long axis.
@@ -51,29 +74,14 @@ class PartFeatures:
         parts: number of parts of the object.
     """
 
-    size: float
+    shape: PartShape
     relative: float
-    disc: Roundness | None
     flat: float
     axis_up: float
-    scanned: bool
-    ball: bool
     height: float
     grounded: bool
-    top: float
-    bottom: float
-    sides: float
-    covered_sides: int
-    outward: Array
-    exposed: float
-    backed: float
-    exit: Array
-    exit_score: float
-    depth: float
-    face: tuple[float, float]
-    fill: float
-    panel: float
-    slender: float
+    cover: Cover
+    exit: Exit
     normal_up: float
     aligned: float
     end_contact: float
@@ -107,31 +115,20 @@ def measure_features(context: PartContext) -> PartFeatures:
     thin, _, long = shape.order
     contact = box.local(context.contact)
     spread = [np.ptp(contact[:, k]) / max(2 * float(box.half[k]), TINY) for k in shape.order]
+    face = 2 * float(box.half[across]), 2 * float(box.half[up % 3])
+    open_, behind = 1 - float(covers[outward]), float(covers[(outward + 3) % 6])
+    around = float(covers[up]), float(covers[down]), float(np.mean(covers[side]))
+    cover = Cover(*around, int((covers > COVERED).sum()), axes[outward], open_, behind)
     return PartFeatures(
-        size=shape.size,
+        shape=shape,
         relative=shape.size / max(base.size, TINY),
-        disc=disc,
         # Noise thickens a thin disc.
         flat=max(0.0, disc.half - NOISE * shape.noise) / max(disc.radius, TINY) if disc else 0.0,
         axis_up=abs(float(disc.axis @ UP)) if disc is not None else 0.0,
-        scanned=shape.scanned,
-        ball=shape.ball,
         height=float((shape.center[2] - sampled.low[2]) / height),
         grounded=float(shape.low[2] - sampled.low[2]) < GROUND[0] * height + GROUND[1],
-        top=float(covers[up]),
-        bottom=float(covers[down]),
-        sides=float(np.mean(covers[side])),
-        covered_sides=int((covers > COVERED).sum()),
-        outward=axes[outward],
-        exposed=1 - float(covers[outward]),
-        backed=float(covers[(outward + 3) % 6]),
-        exit=axes[exit_],
-        exit_score=float(exits[exit_]),
-        depth=2 * float(box.half[exit_ % 3]),
-        face=(2 * float(box.half[across]), 2 * float(box.half[up % 3])),
-        fill=shape.panel.fill,
-        panel=shape.thinness,
-        slender=shape.slenderness,
+        cover=cover,
+        exit=Exit(axes[exit_], float(exits[exit_]), 2 * float(box.half[exit_ % 3]), face),
         normal_up=abs(float(box.axes[2, thin])),
         aligned=float(np.abs(box.axes).max(0).min()),
         end_contact=_end_contact(context, long),
@@ -219,21 +216,23 @@ class _Cues:
 
 
 def _cues(part: PartContext, k: PartFeatures, others: dict[int, PartFeatures]) -> _Cues:
-    rod = 1 - _step(k.slender, ROD)
-    large = _step(k.size, LARGE)
+    rod = 1 - _step(k.shape.slenderness, ROD)
+    large = _step(k.shape.size, LARGE)
     held_below = k.end_contact > HELD[0] or max(k.contact_spread[1:]) < HELD[1]
     return _Cues(
         part,
         k,
         others,
-        small=1 - _step(k.size, SMALL),
+        small=1 - _step(k.shape.size, SMALL),
         large=large,
         rod=rod,
-        panel=(1 - _step(k.panel, THIN)) * _step(k.fill, HALF) * (1 - ROD_IS_PANEL * rod),
+        panel=(1 - _step(k.shape.thinness, THIN))
+        * _step(k.shape.panel.fill, HALF)
+        * (1 - ROD_IS_PANEL * rod),
         standing=1 - _step(k.normal_up, LYING),
         on_stem=held_below and k.above_parent > 0 and large > HALF[0],
-        upright_disc=k.disc is not None and k.axis_up > UPRIGHT,
-        level_disc=k.disc is not None and k.axis_up < LEVEL,
+        upright_disc=k.shape.roundest is not None and k.axis_up > UPRIGHT,
+        level_disc=k.shape.roundest is not None and k.axis_up < LEVEL,
     )
 
 
@@ -265,38 +264,43 @@ WHEEL_FLAT, ROUND_DOOR, NEAR_GROUND = (1.2, 0.9), (0.8, 0.3), (0.2, 0.3)
 
 def _round_parts(c: _Cues) -> Scores:
     """Knobs, wheels, balls, propellers, clock hands; all other small parts are buttons."""
-    k, disc = c.features, c.features.disc
-    press = BUTTON * c.small - HIDDEN * (1 - k.exposed)
+    k, disc = c.features, c.features.shape.roundest
+    press = BUTTON * c.small - HIDDEN * (1 - k.cover.exposed)
     many = IN_ROW * min(k.same_size, 6) * c.small
     spin = 0.0
     if disc is not None:
         clear = disc.radius > 10 * c.part.shape.noise
         spin += DISC
-        knob = k.flat >= KNOB_FLAT[0] or (k.size >= KNOB_SIZE[1] and k.flat >= KNOB_FLAT[1])
+        knob = k.flat >= KNOB_FLAT[0] or (k.shape.size >= KNOB_SIZE[1] and k.flat >= KNOB_FLAT[1])
         stands = abs(float(disc.axis @ unit(c.part.shape.center - c.part.contact_center))) > UPRIGHT
-        faces_out = stands or abs(float(disc.axis @ k.outward)) > ALONG
-        knob = knob and KNOB_SIZE[0] < k.size < KNOB_SIZE[2] and k.flat < KNOB_FLAT[2]
+        faces_out = stands or abs(float(disc.axis @ k.cover.outward)) > ALONG
+        knob = knob and KNOB_SIZE[0] < k.shape.size < KNOB_SIZE[2] and k.flat < KNOB_FLAT[2]
         if clear and knob and faces_out:
             spin += KNOB
             many = 0.0  # a row of knobs
         wheel = c.level_disc and (clear or k.grounded)
-        if wheel and k.flat < WHEEL_FLAT[0] and k.size < WHEEL_SIZE:
+        if wheel and k.flat < WHEEL_FLAT[0] and k.shape.size < WHEEL_SIZE:
             spin += WHEEL if k.grounded else PULLEY * (1 - _step(k.height, HALF))
         if wheel and k.flat < WHEEL_FLAT[1]:
             spin += LEVEL_DISC
-        if k.ball and clear:
+        if k.shape.ball and clear:
             spin += BALL
-        covers_front = k.backed > ROUND_DOOR[0] and not k.grounded and k.covered_sides <= 2
-        if c.level_disc and covers_front and k.size > ROUND_DOOR[1] and k.flat < ROUND_DOOR[1]:
+        covers_front = k.cover.backed > ROUND_DOOR[0] and not k.grounded and k.cover.count <= 2
+        if (
+            c.level_disc
+            and covers_front
+            and k.shape.size > ROUND_DOOR[1]
+            and k.flat < ROUND_DOOR[1]
+        ):
             spin -= NO_DISC  # a round door
     if blades(c.part.shape) is not None:
         spin += PROPELLER
     if c.part.clock_hand:
         spin += CLOCK_HAND
-    if k.scanned and k.grounded and k.height < NEAR_GROUND[0]:
+    if k.shape.scanned and k.grounded and k.height < NEAR_GROUND[0]:
         spin += WHEEL * c.small  # a wheel that was scanned in part
-    drum = c.level_disc and k.covered_sides >= 4 and k.size > DRUM_SIZE
-    if drum and disc is not None and abs(float(disc.axis @ k.exit)) > ALONG:
+    drum = c.level_disc and k.cover.count >= 4 and k.shape.size > DRUM_SIZE
+    if drum and disc is not None and abs(float(disc.axis @ k.exit.direction)) > ALONG:
         spin += BALL
     return {"press": press + many, "spin": spin}
 
@@ -312,23 +316,25 @@ below; diagonals above; height over width of an object with a screw cap; diagona
 
 def _parts_on_top(c: _Cues) -> Scores:
     """Caps, pot lids, turntables, casters, seats, heads on stems."""
-    k, disc, part = c.features, c.features.disc, c.part
+    k, disc, part = c.features, c.features.shape.roundest, c.part
     swivel, screw, lift = 0.0, 0.0, IDLE["lift"]
-    if c.upright_disc and k.flat < LEVEL and k.top > HALF[0] and k.bottom > HALF[0]:
+    if c.upright_disc and k.flat < LEVEL and k.cover.above > HALF[0] and k.cover.below > HALF[0]:
         swivel += TURNTABLE  # a turntable inside
     if _holds_wheel(c):
         swivel += CASTER
     if c.on_stem:
         swivel += ON_STEM + NO_PANEL * (1 - c.panel)
-    wheels = sum(o.disc is not None and o.axis_up < LEVEL and o.grounded for o in c.others.values())
-    if c.on_stem and wheels >= 3 and k.size > SEAT_SIZE:
+    wheels = sum(
+        o.shape.roundest is not None and o.axis_up < LEVEL and o.grounded for o in c.others.values()
+    )
+    if c.on_stem and wheels >= 3 and k.shape.size > SEAT_SIZE:
         screw = swivel + ON_STEM  # the seat of an office chair
     if c.upright_disc and disc is not None:
         aside = float(np.linalg.norm((part.shape.center - part.parent_shape.center)[:2]))
         width = 2 * float(np.sort(part.parent_shape.box.half)[0])
         cap = (
-            k.top < CAP_COVER[0]
-            and (k.bottom > CAP_COVER[1] or k.scanned)
+            k.cover.above < CAP_COVER[0]
+            and (k.cover.below > CAP_COVER[1] or k.shape.scanned)
             and k.height > CAP_COVER[2]
             and k.flat > CAP_FLAT
             and disc.radius > CAP_WIDE[0] * width
@@ -359,16 +365,21 @@ panel over its parent's, height and length or offset of its bar over half the pa
 def _panels(c: _Cues) -> Scores:
     """Doors, lids, sliding panels, rockers."""
     k, part = c.features, c.part
-    hinge = IDLE["hinge"] + c.panel * c.standing * (PANEL * c.large + EXPOSED * k.exposed)
-    between = _step(min(k.top, k.bottom), HALF)  # a rack, no lid
-    lid = PANEL * c.large + UNCOVERED * (1 - k.top)
+    hinge = IDLE["hinge"] + c.panel * c.standing * (PANEL * c.large + EXPOSED * k.cover.exposed)
+    between = _step(min(k.cover.above, k.cover.below), HALF)  # a rack, no lid
+    lid = PANEL * c.large + UNCOVERED * (1 - k.cover.above)
     flap = IDLE["flap"] + c.panel * (1 - c.standing) * (1 - between) * lid
     if k.aligned < SQUARE:  # ajar
         flap += c.panel * (AJAR[0] * c.large * (1 - c.standing) + AJAR[1])
         hinge += c.panel * AJAR[0] * c.large * c.standing
     toggle = IDLE["toggle"]
-    if k.parts <= 4 and part.closed and ROCKER[0] < k.relative < ROCKER[1] and k.panel > ROCKER[2]:
-        toggle += ROCKS * k.exposed * k.backed * (k.disc is None)
+    if (
+        k.parts <= 4
+        and part.closed
+        and ROCKER[0] < k.relative < ROCKER[1]
+        and k.shape.thinness > ROCKER[2]
+    ):
+        toggle += ROCKS * k.cover.exposed * k.cover.backed * (k.shape.roundest is None)
     slide = SLIDES * c.panel * c.standing * passes_sibling(part)
     drop = (hinge + DROPS) * c.panel * c.standing * _top_bar(part)
     return {"hinge": hinge, "flap": flap, "drop": drop, "toggle": toggle, "slide_along": slide}
@@ -404,21 +415,25 @@ of round parts."""
 def _drawers(c: _Cues) -> Scores:
     """Parts that can leave horizontally, with the parent around and behind them."""
     k, part = c.features, c.part
-    embedded = _step(k.covered_sides, EMBEDDED)
-    deep = _step(k.depth / max(min(k.face), TINY), DEEP)
+    embedded = _step(k.cover.count, EMBEDDED)
+    deep = _step(k.exit.depth / max(min(k.exit.face), TINY), DEEP)
     drawer = (
-        k.exit_score * embedded * (DRAWER[0] + DRAWER[1] * deep) + k.exit_score * deep * c.large
+        k.exit.score * embedded * (DRAWER[0] + DRAWER[1] * deep) + k.exit.score * deep * c.large
     )
-    wide = _step(k.face[0] / max(k.face[1], TINY), WIDE)
-    low = 1 - _step(k.face[1] / max(part.parent_shape.size, TINY), LOW)
-    if k.scanned:
+    wide = _step(k.exit.face[0] / max(k.exit.face[1], TINY), WIDE)
+    low = 1 - _step(k.exit.face[1] / max(part.parent_shape.size, TINY), LOW)
+    if k.shape.scanned:
         # A scan shows only the front of a closed drawer, and perhaps a rim.
-        flat = 1 - _step(k.depth / max(k.face[0], TINY), FLAT)
+        flat = 1 - _step(k.exit.depth / max(k.exit.face[0], TINY), FLAT)
         drawer += FRONT[0] * part.closed * wide * low * c.large * flat
     else:
-        drawer += FRONT[1] * k.exit_score * c.panel * c.standing * wide * low * c.large
+        drawer += FRONT[1] * k.exit.score * c.panel * c.standing * wide * low * c.large
     drawer += FREEZER * part.closed * c.panel * c.standing * c.large * spans_doors(part)
-    return {"slide_out": IDLE["slide_out"] + drawer - (NO_DRAWER if k.disc is not None else 0.0)}
+    return {
+        "slide_out": IDLE["slide_out"]
+        + drawer
+        - (NO_DRAWER if k.shape.roundest is not None else 0.0)
+    }
 
 
 TEMPLE, SHUT_LEVER, LEVER, BAIL = (1.3, 0.4, 0.5), 0.5, (0.9, 0.8, 2.6), (1.6, 2.2)
@@ -431,7 +446,9 @@ def _long_parts(c: _Cues) -> Scores:
     temple = IDLE["temple"] + c.rod * (TEMPLE[0] * k.end_contact + TEMPLE[1] * c.large)
     if k.same_size and not part.closed:
         temple += TEMPLE[2] * c.rod * k.end_contact
-    middling = (1 - c.small) * (1 - _step(k.size, HUGE)) * (SHUT_LEVER if part.closed else 1.0)
+    middling = (
+        (1 - c.small) * (1 - _step(k.shape.size, HUGE)) * (SHUT_LEVER if part.closed else 1.0)
+    )
     lever = IDLE["lever"] + middling * (1 - c.panel) * (LEVER[0] + LEVER[1] * k.end_contact)
     lever += LEVER[2] * c.small * c.rod * k.end_contact * (1 - c.panel)
     bail, legs = _bail(part, k)
@@ -463,9 +480,7 @@ def _pairs(c: _Cues) -> Scores:
     if pair and c.rod > HALF[0]:
         # A blade free on one edge turns out of its handle; an enclosed one slides.
         middle = part.shape.order[1]
-        held = (
-            min(part.covers[middle], part.covers[middle + 3]) > HANDLE[0] and k.covered_sides >= 4
-        )
+        held = min(part.covers[middle], part.covers[middle + 3]) > HANDLE[0] and k.cover.count >= 4
         scores["slide_along" if held else "pivot"] += PAIR[1] * c.rod
     elif _caps_the_end(part):
         scores["slide_along"] += PAIR[2]
@@ -505,12 +520,12 @@ def _tallness(context: PartContext) -> float:
 def _holds_wheel(c: _Cues) -> bool:
     """True if it is a small part near the ground that carries a wheel."""
     context = c.part
-    if c.features.size > NEAR_GROUND[0] or c.features.height > NEAR_GROUND[1]:
+    if c.features.shape.size > NEAR_GROUND[0] or c.features.height > NEAR_GROUND[1]:
         return False
     for j, other in c.others.items():
         if j == context.part or context.sampled.gap[j, context.part] > 2 * CONTACT_GAP:
             continue
-        wheel = other.disc is not None and other.axis_up < LEVEL and other.grounded
+        wheel = other.shape.roundest is not None and other.axis_up < LEVEL and other.grounded
         if wheel and context.assembly.parent[j] == context.part:
             return True
     return False
@@ -587,7 +602,7 @@ def _bail(context: PartContext, k: PartFeatures) -> tuple[float, float]:
         0..1, and 0..1: 1 if the bail stands upright on its parent and is higher than wide.
     """
     shape = context.shape
-    if k.size < BAIL_SIZE or left_out("bails"):
+    if k.shape.size < BAIL_SIZE or left_out("bails"):
         return 0.0, 0.0
     contact = context.contact
     best, legs = 0.0, 0.0

@@ -313,11 +313,10 @@ class SampledObject:
     """The parts of one object with their shapes.
 
     Attributes:
-        name, category: of the object. parts: as given, object frame.
+        category: of the object. parts: as given, object frame.
         shapes: of the parts, in their order. frame: the working frame.
     """
 
-    name: str
     category: str | None
     shapes: tuple[PartShape, ...]
     frame: WorkingFrame
@@ -380,7 +379,7 @@ class SampledObject:
         close = near[d[near] <= limit]
         return self.shapes[i].points[close if len(close) >= 4 else near]
 
-    def union(self, members: tuple[int, ...]) -> Array:
+    def _union(self, members: tuple[int, ...]) -> Array:
         """(N, 3) points of several parts."""
         if not members:
             return np.zeros((0, 3))
@@ -430,7 +429,7 @@ class SampledObject:
         sign = np.sign(e[:, k] @ direction)
         u, v = (x for x in range(3) if x != k)
         own = self.shapes[i].points @ e
-        rest = self.union(others) @ e
+        rest = self._union(others) @ e
         if not len(rest):
             return 0.0
         low, high = own.min(0), own.max(0)
@@ -498,7 +497,7 @@ def sample_object(
         )
         for part, s in zip(parts, samples, strict=True)
     )
-    return SampledObject(segmented.name, segmented.category, shapes, frame, parts)
+    return SampledObject(segmented.category, shapes, frame, parts)
 
 
 def _common_noise(each: list[Noise]) -> float:
