@@ -140,8 +140,10 @@ SQUARE = np.deg2rad(8)
 """Largest angle (rad) between a shut panel and the object's directions."""
 IN_FRONT = 0.1
 """Largest gap (diagonals) between a shut panel and its parent."""
-HAND, SLENDER_HAND, PARALLEL = 0.1, 0.35, 0.95
-"""Least size (diagonals) and largest middle over long extent of a clock hand; cosine."""
+HAND, SLENDER_HAND = 0.1, 0.35
+"""Least size (diagonals) and largest middle over long extent of a clock hand."""
+ACROSS, UPWARD, PARALLEL = 0.5, 0.9, 0.95
+"""Cosines: below the first an axis is across another, above the last it is the same direction."""
 BAR = 0.2
 """Least size of a push bar over that of its door; buttons are smaller."""
 
@@ -340,7 +342,7 @@ class PartContext:
             return True
         shape, base = self.shape, self.parent_shape
         normal = self.panel_normal
-        across = np.abs(normal) > 0.5
+        across = np.abs(normal) > ACROSS
         if np.abs(normal).max() < np.cos(SQUARE):
             return False
         # Seen along its normal, an open door stands beside its parent.
@@ -386,7 +388,7 @@ class PartContext:
         """The part's box axis nearest to +z, pointing up; +z if none is near."""
         axes = self.shape.box.axes
         k = int(np.argmax(np.abs(axes[2])))
-        return axes[:, k] * (1.0 if axes[2, k] >= 0 else -1.0) if abs(axes[2, k]) > 0.9 else UP
+        return axes[:, k] * (1.0 if axes[2, k] >= 0 else -1.0) if abs(axes[2, k]) > UPWARD else UP
 
 
 GROUPS = tuple(dict.fromkeys(row.group for row in MECHANISM_TABLE.values() if row.group))

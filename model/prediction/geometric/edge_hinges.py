@@ -10,7 +10,7 @@ import numpy.typing as npt
 from model.core.motion_lexicon import Mechanism
 from model.kinematics.snapping import barrel_line
 from model.prediction.builder import CHAIN_PLANE, left_out
-from model.prediction.geometric.context import UP, JointProposal, PartContext, snapped, unit
+from model.prediction.geometric.context import ACROSS, UP, JointProposal, PartContext, snapped, unit
 from model.prediction.geometric.limits import CATEGORY_OPENING, OPENING
 from model.prediction.geometric.sampled_object import CONTACT_GAP
 from model.prediction.geometric.shape import NOTHING, TINY, fit_panel
@@ -261,7 +261,7 @@ def _edge_score(
     upright = abs(float(axis @ UP))
     more = CATEGORY_UPRIGHT.get(context.category, 0.0) if weights.upright else 0.0
     score = (weights.upright + more) * upright + weights.level * (1 - upright)
-    if weights.bottom and direction[2] < -0.5:
+    if weights.bottom and direction[2] < -ACROSS:
         score += weights.bottom
         reasons.append("at the bottom edge")
     ratio = float(half[along] / (half[along] + half[across] + NOTHING))
@@ -278,7 +278,7 @@ def _edge_score(
         score -= weights.sibling
         # Adjacent doors turn about their outer vertical edges.
         score += weights.sibling * upright * 0.5
-    elif upright > 0.5 and _sibling_beyond(context, -direction, across, along, normal):
+    elif upright > ACROSS and _sibling_beyond(context, -direction, across, along, normal):
         score += 0.6 * weights.sibling
         reasons.append("at the outer edge of two panels")
     if weights.back:

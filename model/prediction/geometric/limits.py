@@ -14,7 +14,7 @@ from model.kinematics.surface import surface_of
 from model.kinematics.sweep import TOLERANCE as SWEPT
 from model.kinematics.sweep import free_until
 from model.prediction.builder import CHAIN_PLANE, left_out
-from model.prediction.geometric.context import JointProposal, PartContext, three
+from model.prediction.geometric.context import UPWARD, JointProposal, PartContext, three
 from model.prediction.geometric.sampled_object import SampledObject
 from model.prediction.geometric.shape import PartShape, same_extents
 
@@ -183,7 +183,7 @@ def shut_front(context: PartContext, motion: JointProposal) -> bool:
         return context.shut
     if "flap" in mechanisms:
         # A lid that leans on a wall is open.
-        return abs(float(context.panel_normal[2])) > 0.9 and context.shut
+        return abs(float(context.panel_normal[2])) > UPWARD and context.shut
     return named == "slide_out" and context.closed
 
 

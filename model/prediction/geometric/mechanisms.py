@@ -13,7 +13,7 @@ import numpy.typing as npt
 from model.core.motion_lexicon import Mechanism
 from model.core.progress import attempt
 from model.prediction.builder import left_out
-from model.prediction.geometric.context import Assembly, JointProposal, PartContext, unit
+from model.prediction.geometric.context import ACROSS, Assembly, JointProposal, PartContext, unit
 from model.prediction.geometric.edge_hinges import edge_proposals
 from model.prediction.geometric.limits import TOLERANCE, free_range, with_swept_limits
 from model.prediction.geometric.revolute import (
@@ -35,6 +35,17 @@ DRAWER_TRAVEL = 0.79
 """Travel of a drawer over its depth; the rest stays in the rails."""
 
 
+OPEN, BACKED, FACING, OUTWARD, EDGE = 1.8, 0.9, 0.8, 0.3, (-1.5, 0.3)
+"""Scores of the direction of a drawer; and bounds of its place over half its parent's depth."""
+SHALLOW, SCANNED_DEPTH, FRONT_ALONE, HALF_DEPTH = 0.4, 0.8, 0.25, 0.5
+"""Depths over that of the parent: of a scanned and a modelled front, and of the drawers behind."""
+FREE, ALONG, AWAY, LEVEL, BLADE, BLADE_SLENDER, LID = 1.2, 0.5, 0.4, 0.8, 1.5, 0.45, 1.0
+"""Scores of a panel's direction; and middle over long extent of a blade."""
+IN, OUT, THIN, SURFACE = 1.2, 1.2, (0.5, 1.0), (2.0, 1.2)
+SEEN, CENTRE, FRONT, UPPER = 1.0, 0.5, 0.15, 0.1
+"""Scores of a button's direction; two of scanned and of modelled parts."""
+
+
 def _slide(axis: Array, origin: Array, travel: float, score: float, *why: str) -> JointProposal:
     return JointProposal("prismatic", axis, origin, 0.0, travel, score, reasons=why)
 
@@ -46,16 +57,16 @@ def slide_out_proposals(context: PartContext) -> list[JointProposal]:
     found = []
     front, certainty = context.assembly.front, context.assembly.front_certainty
     for k, direction in enumerate(context.directions):
-        if abs(direction[2]) > 0.5:
+        if abs(direction[2]) > ACROSS:
             continue
         ends = base.outline @ direction
         end = float(np.quantile(ends, 0.99))
         own = float(shape.center @ direction) + shape.box.reach(direction)
         reach = max(base.box.reach(direction), 1e-3)
-        edge = float(np.clip((own - end) / (0.5 * reach), -1.5, 0.3))
-        score = 1.8 * (1 - covers[k]) + 0.9 * covers[(k + 3) % 6] + 1.0 * edge
-        score += 0.8 * certainty * float(direction @ front)
-        score += 0.3 * float(direction @ unit(shape.center - base.center))
+        edge = float(np.clip((own - end) / (0.5 * reach), *EDGE))
+        score = OPEN * (1 - covers[k]) + BACKED * covers[(k + 3) % 6] + edge
+        score += FACING * certainty * float(direction @ front)
+        score += OUTWARD * float(direction @ unit(shape.center - base.center))
         depth = _drawer_depth(context, direction)
         reasons = ["towards the open side"][: covers[k] < 0.3]
         found.append(_slide(direction, shape.center, DRAWER_TRAVEL * depth, score, *reasons))
@@ -66,10 +77,10 @@ def _drawer_depth(context: PartContext, direction: Array) -> float:
     """Depth of the drawer; estimated from its parent if only the front was scanned or modelled."""
     own = 2 * context.shape.box.reach(direction)
     behind = 2 * context.parent_shape.box.reach(direction)
-    if context.shape.scanned and own < 0.4 * behind:
-        return 0.8 * behind
+    if context.shape.scanned and own < SHALLOW * behind:
+        return SCANNED_DEPTH * behind
     # A front without a drawer: half the parent's depth.
-    return own if own > 0.25 * behind else max(own, 0.5 * behind)
+    return own if own > FRONT_ALONE * behind else max(own, HALF_DEPTH * behind)
 
 
 def slide_along_proposals(context: PartContext) -> list[JointProposal]:
@@ -90,13 +101,13 @@ def slide_along_proposals(context: PartContext) -> list[JointProposal]:
             away = float(direction @ unit(shape.center - base.center))
             # Sliding doors and sashes move horizontally, blades along their handle.
             level = 1.0 - abs(direction[2])
-            score = 1.2 * free / wanted + 0.5 * along + 0.4 * away
+            score = FREE * free / wanted + ALONG * along + AWAY * away
             if shape.panel.normal != int(np.argmax(np.abs(axes[2]))):
-                score += 0.8 * level
-            if k == long and shape.slenderness < 0.45:
-                score += 1.5
+                score += LEVEL * level
+            if k == long and shape.slenderness < BLADE_SLENDER:
+                score += BLADE
             if {"lid", "cap", "cover", "blade"} & set(context.words):
-                score += 1.0 * along
+                score += LID * along
             found.append(
                 _slide(direction, shape.center, 0.8 * wanted, score, "within its own plane")
             )
@@ -131,15 +142,16 @@ def press_proposals(context: PartContext) -> list[JointProposal]:
     surface = unit(shape.center - _surface_center(context))
     sides = np.abs(shape.box.axes.T @ np.stack([d for d, _ in choices]).T).T @ shape.box.half
     flat = 1 - sides / max(float(sides.max()), NOTHING)
-    normal_weight = 2.0 if shape.scanned else 1.2
+    normal_weight = SURFACE[0] if shape.scanned else SURFACE[1]
     for (direction, (ahead, behind)), reach, thin in zip(choices, sides, flat, strict=True):
-        score = 1.2 * behind - 1.2 * ahead + thin * (0.5 if shape.scanned else 1.0)
+        score = IN * behind - OUT * ahead + thin * (THIN[0] if shape.scanned else THIN[1])
         if len(normals):
             score += normal_weight * float(np.mean(np.abs(normals @ direction)))
         if shape.scanned:
-            score += 1.0 * float(np.mean(np.abs(shape.normals @ direction)))
-        score += 0.5 * float(direction @ surface)
-        score += 0.15 * float(direction @ context.assembly.front) + 0.1 * max(0.0, direction[2])
+            score += SEEN * float(np.mean(np.abs(shape.normals @ direction)))
+        score += CENTRE * float(direction @ surface)
+        score += FRONT * float(direction @ context.assembly.front)
+        score += UPPER * max(0.0, direction[2])
         travel = float(np.clip(0.6 * 2 * reach, 0.002, 0.02))
         found.append(_slide(-direction, shape.center, travel, score, "into its surface"))
     return found

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from model.core.motion_lexicon import Mechanism
 from model.prediction.builder import left_out
-from model.prediction.geometric.context import UP, PartContext, unit
+from model.prediction.geometric.context import ACROSS, UP, PartContext, unit
 from model.prediction.geometric.sampled_object import CONTACT_GAP
 from model.prediction.geometric.shape import NOTHING, TINY, PartShape, blades, same_extents
 
@@ -177,8 +177,8 @@ IDLE |= {"slide_out": 0.3, "lever": 0.3, "swing": 0.2, "pivot": 0.2, "slide_alon
 """Score of a mechanism without a cue."""
 LEVEL, STANDING = 0.35, 0.3
 """Largest cosine between up and a level axis or a standing panel's normal."""
-UPRIGHT, ALONG, ACROSS = 0.8, 0.9, 0.5
-"""Cosines: an axis is upright, along another one, or across it."""
+UPRIGHT, ALONG = 0.8, 0.9
+"""Cosines: an axis is upright, or along another one."""
 
 
 def _step(value: float, ramp: tuple[float, float]) -> float:

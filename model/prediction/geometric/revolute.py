@@ -14,7 +14,14 @@ import numpy.typing as npt
 
 from model.kinematics.sweep import TOLERANCE as SWEPT
 from model.prediction.builder import left_out
-from model.prediction.geometric.context import UP, JointProposal, PartContext, unit
+from model.prediction.geometric.context import (
+    ACROSS,
+    PARALLEL,
+    UP,
+    JointProposal,
+    PartContext,
+    unit,
+)
 from model.prediction.geometric.limits import TOLERANCE, free_turn
 from model.prediction.geometric.shape import (
     NOTHING,
@@ -37,6 +44,8 @@ MIN_RANGE = 0.2
 """Collision-free range (rad) below which the pin is misplaced, so that its range is meaningless."""
 SPINDLE = 1.0
 """Score of a lever's axis across the leaf that holds it; chosen by us, not tuned."""
+OF_OBJECT, ROUGH = 0.9995, 0.11
+"""Cosine to a direction of the object; spread of radii over their mean of what is barely round."""
 SWING_UP, SWING_DOWN, QUARTER, LEVER_TURN = (-1.5, 1.5), (-0.8, 2.4), 1.57, 1.571
 ROCKS, TILT, LEAST_TILT = 0.28, 0.6, 0.15
 """Usual ranges (rad) of bails that stand and hang, levers, rockers; swept and least of heads."""
@@ -184,7 +193,7 @@ def swing_proposals(context: PartContext) -> list[JointProposal]:
     found = []
     for k in range(3):
         axis = shape.box.axes[:, k]
-        if abs(axis[2]) > 0.5:
+        if abs(axis[2]) > ACROSS:
             continue
         along = (contact - contact.mean(0)) @ axis
         reach = 2 * shape.box.reach(axis)
@@ -222,7 +231,7 @@ def lever_proposals(context: PartContext) -> list[JointProposal]:
         choices += list(zip(e, there, np.roll(there, 3), strict=True))
     for direction, ahead, behind in choices:
         through = leaf * abs(float(direction @ normal))
-        if abs(direction @ along) > 0.5 and shape.slenderness < 0.6 and through < 0.9:
+        if abs(direction @ along) > ACROSS and shape.slenderness < 0.6 and through < 0.9:
             continue
         score = 1.2 * behind - 0.8 * ahead + 0.1 * float(np.abs(direction).max() > 0.999)
         score += SPINDLE * through
@@ -245,11 +254,11 @@ def toggle_proposals(context: PartContext) -> list[JointProposal]:
     found = []
     for k in range(3):
         axis = shape.box.axes[:, k]
-        if abs(axis @ outward) > 0.5:
+        if abs(axis @ outward) > ACROSS:
             continue
         rest = [j for j in range(3) if j != k]
         across = max(
-            float(shape.box.half[j]) for j in rest if abs(shape.box.axes[:, j] @ outward) < 0.5
+            float(shape.box.half[j]) for j in rest if abs(shape.box.axes[:, j] @ outward) < ACROSS
         )
         score = across / max(float(shape.box.half.max()), NOTHING)
         score += 0.4 * (1 - abs(float(axis @ UP)))
@@ -263,11 +272,11 @@ def tilt_proposals(context: PartContext) -> list[JointProposal]:
     shape = context.shape
     found = []
     origin = context.contact_center
-    level = [k for k in range(3) if abs(shape.box.axes[2, k]) <= 0.5]
+    level = [k for k in range(3) if abs(shape.box.axes[2, k]) <= ACROSS]
     longest = max(float(shape.box.half.max()), NOTHING)
     choices = [(shape.box.axes[:, k], float(shape.box.half[k]) / longest) for k in level]
     plane = chain_plane(context.assembly, context.part)
-    if plane is not None and abs(float(plane.normal[2])) < 0.5:
+    if plane is not None and abs(float(plane.normal[2])) < ACROSS:
         # The head of a lamp turns as the members of its chain.
         choices.append((plane.normal, 1.2 + 1.5 * plane.certainty))
     for axis, score in choices:
@@ -288,7 +297,7 @@ def spin_proposals(context: PartContext) -> list[JointProposal]:
     rough = shape.scanned and shape.size < 60 * shape.noise
     found = []
     for r in shape.roundnesses:
-        if rough and np.abs(r.axis).max() < 0.9995:
+        if rough and np.abs(r.axis).max() < OF_OBJECT:
             continue  # too noisy for directions of its own
         score, origin = _spin_score(context, r, outwardness, wheel)
         reason = SYMMETRY if r.round else "through its centre, barely round"
@@ -315,7 +324,7 @@ def _spin_score(
 ) -> tuple[float, Array]:
     """Score of an axis of symmetry, and a point on it."""
     shape = context.shape
-    score = 2.5 * float(np.clip(1 - r.spread / 0.11, -0.5, 1))
+    score = 2.5 * float(np.clip(1 - r.spread / ROUGH, -0.5, 1))
     # A disc turns about its short axis, a rod about its long one.
     score += 0.4 * float(np.clip(1 - r.half / max(r.radius, TINY), -0.3, 1))
     level = 1 - abs(float(r.axis @ UP))
@@ -326,14 +335,14 @@ def _spin_score(
         out = outwardness.get(tuple((sign * r.axis).round(6)))
         if out is not None and not wheel:
             score += 0.4 * max(0.0, float(out))
-    if context.clock_hand and abs(r.axis @ shape.box.axes[:, shape.order[0]]) > 0.95:
+    if context.clock_hand and abs(r.axis @ shape.box.axes[:, shape.order[0]]) > PARALLEL:
         return score + 3.0, _hub(context, r)
     return score, r.center
 
 
 def _scan_bonus(shape: PartShape, axis: Array) -> float:
     """Bonus of the object's directions on scans, where missing sides tilt a part's own axes."""
-    return 0.9 if shape.scanned and np.abs(axis).max() > 0.9995 else 0.0
+    return 0.9 if shape.scanned and np.abs(axis).max() > OF_OBJECT else 0.0
 
 
 def _hub(context: PartContext, r: Roundness) -> Array:
@@ -401,7 +410,7 @@ def screw_proposals(context: PartContext) -> list[JointProposal]:
     along = unit(shape.center - context.parent_shape.center)
     for r in shape.roundnesses:
         axis = r.axis * (1.0 if r.axis @ along >= 0 else -1.0)
-        score = 2.0 * float(np.clip(1 - r.spread / 0.11, -0.5, 1)) + float(axis @ along)
+        score = 2.0 * float(np.clip(1 - r.spread / ROUGH, -0.5, 1)) + float(axis @ along)
         score += 0.4 * abs(float(axis @ UP)) + _scan_bonus(shape, axis)
         travel = (0.0, float(np.clip(0.6 * 2 * r.half, 0.02, 0.08)))
         if best is None or score > best.score:

@@ -27,7 +27,13 @@ from model.core.motion_lexicon import (
 from model.core.names import mechanism_of, mechanisms_of
 from model.core.tree import KinematicTree, moving_chain
 from model.prediction.builder import left_out
-from model.prediction.geometric.context import Assembly, JointProposal, PartContext, joints_of
+from model.prediction.geometric.context import (
+    PARALLEL,
+    Assembly,
+    JointProposal,
+    PartContext,
+    joints_of,
+)
 from model.prediction.geometric.edge_hinges import edge_proposals
 from model.prediction.geometric.limits import from_zero
 from model.prediction.geometric.mechanisms import face_front, propose
@@ -155,8 +161,6 @@ ROCKER = 0.6
 """Size over the object's above which a part is no rocker, but a front."""
 NAMED_TYPE = 1.0
 """Score of the mechanism that the part's name would imply for the other joint type."""
-ALONG = 0.95
-"""Cosine above which two directions count as the same."""
 FREE, HELD = 0.3, 0.5
 """Largest coverage of a drawer in front, and smallest behind and on both sides."""
 DEEP = 0.5
@@ -226,7 +230,7 @@ def _drawer_hinge(context: PartContext, out: Array) -> JointProposal | None:
     """
     box = context.shape.box
     deep = int(np.argmax(np.abs(out @ box.axes)))
-    if abs(float(out @ box.axes[:, deep])) < ALONG or abs(float(out[2])) > 1 - ALONG:
+    if abs(float(out @ box.axes[:, deep])) < PARALLEL or abs(float(out[2])) > 1 - PARALLEL:
         return None
     if _mechanism(context, "prismatic") != "slide_out":
         return None
@@ -244,7 +248,7 @@ def _drawer_hinge(context: PartContext, out: Array) -> JointProposal | None:
     fitting = [
         p
         for p in edge_proposals(context, "drop" if flap else "hinge", front=out)
-        if abs(float(p.axis @ box.axes[:, edge])) > ALONG
+        if abs(float(p.axis @ box.axes[:, edge])) > PARALLEL
         and (not flap or p.origin[2] < box.center[2])
     ]
     return max(fitting, key=lambda p: p.score)
