@@ -65,7 +65,7 @@ docs: $(VENV)/.docs
 pictures: $(VENV)/.test
 	@.ci/need 'command -v chromium || command -v chromium-browser || command -v google-chrome' chromium
 	$(BIN)/python -m tests.browser.pictures $(ARGS)
-	$(BIN)/python -m model.data.procedural.gallery --out docs/gallery
+	$(BIN)/python -m tests.gallery
 
 clean:
 	rm -rf $(VENV) build dist *.egg-info .pytest_cache .ruff_cache .import_linter_cache .hypothesis .cache

@@ -19,8 +19,7 @@ from sessions.document import (
     SavedRecord,
     acceptance_problems,
 )
-from sessions.joint_commands import *  # noqa: F403
-from sessions.part_commands import *  # noqa: F403
+from sessions.part_commands import *  # noqa: F403  # noqa: F403
 from sessions.review import REJECT_REASONS, RejectReason, ReviewState
 from sessions.scene_commands import *  # noqa: F403
 from sessions.state import Command, Context, JobResult, Redo, Undo

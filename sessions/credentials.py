@@ -183,10 +183,9 @@ class Credentials:
 
     def tokens(self, account: Account | None = None) -> list[Token]:
         """Return the tokens of an account, or of all."""
-        wanted = select(
-            tokens.c.id, accounts.c.name, tokens.c.label, tokens.c.scopes, tokens.c.created,
-            tokens.c.expires,
-        ).join(accounts, tokens.c.account_id == accounts.c.id).order_by(tokens.c.id)  # fmt: skip
+        shown = (tokens.c.id, accounts.c.name, tokens.c.label, tokens.c.scopes, tokens.c.created)
+        wanted = select(*shown, tokens.c.expires).order_by(tokens.c.id)
+        wanted = wanted.join(accounts, tokens.c.account_id == accounts.c.id)
         if account is not None:
             wanted = wanted.where(tokens.c.account_id == account.id)
         with self._database.reading() as connection:

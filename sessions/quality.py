@@ -242,11 +242,9 @@ def pairs_of(
             found = compared(folders[0], folders[1])
         except ArtiworldError as error:
             problem = str(error)
-        pairs.append(Pair(
-            one.id, other.id, one.name, one.category or "none", second.kind,
-            first.annotator or first.review.by, again.annotator or again.review.by,
-            again.review.at[:10], found, problem,
-        ))  # fmt: skip
+        known = (one.id, other.id, one.name, one.category or "none", second.kind)
+        by = (first.annotator or first.review.by, again.annotator or again.review.by)
+        pairs.append(Pair(*known, *by, again.review.at[:10], found, problem))
     return sorted(pairs, key=lambda p: (-_size(p), p.object)), waiting
 
 

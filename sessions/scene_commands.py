@@ -83,10 +83,8 @@ class DecideObjects(Command, kind="decide_objects", action="adjust"):
     def edit(self, document: Document, context: Context) -> Document:
         if context.role == "annotator":
             raise CommandError("only a reviewer may accept and reject objects")
-        record = DecisionRecord(
-            self.decision, self.objects, self.above, self.reason, context.who, context.at,
-            self.looked,
-        )  # fmt: skip
+        what = (self.decision, self.objects, self.above, self.reason)
+        record = DecisionRecord(*what, context.who, context.at, self.looked)
         return replace(document, decided=(*document.decided, record))
 
 

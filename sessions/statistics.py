@@ -53,17 +53,15 @@ other callbacks and for the disk."""
 
 STEPS: Final = ("Prepare", "Annotate", "Joints", "Review")
 _STEP_OF: Final[Mapping[str, str]] = {
-    **dict.fromkeys(("prepare", "leave_out", "crop_out", "set_frame", "placed"), "Prepare"),
-    **dict.fromkeys(
-        ("record_prediction", "set_joint", "set_composite", "set_root", "reset_joint",
-         "lock_joint"), "Joints",
-    ),
-    **dict.fromkeys(
-        ("set_completion", "submit", "accept", "reject", "reopen", "saved", "decide_objects",
-         "add_comment", "resolve_comment"),
-        "Review",
-    ),
-}  # fmt: skip
+    kind: step
+    for step, kinds in (
+        ("Prepare", "prepare leave_out crop_out set_frame placed"),
+        ("Joints", "record_prediction set_joint set_composite set_root reset_joint lock_joint"),
+        ("Review", "set_completion submit accept reject reopen saved decide_objects"),
+        ("Review", "add_comment resolve_comment"),
+    )
+    for kind in kinds.split()
+}
 """Command → step; the others belong to Annotate, undo and redo to the step before them."""
 _CORRECTIONS = frozenset({"undo", "remove_prompt", "clear_prompts", "delete_part", "reset_joint"})
 _JOINT_EDITS = frozenset({"set_joint", "set_composite", "set_root"})
@@ -182,10 +180,9 @@ def acts_of(log: WorkLog) -> list[Act]:
             if asked < command.at and command.kind != "accept":
                 answers[command.who].append((command.at, command.object))
             changed = command.kind in _CORRECTIONS or (predicted and command.kind in _JOINT_EDITS)
-            acts[command.who].append(Act(
-                command.object, command.who, asked, command.kind, step, correction=changed,
-                accepted=holding.get(command.object) == command.seq, bulk=jobs.in_bulk(command),
-            ))  # fmt: skip
+            act = Act(command.object, command.who, asked, command.kind, step, correction=changed)
+            kept, bulk = holding.get(command.object) == command.seq, jobs.in_bulk(command)
+            acts[command.who].append(replace(act, accepted=kept, bulk=bulk))
         predicted |= command.predictor != ""
     found = [a for who in acts for a in _timed(acts[who], answers[who], jobs)]
     return sorted(found, key=lambda act: (act.at, act.object))

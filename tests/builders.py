@@ -67,6 +67,19 @@ def boxes(*spans: tuple[Any, Any]) -> Mesh:
     return joined(*(box(low, high) for low, high in spans))
 
 
+def placed(name: str, asset: str, at: Sequence[float], scale: float = 1, **more: Any) -> dict:
+    """An object of a MesaTask layout."""
+    bare = {"instance": name, "retrieved_uid": asset, "position": [*at], "rotation": [0, 0, 0, 1]}
+    return {**bare, "scale_factor": [scale] * 3, **more}
+
+
+def native_entry(id: str, x: float = 0.0, **more: Any) -> dict[str, Any]:
+    """An object of our own scenes, whose asset has its name."""
+    bare = {"id": id, "description": "cabinet", "asset": id, "position": [x, 0.5, 0.4]}
+    still = {"quaternion_wxyz": [1, 0, 0, 0], "scale": [1, 1, 1], "anchor": "center"}
+    return {**bare, **still, **more}
+
+
 def part(link: str, *pieces: trimesh.Trimesh, name: str | None = None) -> Part:
     """A part of several bodies."""
     return Part(link, joined(*pieces), name=name)

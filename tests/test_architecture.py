@@ -20,29 +20,17 @@ LAYERS = (
     ("app", "sessions", "model"),
     ("app.cli", "app.viewer", "app.server"),
     (
-        "model.scenes",
-        "model.training",
-        "model.evaluation",
-        "model.data",
-        "model.validation",
-        "model.prediction",
-        "model.segmentation",
-        "model.io",
-        "model.physics",
-        "model.kinematics",
-        "model.geometry",
-        "model.core",
+        *"model.scenes model.training model.evaluation model.data model.validation".split(),
+        *"model.prediction model.segmentation model.io model.physics".split(),
+        *"model.kinematics model.geometry model.core".split(),
     ),
 )
 """Each imports only those after it in its row, whatever kind of import it is."""
 
 HEAVY = {
     "torch": (
-        "model.prediction.arti4urdf",
-        "model.training",
-        "model.segmentation.adapters",
-        "model.core.checkpoints",
-        "app.cli",
+        *"model.prediction.arti4urdf model.training model.segmentation.adapters".split(),
+        *"model.core.checkpoints app.cli".split(),
     ),
     "viser": ("app.viewer", "app.server", "app.cli"),
     "sqlalchemy": ("sessions", "app.cli"),
@@ -53,19 +41,13 @@ MOST_HIDDEN = 30
 """Imports of ours inside functions outside the command line; a comment gives each a reason."""
 
 PRIVATE_WORDS = {
-    "told", "crumb", "crumbs", "speck", "specks", "stray", "strays", "relief", "spoken", "mend",
-    "mends", "mended", "mending", "wish", "wishes", "workbench", "desk", "watched", "closeup",
-    "fittings", "plates", "retype", "retyping", "retyped", "tints", "unsure", "judging", "judged",
-    "gate", "looking", "beliefs", "stalled",
-}  # fmt: skip
+    *"told crumb crumbs speck specks stray strays relief spoken mend mends mended mending".split(),
+    *"wish wishes workbench desk watched closeup fittings plates retype retyping retyped".split(),
+    *"tints unsure judging judged gate looking beliefs stalled".split(),
+}
 """Words that may not be part of an identifier; the glossary has the field's word for each."""
 
-WORD_EXCEPTIONS: set[str] = {
-    "gate",  # the option --gate of artiworld check
-    "gate_proj",  # Qwen3's own parameter name
-    "WORD_EXCEPTIONS",
-    "PRIVATE_WORDS",
-}
+WORD_EXCEPTIONS: set[str] = {*"gate gate_proj WORD_EXCEPTIONS PRIVATE_WORDS".split()}
 """Identifiers that hold one of these words in its plain meaning."""
 
 
@@ -129,8 +111,8 @@ def test_no_circle_among_files() -> None:
         for name, _, _ in found
         if name in sources()
     )
-    circles = [nx.find_cycle(graph.subgraph(c)) for c in nx.strongly_connected_components(graph)
-               if len(c) > 1]  # fmt: skip
+    knots = [c for c in nx.strongly_connected_components(graph) if len(c) > 1]
+    circles = [nx.find_cycle(graph.subgraph(knot)) for knot in knots]
     shown = ["\n  imports ".join([c[0][0], *(b for _, b in c)]) for c in circles]
     assert not circles, "circles of imports:\n" + "\n".join(shown)
 

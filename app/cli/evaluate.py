@@ -25,9 +25,9 @@ from model.core.tables import escaped, table
 from model.data.folders import export_parts
 from model.data.registry import DatasetOptions, open_dataset
 from model.evaluation.compare import compare, print_comparison, print_reports
-from model.evaluation.html_report import write_html
 from model.evaluation.predictions import Frame
 from model.evaluation.report import read_report, write_markdown
+from model.evaluation.rivals import write_html
 from model.evaluation.run import TRUTH, Corruption, EvaluationConfig, chosen_ids, require_predictor
 from model.evaluation.run import evaluate as evaluate_method
 from model.io.model_files import safe_link

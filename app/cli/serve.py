@@ -152,15 +152,7 @@ def make_config(options: ServeCommand) -> ServeConfig:
         if scene is not None or len(options.paths) != 1 or len(find_assets(options.paths)) != 1:
             raise ConfigurationError("--masks are of one object: give its file or folder as PATH")
         read_masks(options.masks)  # tells now what is wrong with them
-    same = (
-        "workspace",
-        "database",
-        "storage",
-        "host",
-        "max_upload_mb",
-        "finder",
-        "finder_url",
-    )
+    same = tuple("workspace database storage host max_upload_mb finder finder_url".split())
     settings: dict[str, Any] = {name: getattr(options, name) for name in same}
     if options.user is not None:
         settings["user"] = options.user

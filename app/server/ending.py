@@ -192,11 +192,10 @@ def _without_login(text: str) -> str:
 log = logging.getLogger(__name__)
 LOCK = ".lock"
 _UNFINISHED = (
-    "arrays/*/.*", "drafts/.*", "uploads/.*", "uploads/*/.*", "cache/.*", "cache/*/.*",
-    "collision/.*", "scenes/.*", "scenes/report-*/.*", "scenes/saved-*/.*", "crops/*/.*",
-    "assets/.*", "thumbnails/.*", "thumbnails/*.part", "exports/.*", "learned/.*", "releases/.*",
-    "storage/.*",
-)  # fmt: skip
+    *"arrays/*/.* drafts/.* uploads/.* uploads/*/.* cache/.* cache/*/.* collision/.*".split(),
+    *"scenes/.* scenes/report-*/.* scenes/saved-*/.* crops/*/.* assets/.* thumbnails/.*".split(),
+    *"thumbnails/*.part exports/.* learned/.* releases/.* storage/.*".split(),
+)
 """Names of unfinished drafts of :func:`~model.core.files.draft_of`, a dot before the name, and of
 the thumbnails of former versions."""
 

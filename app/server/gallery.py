@@ -101,15 +101,7 @@ MOST_WAITING = 60
 DRAW_SECONDS = 120.0
 """Longest drawing of one."""
 _STATES = ("rejected", "in_progress", "todo", "predicted", "submitted", "accepted")
-SORTS: Final[tuple[str, ...]] = (
-    "order",
-    "name",
-    "category",
-    "state",
-    "who",
-    "confidence",
-    "recent",
-)
+SORTS: Final[tuple[str, ...]] = tuple("order name category state who confidence recent".split())
 
 
 class Gallery:

@@ -18,10 +18,8 @@ import viser
 from viser import _messages, infra
 from websockets.http11 import Response
 
-_SCRIPTS = (
-    "upload.js", "focus.js", "panels.js", "markup.js", "queue.js", "view.js", "tree.js",
-    "pointer.js", "light.js", "account.js",
-)  # fmt: skip
+_NAMES = "upload focus panels markup queue view tree pointer light account"
+_SCRIPTS = tuple(f"{name}.js" for name in _NAMES.split())
 _STYLES = ("style.css", "controls.css", "project.css")
 
 

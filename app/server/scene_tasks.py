@@ -49,6 +49,7 @@ from model.scenes.jobs import FAILED
 from model.scenes.registry import read_scene
 from model.scenes.scene import Decision, SceneObject, SceneProblem
 from model.scenes.unpacking import unpack
+from model.scenes.values import BOX_CORNERS, BOX_FACES
 from model.segmentation.prompts import BASE, Click
 from sessions.checks import NAME_LIMIT, clipped
 
@@ -354,10 +355,9 @@ class Shape:
 
 BOX = Shape(
     np.array([[-0.5] * 3, [0.5] * 3]),
-    np.array([[i >> k & 1 for k in range(3)] for i in range(8)], np.float32) - 0.5,
-    np.array([[0, 2, 1], [1, 2, 3], [4, 5, 6], [5, 7, 6], [0, 1, 4], [1, 5, 4],
-              [2, 6, 3], [3, 6, 7], [0, 4, 2], [2, 4, 6], [1, 3, 5], [3, 7, 5]], np.uint32),
-)  # fmt: skip
+    BOX_CORNERS.astype(np.float32) - 0.5,
+    BOX_FACES.astype(np.uint32),
+)
 """A cube of 1 m; vertex i is at the upper end of axis k where bit k of i is set."""
 
 

@@ -35,11 +35,13 @@ MAX_RATIO = 200
 _RATIO_FROM = 50_000_000
 """Unpacked bytes up to which any ratio is allowed."""
 _BLOCK = 1 << 20
-DAMAGED = (zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error, NotImplementedError,
-           RuntimeError, EOFError, ValueError, OverflowError, MemoryError)  # fmt: skip
+DAMAGED = (zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error, RuntimeError, EOFError)
+DAMAGED += (ValueError, OverflowError, MemoryError)
 """Exceptions of zipfile where a zip is damaged."""
-_BESIDE = (".mtl", ".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".bin", ".urdf",
-           ".mjcf", ".msh", ".json", ".txt", ".csv", ".xml", ".md")  # fmt: skip
+_BESIDE = (
+    *".mtl .png .jpg .jpeg .bmp .tif .tiff .webp .bin .urdf .mjcf .msh .json .txt .csv".split(),
+    *".xml .md".split(),
+)
 _WANTED = frozenset((*SUFFIXES, *_BESIDE))
 _Files = list[tuple[PurePosixPath, zipfile.ZipInfo]]
 

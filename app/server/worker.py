@@ -223,10 +223,8 @@ def work(descriptor: int, parent: int, name: str) -> None:
 
 
 MODULES = (
-    "app.server.display_tasks",
-    "app.server.part_tasks",
-    "app.server.prepare_tasks",
-    "app.server.segmenting_tasks",
+    *"app.server.display_tasks app.server.part_tasks app.server.prepare_tasks".split(),
+    *"app.server.segmenting_tasks".split(),
 )
 """Imports of the workers' first jobs: two seconds of a processor, mostly trimesh and scipy."""
 _NUMBER = struct.Struct("<i")

@@ -16,12 +16,11 @@ from app.viewer.input.queries import Point, PointerQueries
 from app.viewer.input.views import Views
 from app.viewer.navigation import Memory, Navigation
 from app.viewer.panels.comments import Comments, History
-from app.viewer.panels.exporting import Exporting
 from app.viewer.panels.queue_panel import QueuePanel
+from app.viewer.panels.reviewing import Exporting
 from app.viewer.panels.step_bar import ObjectHeader, RailActions, StepBar, ToolRail, Tour
 from app.viewer.panels.widgets import Presses, put
-from app.viewer.picture.drawing import ObjectDrawing
-from app.viewer.picture.light import PLAIN, LightSwitch, Theme
+from app.viewer.picture.drawing import PLAIN, LightSwitch, ObjectDrawing, Theme
 from app.viewer.picture.motion import Motion
 from app.viewer.picture.object_picture import ObjectPicture
 from app.viewer.steps.annotate import AnnotateStep
@@ -289,7 +288,6 @@ class ClientApp:
 
     def _draw(self) -> None:
         """Send what changed since the last time."""
-        self.tab.end_notes()
         self.commands.rejecting.end_elsewhere()
         self.drawing.leave()  # before a panel shows the next object
         self._draw_panels()

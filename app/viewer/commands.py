@@ -72,7 +72,7 @@ class Commands:
         """The scene while none of its objects is worked on, else None."""
         return self._scene if self._tab.selection.object is None else None
 
-    def by_step(
+    def _by_step(
         self, preparing: Callable[[], None], otherwise: Callable[[], None]
     ) -> Callable[[], None]:
         """An action for the prepare step, and another one for all others."""
@@ -84,7 +84,7 @@ class Commands:
 
         return act
 
-    def in_joints(
+    def _in_joints(
         self, there: Callable[[], None], otherwise: Callable[[], None]
     ) -> Callable[[], None]:
         """An action for the joints step, and another one for all others."""
@@ -248,7 +248,7 @@ def bindings(
 ) -> Iterator[Binding]:
     """The commands of the palette (Ctrl+K) with their keys, in the palette's order."""
     prepare, annotate, joints, _ = steps
-    by_step = commands.by_step
+    by_step = commands._by_step
     pointing, motion, picture, sheet, tools, views = view
     for part in range(10):
         yield Binding(words.select_part(part), str(part), _with(commands.number, part))
@@ -275,7 +275,7 @@ def bindings(
                 key = TOOL_KEYS.get(tool)
                 use = _with(tools.use, label)
                 if tool == "merge":
-                    use = commands.in_joints(joints.editor.next_likely, use)
+                    use = commands._in_joints(joints.editor.next_likely, use)
                     use = by_step(prepare.measure, use)
                 yield Binding(words.tool(label), key, use)
     yield Binding(words.CUT, "K", pointing.next_cut)

@@ -321,7 +321,13 @@ class Tab:
 
     def start(self, draw: Callable[[], None]) -> None:
         """Begin to carry out actions and to draw."""
-        self._threads.start(draw)
+
+        def drawn() -> None:
+            # Hints and refusals end that are about another object, or an earlier review.
+            self._notes.end_others(self._reason)
+            draw()
+
+        self._threads.start(drawn)
 
     def close(self) -> bool:
         """End both; False where the tab is closed already."""
@@ -372,10 +378,6 @@ class Tab:
         doesn't end a hint: people click on before they have read it."""
         obj = self.selection.object
         return obj and (obj.record.id, obj.document.review.state)
-
-    def end_notes(self) -> None:
-        """End the hints and refusals that are about another object, or an earlier review."""
-        self._notes.end_others(self._reason)
 
     def say(self, text: str) -> None:
         """Show a line below the picture for a moment."""

@@ -342,14 +342,8 @@ SYNONYMS = {
 }
 
 OTHER_CATEGORIES = (
-    "camera",
-    "cart",
-    "laptop",
-    "printer",
-    "refrigerator",
-    "remote",
-    "storagefurniture",
-    "washingmachine",
+    *"camera cart laptop printer refrigerator remote storagefurniture".split(),
+    *"washingmachine".split(),
 )
 
 CATEGORY_ALIASES = {

@@ -52,12 +52,8 @@ class Agreement:
 
 
 FIGURES = (
-    "part_iou",
-    "type_agreement",
-    "axis_angle",
-    "origin_distance",
-    "range_iou",
-    "disagreement",
+    *"part_iou type_agreement axis_angle origin_distance range_iou".split(),
+    *"disagreement".split(),
 )
 
 

@@ -172,16 +172,16 @@ class _Run:
     def __init__(
         self, bench: GripperBench, affordance: Affordance, watch: Callable[[Any], None] | None
     ) -> None:
-        self.bench, self.model, self.data = bench, bench.model, bench.data
+        self._bench, self.model, self.data = bench, bench.model, bench.data
         self.mujoco = bench._mujoco
-        self.affordance, self.watch = affordance, watch
+        self._affordance, self.watch = affordance, watch
         self.joint = self.model.joint(affordance.joint)
         self.body = int(self.model.jnt_bodyid[self.joint.id])
         self.end = bench.end(affordance.joint)
         hinge = int(self.mujoco.mjtJoint.mjJNT_HINGE)
         self.turns = int(self.model.jnt_type[self.joint.id]) == hinge
         self.deepest, self.time = 0.0, 0.0
-        self.pinch = affordance.kind in ("grasp", "turn")
+        self._pinch = affordance.kind in ("grasp", "turn")
         self.parts = {self.body, *(b for b in range(self.model.nbody) if self._below(b))}
         self.start = 0.0
 
@@ -195,14 +195,14 @@ class _Run:
     def go(self) -> Try:
         mujoco, model, data = self.mujoco, self.model, self.data
         mujoco.mj_resetData(model, data)
-        link_from_tool = tool_pose(self.affordance, OFF)
+        link_from_tool = tool_pose(self._affordance, OFF)
         away = np.eye(4)
         away[2, 3] = -AWAY
         mujoco.mj_forward(model, data)
         self._place(self._link(0.0) @ link_from_tool @ away)
-        wide = min(self.affordance.width + 2 * SPARE, OPENING) if self.pinch else 0.0
+        wide = min(self._affordance.width + 2 * SPARE, OPENING) if self._pinch else 0.0
         self._aim_fingers(wide / 2)
-        for finger in self.bench._fingers:
+        for finger in self._bench._fingers:
             data.qpos[finger.qposadr[0]] = wide / 2  # the robot's own
         for t in self._times(COME):
             away[2, 3] = -AWAY * (1 - t)
@@ -211,8 +211,8 @@ class _Run:
         tool = self._link(self._q) @ link_from_tool
         if np.linalg.norm(self._tips - tool[:3, 3]) > 0.012:
             return self._result("blocked")
-        if self.pinch:
-            shut = max(self.affordance.width / 2 - SQUEEZE, 0.0)
+        if self._pinch:
+            shut = max(self._affordance.width / 2 - SQUEEZE, 0.0)
             for t in self._times(CLOSE):
                 self._aim_fingers(wide / 2 + (shut - wide / 2) * t)
                 if not self._step(tool):
@@ -229,17 +229,17 @@ class _Run:
             aim = float(np.clip(began + ahead, self._q - lead, self._q + lead))
             if not self._step(self._link(aim) @ link_from_tool):
                 return self._result("unstable")
-            if self.bench.opened(self.affordance.joint) >= REACHED:
+            if self._bench.opened(self._affordance.joint) >= REACHED:
                 return self._result("penetration" if self.deepest > DEEP else "")
         if self.deepest > DEEP:
             return self._result("penetration")
         return self._result("stuck" if self._touching() else "slipped")
 
     def _result(self, why: Why) -> Try:
-        moved = self.bench.opened(self.affordance.joint)
+        moved = self._bench.opened(self._affordance.joint)
         moved = moved if math.isfinite(moved) else 0.0
         return Try(
-            self.affordance.kind, round(moved, 3), round(self.deepest, 5), round(self.time, 2), why
+            self._affordance.kind, round(moved, 3), round(self.deepest, 5), round(self.time, 2), why
         )
 
     # -- the hand
@@ -250,7 +250,7 @@ class _Run:
 
     @property
     def _tips(self) -> Array:
-        return self.data.xpos[self.bench._hand]
+        return self.data.xpos[self._bench._hand]
 
     def _lever(self, point: Array) -> float:
         axis = self.model.jnt_axis[self.joint.id]
@@ -273,7 +273,7 @@ class _Run:
         return world @ rest @ moved
 
     def _place(self, pose: Array) -> None:
-        at = self.bench._free.qposadr[0]
+        at = self._bench._free.qposadr[0]
         self.data.qpos[at : at + 7] = [*pose[:3, 3], *quaternion_wxyz(pose)]
         self.mujoco.mj_forward(self.model, self.data)
 
@@ -286,9 +286,9 @@ class _Run:
 
     def _step(self, pose: Array) -> bool:
         """One step with the hand's springs towards ``pose``; False where it became unstable."""
-        data, hand = self.data, self.bench._hand
+        data, hand = self.data, self._bench._hand
         here = _matrix(data.xmat[hand].reshape(3, 3), data.xpos[hand])
-        at = self.bench._free.dofadr[0]
+        at = self._bench._free.dofadr[0]
         turn = data.qvel[at + 3 : at + 6]  # in the body's axes
         spin = here[:3, :3] @ turn
         com = data.xipos[hand]
@@ -310,7 +310,7 @@ class _Run:
     def _contacts(self) -> npt.NDArray[np.bool_]:
         """(C,) whether a contact is between the hand and the object."""
         bodies = self.model.geom_bodyid[self.data.contact.geom]
-        robot = np.isin(bodies, list(self.bench._robot))
+        robot = np.isin(bodies, list(self._bench._robot))
         return np.asarray(robot.any(axis=1) & ~robot.all(axis=1))
 
     def _measure(self) -> None:

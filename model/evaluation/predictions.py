@@ -377,9 +377,7 @@ def longest_edge(segmented: SegmentedObject) -> Prediction:
         ]
         x, y, z = min(corners, key=lambda corner: float(np.linalg.norm(corner - middle))).tolist()
         i, j, k = np.eye(3)[along].tolist()
-        joints.append(Joint(
-            f"joint_{part.link}", "revolute", base.link, part.link, (i, j, k), (x, y, z),
-            0.0, math.pi / 2,
-        ))  # fmt: skip
+        line = ((i, j, k), (x, y, z), 0.0, math.pi / 2)
+        joints.append(Joint(f"joint_{part.link}", "revolute", base.link, part.link, *line))
     links = tuple(p.link for p in segmented.parts)
     return Prediction(KinematicTree(links, tuple(joints)))

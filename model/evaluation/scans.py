@@ -219,11 +219,9 @@ def _scored(
     lap()
     seen = [p for p in rounds.parts if p != BASE]
     right, joints, extra = joints_right(truth, part_of, seen, guess.tree, object_from_truth)
-    return ScanScore(
-        *(name, frame, *frame_errors, of_object),
-        *(rounds.iou, rounds.clicks, rounds.drops, joints, right, extra),
-        tuple(round(s, 3) for s in seconds),
-    )
+    found = (rounds.iou, rounds.clicks, rounds.drops, joints, right, extra)
+    times = tuple(round(s, 3) for s in seconds)
+    return ScanScore(name, frame, *frame_errors, of_object, *found, times)
 
 
 def _delivered(

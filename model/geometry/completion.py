@@ -325,8 +325,8 @@ def _filled(cloud: PointCloud, panel: Panel) -> PointCloud:
     front = flat[(np.abs(flat[:, 2]) < panel.thickness)]
     step = max(spacing_of(cloud.points), float((panel.high - panel.low).max()) / 300)
     seam = 4 * step + panel.thickness
-    grid = np.stack(np.meshgrid(*(np.arange(a - seam, b + seam, step) for a, b in zip(
-        panel.low, panel.high, strict=True)), indexing="ij"), axis=-1).reshape(-1, 2)  # fmt: skip
+    lines = [np.arange(panel.low[k] - seam, panel.high[k] + seam, step) for k in range(2)]
+    grid = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 2)
     away, near = KDTree(front[:, :2]).query(grid, k=min(8, len(front)))
     empty = away[:, 0] > 1.5 * step
     made = np.column_stack([grid, np.median(front[near, 2], axis=1)])[empty]

@@ -234,13 +234,13 @@ def _unit(
     return normals / length[:, None].astype(normals.dtype), warnings
 
 
-_READERS: dict[str, Callable[[Path, int], Loaded]] = {
-    ".ply": read_ply, ".obj": read_obj, ".glb": read_gltf, ".gltf": read_gltf, ".stl": read_stl,
-    ".pcd": read_pcd, ".xyz": read_text, ".xyzrgb": read_text, ".xyzn": read_text,
-    ".las": read_las, ".laz": read_las, ".e57": read_e57, ".dae": read_dae,
-    ".usd": read_usd, ".usda": read_usd, ".usdc": read_usd, ".usdz": read_usd,
-    ".pts": read_text, ".asc": read_text, ".txt": read_text, ".csv": read_text, ".npz": read_npz,
-}  # fmt: skip
+_Reader = Callable[[Path, int], Loaded]
+_READERS: dict[str, _Reader] = {".ply": read_ply, ".obj": read_obj, ".glb": read_gltf}
+_READERS |= {".gltf": read_gltf, ".stl": read_stl, ".pcd": read_pcd}
+_READERS |= dict.fromkeys((".xyz", ".xyzrgb", ".xyzn"), read_text)
+_READERS |= {".las": read_las, ".laz": read_las, ".e57": read_e57, ".dae": read_dae}
+_READERS |= dict.fromkeys((".usd", ".usda", ".usdc", ".usdz"), read_usd)
+_READERS |= {**dict.fromkeys((".pts", ".asc", ".txt", ".csv"), read_text), ".npz": read_npz}
 SUFFIXES: tuple[str, ...] = tuple(_READERS)
 """Suffixes of the meshes and clouds that can be opened."""
 

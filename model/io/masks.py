@@ -34,13 +34,15 @@ from model.io.geometry_files import FOLDER_SUFFIXES, file_digest, load_geometry,
 from model.io.model_files import find_manifest
 
 INSTANCE = (
-    "instance", "instances", "instance_label", "instance_labels", "instance_seg", "instance_id",
-    "ins_seg", "label", "labels", "part", "part_id", "part_ids", "part_label", "face_part_ids",
-    "face_ids", "face_labels", "segment", "segments",
-)  # fmt: skip
+    *"instance instances instance_label instance_labels instance_seg instance_id ins_seg".split(),
+    *"label labels part part_id part_ids part_label face_part_ids face_ids face_labels".split(),
+    *"segment segments".split(),
+)
 """Names of arrays and properties with one label an element, the first that is there counts."""
-SEMANTIC = ("semantic", "semantics", "semantic_label", "semantic_labels", "semantic_seg", "sem_seg",
-            "category", "class", "scalar_label")  # fmt: skip
+SEMANTIC = (
+    *"semantic semantics semantic_label semantic_labels semantic_seg sem_seg category".split(),
+    *"class scalar_label".split(),
+)
 """Names of those that tell the kind of an element's part, indices into :data:`NAMES`."""
 NAMES = ("names", "part_names", "class_names", "classes", "categories")
 REMEDY = (

@@ -15,7 +15,7 @@ import math
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree as ET  # only writes; reading is MuJoCo's
@@ -219,11 +219,9 @@ class _Source:
         for element in (e for section in kept if section.tag == "asset" for e in section):
             self._asset(element, folders, source)
         self._count(kept)
-        text = ET.tostring(top, encoding="unicode")
-        return MjcfSource(
-            source.name, text, source.assets, source.meshes, source.textures, mimics, said,
-            tuple(self.files), tuple(self.notes), _without_frames(top),
-        )  # fmt: skip
+        text, flat = ET.tostring(top, encoding="unicode"), _without_frames(top)
+        files, notes = tuple(self.files), tuple(self.notes)
+        return replace(source, text=text, files=files, notes=notes, flat=flat)
 
     # -- includes --------------------------------------------------------------------------------
 

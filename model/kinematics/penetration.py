@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from model.core.memory import array_digest
-from model.kinematics.surface import Surface
+from model.kinematics.surface import COARSE, Surface
 
 GRAZING = 0.34
 """Sine of the angle below which a path slides along a surface: 20°, a choice."""
@@ -262,7 +262,7 @@ class _HitFilter:
         self.sidestep = SIDESTEP * tolerance if exact else tolerance
         self.points, self.at = part.points[chosen], at
         self.part_from_target = inverse(path.target_from_part[:1])[0]
-        self.coarse = path.move(part.coarse)
+        self.coarse = path.move(part.points[:COARSE])
         step = np.linalg.norm(np.diff(at, axis=0), axis=2)
         self.travelled = np.concatenate([np.zeros((1, at.shape[1])), np.cumsum(step, axis=0)])
 

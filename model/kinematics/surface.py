@@ -107,16 +107,6 @@ class Surface:
     spacing: float
     resolution: float
 
-    @property
-    def vertices(self) -> npt.NDArray[np.float32]:
-        """(V, 3) corners of the triangles."""
-        return self.triangles.vertices
-
-    @property
-    def faces(self) -> npt.NDArray[np.uint32]:
-        """(F, 3) triangles."""
-        return self.triangles.faces
-
     @cached_property
     def bounds(self) -> FloatArray:
         """(2, 3) lowest and highest corner of samples and triangles' vertices."""
@@ -135,11 +125,6 @@ class Surface:
         return KDTree(self.points)
 
     @cached_property
-    def coarse(self) -> FloatArray:
-        """(≤ COARSE, 3) samples in random order."""
-        return self.points[:COARSE]
-
-    @cached_property
     def cache(self) -> LruCache[tuple[int, bytes], Any]:
         """Penetrations of the samples, see :mod:`model.kinematics.penetration`."""
         return LruCache(CACHED_PATHS, CACHED_ROWS)
@@ -149,7 +134,7 @@ class Surface:
         return self.triangles.scene
 
     def _element(self, face: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
-        return face if self.oriented else face % (len(self.faces) // 2)
+        return face if self.oriented else face % (len(self.triangles.faces) // 2)
 
     def cast(self, origins: FloatArray, directions: FloatArray) -> Hits:
         """Cast (R, 3) rays, whose directions need not be unit, to their first hits."""
@@ -208,7 +193,8 @@ class Surface:
             found = self._scene.list_intersections(o3d.core.Tensor.from_numpy(rays))
             winding = np.zeros(len(left))
             face, ray = found["primitive_ids"].numpy(), found["ray_ids"].numpy()
-            a, b, c = np.moveaxis(self.vertices[self.faces[face]].astype(np.float64), 1, 0)
+            corners = self.triangles.vertices[self.triangles.faces[face]]
+            a, b, c = np.moveaxis(corners.astype(np.float64), 1, 0)
             np.add.at(winding, ray, np.sign(np.cross(b - a, c - a) @ direction))
             out[left] = winding >= 1
         return out

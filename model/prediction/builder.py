@@ -12,8 +12,8 @@ import json
 import math
 import time
 from collections.abc import Callable, Iterable, Mapping
+from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
-from enum import StrEnum
 from functools import lru_cache
 from pathlib import Path
 
@@ -26,40 +26,23 @@ from model.core.files import static_assets
 from model.core.joint import Joint
 from model.core.tree import KinematicTree
 
+SWITCHES = (
+    *"network, names, front, contact with other parts, leaves of one front, chains".split(", "),
+    *"usual motions of a category, handles, barrels, ajar panels, adjacent panels".split(", "),
+    *"sliding past, drop-down doors, bails, pins at ends, swept ranges".split(", "),
+    *"shut panels start at zero, usual stops".split(", "),
+)
+"""Mechanisms of the hybrid that ``without:NAME`` leaves out, to measure what each is worth."""
+LEFT_OUT: ContextVar[str] = ContextVar("LEFT_OUT", default="")
 
-class Reason(StrEnum):
-    """Why a joint was placed where it is."""
 
-    AJAR = "panel ajar"
-    BACK = "at the back"
-    BARRELS = "at visible barrels"
-    BLADES = "axis of its equal blades"
-    BOTH_ENDS = "held at both ends"
-    BOTTOM_EDGE = "at the bottom edge"
-    CENTER = "through its centre, barely round"
-    CHAIN_PLANE = "normal to the plane of its chain"
-    CONTACT = "at the contact"
-    CROSSED_FRAMES = "where the frames cross"
-    CROSSED_PARTS = "where the parts cross"
-    HANDLE = "opposite the handle"
-    INTO_SURFACE = "into its surface"
-    MIDDLE = "about its middle"
-    MOUNT = "about its mount"
-    NO_PROPOSAL = "no other proposal fits"
-    ONE_END = "held at one end"
-    ONLY_CONTACT = "at the only edge in contact"
-    OPEN_SIDE = "towards the open side"
-    OUTER_EDGE = "at the outer edge of two panels"
-    OWN_PLANE = "within its own plane"
-    POLES = "between its two supports"
-    RAISED_BACK = "at the raised back"
-    STEM = "about its stem"
-    SUPPORT = "vertical through its support"
-    SYMMETRY = "about its symmetry axis"
-    UPRIGHT = "vertical"
+def left_out(mechanism: str) -> bool:
+    """True while a prediction does without one of :data:`SWITCHES`."""
+    return LEFT_OUT.get() == mechanism
 
 
 COLLISION_FREE = "Range: collision-free"
+CHAIN_PLANE = "normal to the plane of its chain"
 FREE_AXIS = "Axis: from the network alone"
 LOCKED = "Locked joint"
 

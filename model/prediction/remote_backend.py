@@ -16,7 +16,6 @@ import math
 import os
 import ssl
 import zipfile
-import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import closing, suppress
 from dataclasses import dataclass, replace
@@ -33,6 +32,7 @@ from model.core.geometry import Material, Mesh, PointCloud
 from model.core.joint import Joint
 from model.core.progress import Cancelled, Progress, no_progress
 from model.geometry.sampling import vertex_colors
+from model.io.formats.points import ARCHIVE_ERRORS
 from model.prediction import TOKEN_VARIABLE
 
 FORMAT = 1
@@ -194,10 +194,7 @@ def _array(archive: zipfile.ZipFile, name: str, limit: int) -> npt.NDArray[Any]:
         if version != (1, 0):
             raise ValueError(f"version {version}")
         shape, fortran, dtype = np.lib.format.read_array_header_1_0(stream)
-    except (
-        KeyError, ValueError, TypeError, OSError, EOFError, SyntaxError, RuntimeError,
-        NotImplementedError, zipfile.BadZipFile, zlib.error,
-    ) as error:  # fmt: skip
+    except ARCHIVE_ERRORS as error:
         raise RequestError(f"the array {name!r} is damaged") from error
     begin = stream.tell()
     if dtype.kind not in "fiu" or fortran or math.prod(shape) * dtype.itemsize != len(data) - begin:

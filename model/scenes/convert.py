@@ -293,10 +293,9 @@ def asset_job(o: Outcome, digest: str, settings: ConvertSettings) -> AssetJob:
     content += [settings.predictor, settings.seed] if articulate else []
     short = hashlib.sha256(json.dumps(content).encode()).hexdigest()[:12]
     stem = "".join(c if c.isalnum() and c.isascii() else "_" for c in o.path.stem)[:40]
-    return AssetJob(
-        f"{stem}-{short}", o.path, (x, y, z), fit, articulate, category, settings.predictor,  # type: ignore[arg-type]
-        settings.seed, collision, settings.seconds, settings.formats, clicked,
-    )  # fmt: skip
+    made = (settings.predictor, settings.seed, collision, settings.seconds, settings.formats)
+    name = f"{stem}-{short}"
+    return AssetJob(name, o.path, (x, y, z), fit, articulate, category, *made, clicked)  # type: ignore[arg-type]
 
 
 def _run_jobs(

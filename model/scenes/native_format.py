@@ -55,15 +55,17 @@ FORMAT = 1
 
 _KNOWN = frozenset({MARK, "name", "source", "objects", "problems"})
 _ASKED = (
-    "id", "description", "category", "room", "asset", "position", "quaternion_wxyz", "scale",
-    "anchor", "fit", "static", "obstacle", "base", "solid", "box",
-)  # fmt: skip
-_KNOWN_OF_OBJECT = frozenset({
-    *_ASKED,
-    # A conversion's outcome, and the place to write it back to.
-    "state", "reason", "articulable", "why", "kind", "expected_parts", "urdf", "decided", "held",
-    "passes", "world_from_urdf", "asset_folder", "joints", "shortened", "articulation",
-})  # fmt: skip
+    *"id description category room asset position quaternion_wxyz scale anchor fit static".split(),
+    *"obstacle base solid box".split(),
+)
+_KNOWN_OF_OBJECT = frozenset(
+    {
+        *_ASKED,
+        # A conversion's outcome, and the place to write it back to.
+        *"state reason articulable why kind expected_parts urdf decided held passes".split(),
+        *"world_from_urdf asset_folder joints shortened articulation".split(),
+    }
+)
 
 
 class OwnReader(JsonReader):

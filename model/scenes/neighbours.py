@@ -32,7 +32,7 @@ from model.physics.collision.narrow_phase import overlaps
 from model.scenes.jobs import ASSETS, MJCF
 from model.scenes.scene import FloatArray
 from model.scenes.scene_xml import Pass, Stand
-from model.scenes.values import pose, rotation_from_quaternion
+from model.scenes.values import BOX_CORNERS, BOX_FACES, pose, rotation_from_quaternion
 
 SAMPLES = 13
 """Poses from which the reach of a joint is told."""
@@ -170,7 +170,7 @@ def _near_part(
     low, high = other.world_bounds()
     if (at.min(0) > high).any() or (at.max(0) < low).any():
         return None
-    mesh = _box_mesh(other.bounds) if other.folder is None else _mesh(other.folder)
+    mesh = Mesh(_corners(other.bounds), BOX_FACES) if other.folder is None else _mesh(other.folder)
     if mesh is None:
         return None
     mesh = mesh.moved(asset_from_world @ other.world_from_asset)
@@ -186,14 +186,7 @@ def _mesh(folder: Path) -> Mesh | None:
 
 
 def _corners(bounds: FloatArray) -> FloatArray:
-    picks = np.array([[i >> k & 1 for k in range(3)] for i in range(8)])
-    return np.asarray(bounds)[picks, np.arange(3)]
-
-
-def _box_mesh(bounds: FloatArray) -> Mesh:
-    faces = [[0, 2, 1], [1, 2, 3], [4, 5, 6], [5, 7, 6], [0, 1, 4], [1, 5, 4],
-             [2, 6, 3], [3, 6, 7], [0, 4, 2], [2, 4, 6], [1, 3, 5], [3, 7, 5]]  # fmt: skip
-    return Mesh(_corners(bounds), np.array(faces, np.int32))
+    return np.asarray(bounds)[BOX_CORNERS, np.arange(3)]
 
 
 INSIDE = 1e-3

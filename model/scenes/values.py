@@ -25,6 +25,9 @@ MAX_BYTES = 256 * 2**20
 """Far beyond any honest scene description; geometry lies beside it."""
 MAX_OBJECTS = 20_000
 _SHOWN = 60
+BOX_CORNERS = np.array([[i >> k & 1 for k in range(3)] for i in range(8)])
+_FACES = "021 123 456 576 014 154 263 367 042 246 135 375"
+BOX_FACES = np.array([[int(corner) for corner in face] for face in _FACES.split()], np.int32)
 _UNWRITABLE = re.compile("[\x00-\x1f\ud800-\udfff\ufffe\uffff]")
 
 Place = tuple[str | int, ...]

@@ -26,9 +26,9 @@ from model.segmentation.solver import PartSolver, overlaps, solver_of
 
 PART_SCORER = "part_masks.npz"
 PART_FEATURE_NAMES = (
-    *MOVING_FEATURE_NAMES, "score", "score_most", "behind", "behind_least", "said", "likely",
-    "agreed", "agreed_most", "asked",
-)  # fmt: skip
+    *MOVING_FEATURE_NAMES,
+    *"score score_most behind behind_least said likely agreed agreed_most asked".split(),
+)
 """Means over a mask's voters, then :func:`_vote_features`; stored in the weights' file."""
 _VOTES = 16
 """Masks that each voter votes for."""

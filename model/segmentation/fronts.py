@@ -329,10 +329,8 @@ class Fronts:
         turned = {n: m.T for n, m in layer.maps.items()}
         rows = line_evidence(turned, layer.there.T, region.T, weight.T).transpose(1, 0, 2)
         nodes = np.pad(layer.count.astype(np.int64).cumsum(0).cumsum(1), ((1, 0), (1, 0)))
-        return Front(
-            axis, layer.across, layer.low, layer.side, outward, layer.depth, self._reach, region,
-            nodes, knobs, knob_of, length, columns, rows,
-        )  # fmt: skip
+        place = (axis, layer.across, layer.low, layer.side, outward, layer.depth, self._reach)
+        return Front(*place, region, nodes, knobs, knob_of, length, columns, rows)
 
     def _knobs(
         self, axis: int, layer: _Layer, outward: int, region: Bool

@@ -254,13 +254,11 @@ def adjacency(count: int, a: Int, b: Int, weight: Float) -> csr_matrix:
 
 
 FEATURE_NAMES = (
-    "length", "rough_angle",
-    "angle_1", "convex_1", "step_1", "angle_2", "convex_2", "step_2", "angle_3", "convex_3",
-    "step_3", "turn_2_max", "turn_2_difference", "turn_3_max", "turn_3_difference",
-    "curvature_min", "curvature_max", "curvature_wide_min", "curvature_wide_max",
-    "offset_min", "offset_difference", "rim", "rims_face", "density", "variation",
-    "dark", "color_near", "color_wide", "hue_wide", "color_edge", "has_color",
-)  # fmt: skip
+    *"length rough_angle angle_1 convex_1 step_1 angle_2 convex_2 step_2 angle_3 convex_3".split(),
+    *"step_3 turn_2_max turn_2_difference turn_3_max turn_3_difference curvature_min".split(),
+    *"curvature_max curvature_wide_min curvature_wide_max offset_min offset_difference rim".split(),
+    *"rims_face density variation dark color_near color_wide hue_wide color_edge has_color".split(),
+)
 
 _NEAR = 12
 

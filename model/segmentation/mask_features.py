@@ -84,23 +84,22 @@ def _shape(sums: Float) -> tuple[Float, Float]:
 
 
 FEATURE_NAMES = (
-    "log_size", "border", "border_soft_min", "border_weak", "border_strong", "border_color",
-    "border_turn", "border_per_size", "inside_strength", "inside_strong", "inside_weak",
-    "extent_1", "extent_2", "extent_3", "flat", "thin", "one_normal", "color_spread",
-    "click_depth", "click_depth_relative", "click_off_center", "first_depth_relative",
-    "height", "life", "life_relative",
-    "agreement", "agreement_max", "border_rank", "size_rank", "border_over_inside",
-    "positives", "negatives", "last_positive", "overlap_before", "growth", "changed_border",
-    "has_color", "bounds_filled", "closest_larger",
+    *"log_size border border_soft_min border_weak border_strong border_color border_turn".split(),
+    *"border_per_size inside_strength inside_strong inside_weak extent_1 extent_2 extent_3".split(),
+    *"flat thin one_normal color_spread click_depth click_depth_relative click_off_center".split(),
+    *"first_depth_relative height life life_relative agreement agreement_max border_rank".split(),
+    *"size_rank border_over_inside positives negatives last_positive overlap_before growth".split(),
+    *"changed_border has_color bounds_filled closest_larger".split(),
     *(f"from_{s}" for s in SOURCES),
-    "change_size", "change_depth", "change_depth_relative", "change_depth_rank",
-    "change_of_mask", "change_border", "change_border_weak", "change_normal", "repeats",
-)  # fmt: skip
+    *"change_size change_depth change_depth_relative change_depth_rank change_of_mask".split(),
+    *"change_border change_border_weak change_normal repeats".split(),
+)
 """Stored in the files of weights, so these names stay as they are."""
 _RELATIVE = (
-    "height", "life", "life_relative", "agreement", "agreement_max", "border_rank", "size_rank",
-    "closest_larger", "change_depth_rank", *(f"from_{s}" for s in SOURCES),
-)  # fmt: skip
+    *"height life life_relative agreement agreement_max border_rank size_rank".split(),
+    *"closest_larger change_depth_rank".split(),
+    *(f"from_{s}" for s in SOURCES),
+)
 """Features that depend on a mask's source or on the other masks."""
 
 _gram = get_blas_funcs(("syrk",), dtype=np.float32)[0]
@@ -444,15 +443,8 @@ def _moments(superpoints: Superpoints, x: Float) -> Float:
 
 
 ROOM_FEATURES = (
-    "on_border",
-    "long_side",
-    "short_side",
-    "height_metres",
-    "bottom",
-    "top",
-    "box_filled",
-    "box_growth",
-    "click_outside",
+    *"on_border long_side short_side height_metres bottom top box_filled".split(),
+    *"box_growth click_outside".split(),
 )
 ROOM_FEATURE_NAMES = (*FEATURE_NAMES, *ROOM_FEATURES)
 """Stored in the files of weights, so these names stay as they are."""

@@ -84,13 +84,12 @@ def _thinned(x: Float, side: float) -> Float:
 
 
 FRONT_FEATURES = (
-    "front", "front_share", "front_filled", "side_1", "side_2", "side_3", "side_4",
+    *"front front_share front_filled side_1 side_2 side_3 side_4".split(),
     *(f"sides_{name}" for name in CHANNELS),
-    "within_upright", "within_level", "sides_of_front", "front_area", "front_wide", "front_high",
-    "even_wide", "even_high", "front_support", "front_support_behind_best", "knobs",
-    "knobs_of_front", "front_full", "framed_by", "frame_of", "repeat_1", "repeat_2",
-    "split_upright", "split_level",
-)  # fmt: skip
+    *"within_upright within_level sides_of_front front_area front_wide front_high".split(),
+    *"even_wide even_high front_support front_support_behind_best knobs knobs_of_front".split(),
+    *"front_full framed_by frame_of repeat_1 repeat_2 split_upright split_level".split(),
+)
 
 
 _REACH = 2
@@ -228,22 +227,14 @@ def _bounds(held: Float32, at: Float, half: float, most: int) -> Int64:
 
 
 BOX_FEATURES = (
-    "from_box", "box_filled", "box_volume", "box_short", "box_middle", "box_long", "box_bottom",
-    "box_top", "box_reaches", "box_growth", "click_outside_box", "squareness",
-    "round_positives", "round_positives_worst", "round_negatives", "round_negatives_worst",
-    "first_deepest", "near_negatives", "between_positives",
-)  # fmt: skip
+    *"from_box box_filled box_volume box_short box_middle box_long box_bottom box_top".split(),
+    *"box_reaches box_growth click_outside_box squareness round_positives".split(),
+    *"round_positives_worst round_negatives round_negatives_worst first_deepest".split(),
+    *"near_negatives between_positives".split(),
+)
 HISTORY_FEATURES = (
-    "change_deepest",
-    "change_other",
-    "past_deepest",
-    "past_deepest_worst",
-    "past_other",
-    "past_other_worst",
-    "last_changed",
-    "change_of_last",
-    "past_depth",
-    "past_depth_worst",
+    *"change_deepest change_other past_deepest past_deepest_worst past_other".split(),
+    *"past_other_worst last_changed change_of_last past_depth past_depth_worst".split(),
 )
 """Fit of a mask to this click and earlier ones as corrections of the masks then."""
 OBJECT_FEATURE_NAMES = (*FEATURE_NAMES, *BOX_FEATURES, *HISTORY_FEATURES)

@@ -69,11 +69,6 @@ class PartState:
         """True if any superpoint belongs to the part."""
         return self.mask is not None and bool(self.mask.any())
 
-    @property
-    def informative_clicks(self) -> int:
-        """Clicks that changed the mask."""
-        return len(self.positive) + len(self.negative) - sum(self.confirmed)
-
     def with_click(self, superpoint: int, positive: bool) -> PartState:
         """The state with one more click; a superpoint counts where it was clicked last."""
         yes = tuple(s for s in self.positive if s != superpoint)
@@ -132,10 +127,7 @@ class PartState:
         return least, most
 
 
-SOURCES = (
-    "contact", "absorb", "patch", "sweep",
-    "grow", "replace", "union", "cut", "walk", "mend", "keep",
-)  # fmt: skip
+SOURCES = tuple("contact absorb patch sweep grow replace union cut walk mend keep".split())
 """Sources of masks; the weights' feature names contain these words, so they stay as they are.
 
 contact, absorb, patch: one region of that merge tree; sweep: a level set of a random walk with

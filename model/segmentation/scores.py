@@ -232,7 +232,8 @@ class Penalties:
         sides = np.stack([size, size * before.mask], axis=1)
         now, kept = (masks.astype(np.float64) @ sides).T
         changed = now + own - 2 * kept
-        clicks = max(before.informative_clicks, 1) + _DRAWN_CLICKS * before.drawn
+        informative = len(before.positive) + len(before.negative) - sum(before.confirmed)
+        clicks = max(informative, 1) + _DRAWN_CLICKS * before.drawn
         early = np.exp(-(clicks - 1) / 2)
         idle = changed <= min(_IDLE_SUPERPOINTS * size.mean(), _IDLE_SHARE * own)
         out = _IDLE * early * idle

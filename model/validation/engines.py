@@ -134,8 +134,8 @@ class EngineInfo:
 
 
 ENGINES = {
-    MUJOCO: EngineInfo("MuJoCo", "mujoco", "physics", "model.validation.mujoco_engine:Mujoco"),
-    SAPIEN: EngineInfo("SAPIEN", "sapien", "sapien", "model.validation.sapien_engine:Sapien"),
+    MUJOCO: EngineInfo("MuJoCo", "mujoco", "physics", "model.validation.simulators:Mujoco"),
+    SAPIEN: EngineInfo("SAPIEN", "sapien", "sapien", "model.validation.simulators:Sapien"),
 }
 
 

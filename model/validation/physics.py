@@ -26,8 +26,8 @@ from model.physics.simulation_values import Physics, rough_physics
 from model.validation import messages
 from model.validation.engines import ENGINES, MUJOCO, STEP, Drive, Engine, Load, load_of
 from model.validation.messages import value
-from model.validation.mujoco_engine import mjcf_text
 from model.validation.report import PhysicsReport, Stop
+from model.validation.simulators import mjcf_text
 
 OUTSIDE = 0.2
 """Share of the range beyond a limit that counts as exploded."""
@@ -241,11 +241,11 @@ class Simulation:
         cache: DriveCache,
     ) -> None:
         self.engine, self.joints = engine, list(joints)
-        self.driven = [k for k, j in enumerate(joints) if j.mimic is None]
+        self._driven = [k for k, j in enumerate(joints) if j.mimic is None]
         limits = np.array([j.motion_range for j in joints])
         self.low, self.high = limits.T
         self.span = self.high - self.low
-        self.slack = np.where([j.rotates for j in joints], 2 * SAG, SAG)
+        self._slack = np.where([j.rotates for j in joints], 2 * SAG, SAG)
         self.start = np.clip(0.0, self.low, self.high)
         self.exploded: dict[str, str] = {}
         self.drifted: dict[str, float] = {}
@@ -274,12 +274,12 @@ class Simulation:
     def all_joints(self, gravity: float, progress: Any) -> None:
         """Drive every joint once under ``gravity`` (m/s² along z)."""
         self.engine.set_gravity(gravity)
-        size = math.ceil(len(self.driven) / GROUPS)
-        groups = [self.driven[i : i + size] for i in range(0, len(self.driven), size)]
+        size = math.ceil(len(self._driven) / GROUPS)
+        groups = [self._driven[i : i + size] for i in range(0, len(self._driven), size)]
         for n, group in enumerate(groups):
             progress(n / len(groups))
             bounds = Bounds(self.low, self.high, self.most)
-            result = self._cache.load(gravity, group, bounds, self.driven)
+            result = self._cache.load(gravity, group, bounds, self._driven)
             if result is None:
                 result = self._result = DriveResult.empty(len(self.joints))
                 self._rest()
@@ -348,7 +348,7 @@ class Simulation:
         q = self.engine.q
         far = np.maximum(self.low - q, q - self.high)
         limited = np.array([j.limited for j in self.joints])
-        return limited & (far > OUTSIDE * self.span + self.slack)
+        return limited & (far > OUTSIDE * self.span + self._slack)
 
     def _burst(self, group: list[int]) -> bool:
         far = np.flatnonzero(self._outside())
@@ -382,7 +382,7 @@ class Simulation:
     def _compare(self, group: list[int], end: FloatArray) -> None:
         q = self.engine.q
         for k in group:
-            short = (abs(end[k] - q[k]) - self.slack[k]) / self.span[k]
+            short = (abs(end[k] - q[k]) - self._slack[k]) / self.span[k]
             if short > MISS:
                 self._result.missed.append((k, float(short), self._stop(k)))
         place = {j.name: i for i, j in enumerate(self.joints)}
@@ -391,7 +391,7 @@ class Simulation:
             if joint.mimic is None or leader not in group:
                 continue
             led = joint.mimic.multiplier * q[leader] + joint.mimic.offset
-            short = (abs(led - q[k]) - self.slack[k]) / self.span[k]
+            short = (abs(led - q[k]) - self._slack[k]) / self.span[k]
             if short > MISS:
                 self._result.missed.append((k, float(short), self._stop(k)))
 
@@ -408,11 +408,11 @@ class Simulation:
 
     def _drift(self, group: list[int], before: FloatArray) -> None:
         q = self.engine.q
-        self._result.moved = np.maximum(self._result.moved, np.abs(q - before) - self.slack)
+        self._result.moved = np.maximum(self._result.moved, np.abs(q - before) - self._slack)
         led = {self.joints[k].name for k in group}
         for k, joint in enumerate(self.joints):
             if joint.mimic is not None and joint.mimic.joint in led:
                 continue
-            share = (abs(q[k] - before[k]) - self.slack[k]) / self.span[k]
+            share = (abs(q[k] - before[k]) - self._slack[k]) / self.span[k]
             if share > DRIFT:
                 self._result.drifted.append((k, float(share)))

@@ -26,6 +26,10 @@ from sessions.store import Store
 from tests.builders import wait_until, zip_of_objects
 from tests.sessions.people import PASSWORD, add_people
 
+CAMERA = {"wxyz": (1.0, 0.0, 0.0, 0.0), "position": (0.0, 0.0, 1.0), "fov": 1.0, "near": 0.1}
+CAMERA |= {"far": 10.0, "image_height": 10, "image_width": 20, "look_at": (0.0, 0.0, 0.0)}
+CAMERA |= {"up_direction": (0.0, 0.0, 1.0)}
+
 
 @contextmanager
 def team_server(
@@ -107,11 +111,7 @@ class WebTab:
         )
         threading.Thread(target=self._read, daemon=True).start()
         # viser knows a client from its first camera message on.
-        self.send(
-            "ViewerCameraMessage", wxyz=(1.0, 0.0, 0.0, 0.0), position=(0.0, 0.0, 1.0), fov=1.0,
-            near=0.1, far=10.0, image_height=10, image_width=10, look_at=(0.0, 0.0, 0.0),
-            up_direction=(0.0, 0.0, 1.0),
-        )  # fmt: skip
+        self.send("ViewerCameraMessage", **CAMERA)
 
     def send(self, kind: str, **fields: Any) -> None:
         """Send one message."""
@@ -148,10 +148,8 @@ class WebTab:
 
     def _heard(self, message: dict[str, Any]) -> None:
         if message["type"] == "LocalStorageGetItemRequestMessage":
-            self.send(
-                "LocalStorageGetItemResponseMessage", value=self.memory, error=None,
-                request_uuid=message["request_uuid"],
-            )  # fmt: skip
+            told = {"value": self.memory, "error": None, "request_uuid": message["request_uuid"]}
+            self.send("LocalStorageGetItemResponseMessage", **told)
         elif "props" in message and "uuid" in message:
             props = message["props"]
             note = f"{props['title']}: {props['body']}" if "title" in props else ""

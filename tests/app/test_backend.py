@@ -61,10 +61,8 @@ def cupboard_object(name: str = "cupboard") -> SegmentedObject:
 def running(folder: Path, *words: object) -> Iterator[tuple[subprocess.Popen[str], str]]:
     """A backend with the plug-in predictor: its process and address."""
     plugin = backend_plugin.install(folder / "plugin")
-    variables = {
-        "PYTHONPATH": str(plugin), "MOODY_LOG": str(folder / "log"), TOKEN_VARIABLE: TOKEN,
-        "OMP_NUM_THREADS": "1",
-    }  # fmt: skip
+    variables = {"PYTHONPATH": str(plugin), "MOODY_LOG": str(folder / "log")}
+    variables |= {TOKEN_VARIABLE: TOKEN, "OMP_NUM_THREADS": "1"}
     process = subprocess.Popen(
         [str(PROGRAM), "backend", "--predictor", "moody", "--port", "0", *map(str, words)],
         env={**os.environ, **variables},
@@ -139,9 +137,9 @@ def test_predict_asks_the_backend_and_keeps_the_token_to_itself(url, tmp_path):
     assert done.returncode == 0, done.stderr
     said = json.loads((out / "prediction.json").read_text())
     assert said["backend"].endswith(f" at {url}")
-    everything = done.stdout + done.stderr + "".join(
-        p.read_text(errors="replace") for p in out.rglob("*") if p.is_file()
-    )  # fmt: skip
+    files = (p for p in out.rglob("*") if p.is_file())
+    everything = done.stdout + done.stderr
+    everything += "".join(p.read_text(errors="replace") for p in files)
     assert TOKEN not in everything
     wrong = ("predict", parts, "--out", tmp_path / "none", "--backend", url)
     assert_users_mistake(artiworld(*wrong, "--token", "not the token"), "refuses the token")
@@ -309,12 +307,8 @@ def test_what_is_no_backend():
 @pytest.mark.parametrize(
     "address",
     [
-        "ftp://x",
-        "http://",
-        "http://x:port",
-        "http://me:secret@x",
-        "http://x/?a=1",
-        "http://x:99999",
+        *"ftp://x http:// http://x:port http://me:secret@x http://x/?a=1".split(),
+        *"http://x:99999".split(),
     ],
 )
 def test_addresses_that_cant_be_one(address):

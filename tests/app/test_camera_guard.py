@@ -12,16 +12,12 @@ from websockets.sync.client import connect
 
 from app.server.guard import guarded_server
 from app.server.page import make_possible
+from tests.app.api_server import CAMERA
 from tests.builders import wait_until
 
 
 def camera_message(**changed) -> Any:
-    numbers = {
-        "wxyz": (1.0, 0.0, 0.0, 0.0), "position": (0.0, 0.0, 1.0), "fov": 1.0, "near": 0.1,
-        "far": 10.0, "image_height": 10, "image_width": 20, "look_at": (0.0, 0.0, 0.0),
-        "up_direction": (0.0, 0.0, 1.0),
-    }  # fmt: skip
-    return SimpleNamespace(**{**numbers, **changed})
+    return SimpleNamespace(**{**CAMERA, **changed})
 
 
 @pytest.mark.parametrize("height", [0, -5, float("nan"), float("inf"), None, "ten"])
@@ -31,16 +27,13 @@ def test_a_picture_without_height_gets_one(height) -> None:
     assert message.image_height == message.image_width == 1
 
 
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"position": (float("nan"), 0.0, 0.0)}, {"look_at": (0.0, 1e300, 0.0)}, {"fov": 0.0},
-        {"wxyz": (0.0, 0.0, 0.0, 0.0)}, {"wxyz": (1.0, 0.0)}, {"up_direction": "up"},
-        {"fov": float("nan")}, {"position": None},
-    ],
-)  # fmt: skip
-def test_a_camera_that_is_nowhere_is_passed_over(wrong) -> None:
-    assert not make_possible(camera_message(**wrong))
+WRONG = [("position", (float("nan"), 0.0, 0.0)), ("look_at", (0.0, 1e300, 0.0)), ("fov", 0.0)]
+WRONG += [("wxyz", (0.0, 0.0, 0.0, 0.0)), ("wxyz", (1.0, 0.0)), ("up_direction", "up")]
+
+
+@pytest.mark.parametrize(("field", "value"), [*WRONG, ("fov", float("nan")), ("position", None)])
+def test_a_camera_that_is_nowhere_is_passed_over(field, value) -> None:
+    assert not make_possible(camera_message(**{field: value}))
 
 
 def test_a_tab_of_height_zero_is_drawn() -> None:

@@ -21,7 +21,6 @@ from app.cli.commands import COMMANDS
 from app.cli.export import Crashed, run_all
 from app.cli.main import main, parse
 from app.cli.options import shown
-from app.cli.reference import commands
 from app.server.ending import write_crash
 from model.core.errors import KinematicsError
 from model.io.assets.reader import read_provenance
@@ -37,6 +36,7 @@ from tests.app.run_cli import (
     cupboard,
     write_prompts,
 )
+from tests.reference import commands
 
 NEAREST = ("--segmenter", "nearest")
 HEAVY = ("torch", "viser", "open3d", "scipy", "mujoco", "sqlalchemy", "trimesh", "numpy", "rich")
@@ -199,8 +199,8 @@ def test_segment_replaces_its_own_result_and_nothing_else(scan, tmp_path):
     assert (out / "link_9.obj").is_file()
     assert cut(regions(1), out).returncode == 0
     assert sorted(p.name for p in out.iterdir()) == [
-        "link_0.mtl", "link_0.obj", "link_1.mtl", "link_1.obj", "object.json",
-    ]  # fmt: skip
+        *"link_0.mtl link_0.obj link_1.mtl link_1.obj object.json".split()
+    ]
     (out / "object.json").unlink()
     for folder in (out, tmp_path / "theirs"):
         folder.mkdir(exist_ok=True)
@@ -453,8 +453,8 @@ def cupboards(asset, tmp_path) -> Path:
 
 
 def test_one_bad_asset_does_not_end_the_export_of_a_folder(cupboards, tmp_path, capfd):
-    words = ["export", str(cupboards), "--format", "urdf,mjcf", "--format", "sdf", "--check",
-             "--out", str(tmp_path / "o"), "--no-cache", "--jobs", "1", "--json"]  # fmt: skip
+    words = f"export {cupboards} --format urdf,mjcf --format sdf --check --out {tmp_path}/o"
+    words = [*words.split(), "--no-cache", "--jobs", "1", "--json"]
     assert main(words) == 2
     report = json.loads(capfd.readouterr().out)
     assert (report["written"], report["failed"]) == (1, 1)
@@ -477,8 +477,8 @@ def test_export_options_reach_the_files(asset, tmp_path, capfd):
         return sum(map(float, re.findall(r'<mass value="([^"]+)"', text)))
 
     plain = text("plain", "--material", "wood", "--density", "500")
-    heavy = text("heavy", "--material", "wood", "--density", "1000", "--no-collision",
-                 "--turning", "0.5,0.25", "--sliding", "7,8")  # fmt: skip
+    heavier = "--material wood --density 1000 --no-collision --turning 0.5,0.25 --sliding 7,8"
+    heavy = text("heavy", *heavier.split())
     assert mass(heavy) == pytest.approx(2 * mass(plain), rel=1e-6)
     assert "<collision>" in plain and "<collision>" not in heavy
     assert 'damping="0.5" friction="0.25"' in heavy or 'damping="7" friction="8"' in heavy
@@ -569,9 +569,8 @@ def test_a_joint_with_an_error_fails_the_check(cupboards, capfd):
 
 
 def test_a_worker_that_crashes_ends_nothing():
-    assert [type(a) for _, a in sorted(run_all(crash_on, ["fine", "crash", "fine"], 2))] == [
-        str, Crashed, str
-    ]  # fmt: skip
+    kinds = [type(a) for _, a in sorted(run_all(crash_on, ["fine", "crash", "fine"], 2))]
+    assert kinds == [str, Crashed, str]
 
 
 def test_export_names_mistakes(asset, tmp_path, capfd):

@@ -24,11 +24,11 @@ from app.cli.options import (
     required,
     shown,
 )
-from app.cli.reference import DOCUMENT, commands, reference
+from tests.reference import DOCUMENT, commands, reference
 
 
 def test_the_reference_is_up_to_date():
-    assert DOCUMENT.read_text(encoding="utf-8") == reference(), "run: python -m app.cli.reference"
+    assert DOCUMENT.read_text(encoding="utf-8") == reference(), "run: python -m tests.reference"
 
 
 @pytest.mark.parametrize(("name", "command"), list(commands()))

@@ -55,9 +55,8 @@ def test_the_example_of_the_readme_makes_an_oven_that_opens(
 def test_the_example_of_the_api_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (code,) = (block for block in blocks("docs/api.md", "python") if "validate(" in block)
     run(code, tmp_path, monkeypatch)
-    assert [j.type for j in load_object(tmp_path / "cabinet").tree.joints] == [
-        "revolute", "prismatic",
-    ]  # fmt: skip
+    types = [j.type for j in load_object(tmp_path / "cabinet").tree.joints]
+    assert types == ["revolute", "prismatic"]
 
 
 def test_the_api_page_has_every_public_name_once() -> None:
@@ -78,10 +77,9 @@ def plug_ins(tmp_path_factory: pytest.TempPathFactory) -> Path:
     info = folder / "your_package-1.0.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: your_package\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text("".join(
-        f"[{group}]\n" + "".join(f"{k} = {v}\n" for k, v in named.items())
-        for group, named in points.items()
-    ))  # fmt: skip
+    groups = {group: [f"{k} = {v}" for k, v in named.items()] for group, named in points.items()}
+    lines = [line for group in groups for line in (f"[{group}]", *groups[group])]
+    (info / "entry_points.txt").write_text("\n".join(lines) + "\n")
     return folder
 
 
@@ -95,18 +93,18 @@ def test_plug_ins_of_the_documents_segment_predict_and_export(
     def artiworld(*words: str | Path) -> int:
         return main([*map(str, words)])
 
-    assert artiworld("segment", scan, "--prompts", prompts, "--segmenter", "balls",
-                     "--out", "parts") == 0  # fmt: skip
+    words = f"segment {scan} --prompts {prompts} --segmenter balls --out parts"
+    assert artiworld(*words.split()) == 0
     assert artiworld("predict", "parts", "--predictor", "drawers", "--out", "made") == 0
-    assert artiworld("export", "made", "--format", "joint-table,urdf", "--out", "out",
-                     "--no-collision", "--check") == 0  # fmt: skip
+    words = "export made --format joint-table,urdf --out out --no-collision --check"
+    assert artiworld(*words.split()) == 0
     with (tmp_path / "out" / "joint-table" / "joints.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     tree = load_object(tmp_path / "made").tree
     assert [r["joint"] for r in rows] == [j.name for j in tree.joints] and rows
     assert {r["axis"] for r in rows} == {"0 -1 0"}
-    assert artiworld("evaluate", "--data", "saved-assets", "--root", ".", "--predictor", "drawers",
-                     "--jobs", "1", "--out", "run") == 0  # fmt: skip
+    words = "evaluate --data saved-assets --root . --predictor drawers --jobs 1 --out run"
+    assert artiworld(*words.split()) == 0
     assert (tmp_path / "run" / "report.json").is_file()
     # A format that nothing can read back doesn't spoil what can be.
     assert artiworld("check", "made", "--no-collision", "--allow-broken") == 0

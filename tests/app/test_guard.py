@@ -83,11 +83,7 @@ def broken_route(_: RouteRequest) -> RouteAnswer:
     raise KeyError("secret detail")
 
 
-ROUTES = {
-    "/api/slow": slow_route,
-    "/files/": file_route,
-    "/broken": broken_route,
-}
+ROUTES = {"/api/slow": slow_route, "/files/": file_route, "/broken": broken_route}
 
 
 def is_listening(port: int) -> bool:
@@ -255,11 +251,8 @@ def test_cookie_holds_after_a_restart_with_the_same_token_only():
 @pytest.mark.parametrize(
     "origin",
     [
-        "http://evil.example",
-        "null",
-        "http://127.0.0.1:1",
-        "http://127.0.0.1.evil.example",
-        "file://",
+        *"http://evil.example null http://127.0.0.1:1".split(),
+        *"http://127.0.0.1.evil.example file://".split(),
     ],
 )
 def test_foreign_origin_is_refused_on_websocket_and_http(client, origin):

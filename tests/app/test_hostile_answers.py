@@ -56,18 +56,14 @@ def backend(answer: Callable[[Write], object], health: bytes = HEALTH) -> Iterat
 
 
 def joint(**changed: Any) -> dict[str, Any]:
-    return {
-        "name": "j", "type": "revolute", "parent": "link_0", "child": "link_1", "axis": [0, 0, 1],
-        "origin": [0, 0, 0], "lower": 0.0, "upper": 1.0, **changed,
-    }  # fmt: skip
+    bare = {"name": "j", "type": "revolute", "parent": "link_0", "child": "link_1", "lower": 0.0}
+    return {**bare, "axis": [0, 0, 1], "origin": [0, 0, 0], "upper": 1.0, **changed}
 
 
 def done(*joints: dict[str, Any], links: Any = ("link_0", "link_1"), **more: Any) -> bytes:
     tree = {"links": list(links), "joints": list(joints)}
-    answer = {
-        "tree": tree, "problems": [], "confidence": {}, "backend": "x", "seed": 0, "seconds": 0.1,
-        "raw": "", **more,
-    }  # fmt: skip
+    answer = {"tree": tree, "problems": [], "confidence": {}, "backend": "x", "seed": 0}
+    answer |= {"seconds": 0.1, "raw": "", **more}
     return json.dumps({"done": answer}).encode() + b"\n"
 
 
@@ -76,20 +72,18 @@ def endless(write: Write) -> None:
         write(b'{"progress": [0.5, "soon"]}\n' * 1000)
 
 
-@pytest.mark.parametrize(
-    "answer",
-    [
-        b"\n", b"null\n", b"[" * 100_000 + b"\n", b'{"done": ' * 50_000 + b"\n",
-        b'{"done": {}}\n', b'{"done": [1, 2]}\n', done(joint(axis=[0, 0, 0])),
-        done(joint(axis=[float("nan"), 0, 1])), done(joint(upper=float("inf"))),
-        done(joint(origin=[1e308, 1e308, 1e308, 1])), done(joint(axis=[[0, 0, 1]])),
-        done(joint(child="link_0")), done(joint(parent="nobody")), done(joint(), joint()),
-        done(links=["link_0"]), done(joint(), links=["link_0", "link_1", 7]),
-        done(joint(), confidence={"j": 7e9}), done(joint(lower=2.0, upper=-2.0)),
-        b'{"error": {"a": [1]}, "kind": 7}\n', b'{"progress": {"a": 1}}\n', b'{"done": {"tree":',
-        b'{"progress": [1e999, null]}\n',
-    ],
-)  # fmt: skip
+WRONG = [{"axis": [0, 0, 0]}, {"axis": [float("nan"), 0, 1]}, {"axis": [[0, 0, 1]]}]
+WRONG += [{"upper": float("inf")}, {"origin": [1e308, 1e308, 1e308, 1]}, {"child": "link_0"}]
+WRONG += [{"parent": "nobody"}, {"lower": 2.0, "upper": -2.0}]
+TEXTS = [b"", b"null", b"[" * 100_000, b'{"done": ' * 50_000, b'{"done": {}}', b'{"done": [1, 2]}']
+TEXTS += [b'{"error": {"a": [1]}, "kind": 7}', b'{"progress": {"a": 1}}', b'{"done": {"tree":']
+TEXTS += [b'{"progress": [1e999, null]}']
+ANSWERS = [done(joint(**wrong)) for wrong in WRONG] + [text + b"\n" for text in TEXTS]
+ANSWERS += [done(joint(), joint()), done(links=["link_0"]), done(joint(), confidence={"j": 7e9})]
+ANSWERS += [done(joint(), links=["link_0", "link_1", 7])]
+
+
+@pytest.mark.parametrize("answer", ANSWERS)
 def test_a_backends_answer_is_refused_clearly(answer: bytes) -> None:
     with backend(lambda write: write(answer)) as predictor, pytest.raises(ArtiworldError):
         predictor.predict(OBJECT)

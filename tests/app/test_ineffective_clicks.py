@@ -122,9 +122,8 @@ def test_after_undo_the_next_mask_is_the_one_after_what_is_shown(obj: Any) -> No
         mask = RegionRef(1, region.elements, True, 3, "next mask")
         obj.document = Document(prompts=(click(0), mask))
 
-    obj.do, obj.services = do, SimpleNamespace(
-        workspace=Path(), config=SimpleNamespace(segmenter="default"),
-    )  # fmt: skip
+    config = SimpleNamespace(segmenter="default")
+    obj.do, obj.services = do, SimpleNamespace(workspace=Path(), config=config)
     obj.lane = SimpleNamespace(segmentation=SimpleNamespace(submit=submit))
     desk, steps = Segmenting(obj), []
     for _ in range(3):

@@ -39,25 +39,21 @@ from sessions.review import TRANSITIONS
 from sessions.scene_commands import DecideObjects
 from sessions.storage import AssetStorage
 from sessions.store import Entry, Store
-from tests.builders import wait_until
+from tests.builders import native_entry, wait_until
 from tests.model.scenes.scenes_made import make_assets, own, write_scene
 
 PEOPLE = ("ann", "rob")
+INSIDE = ("edit", "reject", "reopen", "undo", "redo", "submit", "comment")
 BESIDE = (cmd.RecordSegmentation, cmd.Saved, cmd.Placed, cmd.AddComment, cmd.ResolveComment)
 """What leaves a decision standing that is under way."""
 
 
 def entry(id: str, x: float, scale: list[float]) -> dict[str, Any]:
-    return {
-        "id": id, "description": "cabinet", "asset": "cab", "position": [x, 0.5, 0.4],
-        "quaternion_wxyz": [1.0, 0.0, 0.0, 0.0], "scale": scale, "anchor": "center",
-    }  # fmt: skip
+    return native_entry(id, x, asset="cab", scale=scale)
 
 
-OBJECTS = [
-    entry("first", 0.0, [1, 1, 1]), entry("twin", 1.5, [1, 1, 1]),
-    entry("small", 3.0, [0.5, 0.6, 0.7]),
-]  # fmt: skip
+OBJECTS = [entry("first", 0.0, [1, 1, 1]), entry("twin", 1.5, [1, 1, 1])]
+OBJECTS += [entry("small", 3.0, [0.5, 0.6, 0.7])]
 
 
 def report_of(severity: Severity) -> ValidationReport:
@@ -102,9 +98,8 @@ class Held:
 class Server:
     """A server whose checks, drafts and saved scenes are made by hand."""
 
-    held_functions = (
-        part_tasks.validate_joints, part_tasks.prepare_asset, scene_saving_tasks.save_scene
-    )  # fmt: skip
+    held_functions = (part_tasks.validate_joints, part_tasks.prepare_asset)
+    held_functions += (scene_saving_tasks.save_scene,)
 
     def __init__(self, folder: Path) -> None:
         workspace = self.workspace = folder / "workspace"
@@ -371,10 +366,8 @@ def test_undone_at_another_server_it_is_not_accepted_after_all(
 def test_a_person_is_told_by_whom_and_not_for_another(desk: Any) -> None:
     """One object that is dropped drops no other decision, though they wait in one queue."""
     scene, notes = desk.scene, {who: [] for who in PEOPLE}
-    scene.do(
-        DecideObjects("accept", (desk.small.id, desk.shared.id)), "ann",
-        lambda *n: notes["ann"].append(n[1]),
-    )  # fmt: skip
+    both = DecideObjects("accept", (desk.small.id, desk.shared.id))
+    scene.do(both, "ann", lambda *n: notes["ann"].append(n[1]))
     edit(desk.small.live, "rob")
     scene.do(DecideObjects("accept", (desk.small.id,)), "rob", lambda *n: notes["rob"].append(n[1]))
     finish(desk.server)
@@ -461,8 +454,8 @@ class Point:
         if isinstance(command, cmd.Redo):
             past, future = (*self.past, self.state), self.future[:-1]
             return Point(self.future[-1], past, future) if self.future else None
-        name = {cmd.Accept: "accept", cmd.Reject: "reject", cmd.Reopen: "reopen",
-                cmd.Submit: "submit"}.get(type(command), "adjust")  # fmt: skip
+        named = (cmd.Accept, cmd.Reject, cmd.Reopen, cmd.Submit)
+        name = type(command).__name__.lower() if isinstance(command, named) else "adjust"
         then = TRANSITIONS[name].get(self.state)  # type: ignore[index, call-overload]
         return None if then is None else self._step(then)
 
@@ -549,8 +542,7 @@ class Interleaved(RuleBasedStateMachine):
             assert before.after(command) is not None, f"{command} isn't refused"
             self.given[number].append(command)
 
-    @rule(s=indices, who=people, o=indices, what=st.sampled_from(
-        ("edit", "reject", "reopen", "undo", "redo", "submit", "comment")))  # fmt: skip
+    @rule(s=indices, who=people, o=indices, what=st.sampled_from(INSIDE))
     def decide_inside(self, s: int, who: str, o: int, what: str) -> None:
         server, point = self.server(s), self.point(o)
         if what == "edit":
@@ -561,9 +553,9 @@ class Interleaved(RuleBasedStateMachine):
         elif (what == "undo" and not point.past) or (what == "redo" and not point.future):
             return  # it would lead to what was before the beginning
         else:
-            command = {"reject": cmd.Reject("axis"), "reopen": cmd.Reopen(), "undo": cmd.Undo(),
-                       "redo": cmd.Redo(), "submit": cmd.Submit(),
-                       "comment": cmd.AddComment("look")}[what]  # fmt: skip
+            kinds = {"reopen": cmd.Reopen, "undo": cmd.Undo, "redo": cmd.Redo, "submit": cmd.Submit}
+            more = {"reject": cmd.Reject("axis"), "comment": cmd.AddComment("look")}
+            command = more[what] if what in more else kinds[what]()
             self.give(server, o, command, who)
 
     @rule(s=indices, who=people, objects=st.sampled_from(((0,), (1,), (0, 1), (1, 0))))
@@ -575,9 +567,7 @@ class Interleaved(RuleBasedStateMachine):
             DecideObjects("accept", ids), who, lambda *n: notes.append(": ".join(n[:2]))
         )
         at = server.scene.document.decided[-1].at
-        self.asked += [
-            Asked(who, o, k, notes, at) for o, k in zip(objects, known, strict=True)
-        ]  # fmt: skip
+        self.asked += [Asked(who, o, k, notes, at) for o, k in zip(objects, known, strict=True)]
 
     @rule(s=indices, who=people, o=indices)
     def reject_in_scene(self, s: int, who: str, o: int) -> None:
@@ -612,10 +602,9 @@ class Interleaved(RuleBasedStateMachine):
                 assert not new, "no decision but the one that is undone is changed"
 
     def _had_effect(self, record: Any) -> bool:
-        return record.decision == "reject" or any(
-            isinstance(line.command, cmd.Accept) and line.command.decided_at == record.at
-            for o in (0, 1) for line in self.log(o)
-        )  # fmt: skip
+        lines = [line.command for o in (0, 1) for line in self.log(o)]
+        accepts = [c for c in lines if isinstance(c, cmd.Accept)]
+        return record.decision == "reject" or any(c.decided_at == record.at for c in accepts)
 
     @rule(s=indices, who=people, o=indices)
     def accept_inside(self, s: int, who: str, o: int) -> None:
@@ -655,9 +644,7 @@ class Interleaved(RuleBasedStateMachine):
         known = {o: w.live.state.seq for o, w in enumerate(server.works)}
         states = {o: (k, self.point(o, k).state) for o, k in known.items()}
         server.scene.saving.save(False, who)
-        (held,) = [
-            j for j in server.waiting if j.function is scene_saving_tasks.save_scene
-        ]  # fmt: skip
+        (held,) = [j for j in server.waiting if j.function is scene_saving_tasks.save_scene]
         self.saves.append((held, states, self.store.object(server.scene.record.id).seq))
 
     # --- what takes its time
@@ -712,10 +699,8 @@ class Interleaved(RuleBasedStateMachine):
         callbacks_are_done()
         current = {d.at for d in self.store.load(self.servers[0].scene.record.id).present.decided}
         for o, work in enumerate(self.servers[0].works):
-            own_lines = [
-                line.command for line in self.log(o)
-                if not isinstance(line.command, (cmd.Accept, cmd.Saved))
-            ]  # fmt: skip
+            lines = [line.command for line in self.log(o)]
+            own_lines = [c for c in lines if not isinstance(c, (cmd.Accept, cmd.Saved))]
             assert own_lines == self.given[o], "nothing is decided that nobody decided"
             doc = check_asset(self.servers[0], work)
             assert doc.review.state == self.point(o).state
@@ -732,9 +717,8 @@ class Interleaved(RuleBasedStateMachine):
         if any(a.accepted == line.seq and a.object == number for a in self.asked):
             return
         for asked in self.asked:
-            same = (asked.who, asked.object, asked.at) == (
-                line.who, number, line.command.decided_at
-            )  # fmt: skip
+            accepted = (line.who, number, line.command.decided_at)
+            same = (asked.who, asked.object, asked.at) == accepted
             if same and asked.accepted is None and not self.moved(asked, line.seq):
                 asked.accepted = line.seq
                 return
@@ -768,10 +752,7 @@ def test_decisions_in_any_order_are_of_one_object_and_one_state(
 ) -> None:
     monkeypatch.setattr(bulk, "POLL_SECONDS", 0.002)
     monkeypatch.setattr(Interleaved, "servers", servers[:count])
-    run_state_machine_as_test(
-        Interleaved,
-        settings=settings(
-            max_examples=8, stateful_step_count=20, deadline=None, derandomize=True, database=None,
-            suppress_health_check=list(HealthCheck), phases=[Phase.generate],
-        ),
-    )  # fmt: skip
+    few = settings(max_examples=8, stateful_step_count=20, deadline=None, derandomize=True)
+    few = settings(few, database=None, phases=[Phase.generate])
+    few = settings(few, suppress_health_check=list(HealthCheck))
+    run_state_machine_as_test(Interleaved, settings=few)

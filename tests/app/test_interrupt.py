@@ -18,6 +18,12 @@ from tests.model.prediction.arti4urdf.tiny_qwen3 import write_tiny_qwen3
 from tests.model.scenes import scenes_made
 
 
+def started(*words: str) -> subprocess.Popen[str]:
+    """A module that runs in a group of its own."""
+    streams = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "text": True}
+    return subprocess.Popen([sys.executable, "-m", *words], start_new_session=True, **streams)
+
+
 def in_group(group: int) -> list[int]:
     """Processes of a group, but for those that have ended and that nobody has collected."""
     out = []
@@ -39,7 +45,7 @@ def test_an_interrupt_ends_all_processes(command: str, seconds: float, tmp_path:
         words = ["app.cli.main", command, "--data", "procedural", "--family", "Oven", "--n", "50"]
     elif command == "train":
         skipped = ["edges", "parts", "rooms", "moving", "mending"]
-        words = ["model.training.segmentation", *(f"--skip-{s}" for s in skipped)]
+        words = ["model.training.segmentation", "--skip", *skipped]
         words, jobs = [*words, "--out", str(tmp_path)], ["--boxes.workers", "2"]
     else:
         data = open_dataset(DatasetOptions("procedural", families=("Oven",), n=8))
@@ -47,10 +53,7 @@ def test_an_interrupt_ends_all_processes(command: str, seconds: float, tmp_path:
             (tmp_path / i).mkdir()
             UrdfExporter().export(data.load(i).object, tmp_path / i)
         words = ["app.cli.main", command, str(tmp_path), "--no-cache"]
-    run = subprocess.Popen(
-        [sys.executable, "-m", *words, *jobs],
-        start_new_session=True, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
+    run = started(*words, *jobs)
     try:
         end = time.monotonic() + 120
         while len(in_group(run.pid)) < 3:
@@ -69,11 +72,8 @@ def test_an_interrupt_does_not_wait_for_a_language_model(tmp_path: Path) -> None
     pytest.importorskip("transformers", reason="transformers is not installed")
     model = write_tiny_qwen3(tmp_path / "qwen3")
     scene = scenes_made.write_scene(tmp_path / "layout.json", scenes_made.mesatask())
-    run = subprocess.Popen(
-        [sys.executable, "-m", "app.cli.main", "scene", "inspect", str(scene), "--finder",
-         f"qwen3:{model}", "--finder-cache", str(tmp_path / "cache")],
-        start_new_session=True, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
+    words = f"scene inspect {scene} --finder qwen3:{model} --finder-cache {tmp_path}/cache"
+    run = started("app.cli.main", *words.split())
     try:
         end = time.monotonic() + 120
         while not (writing := [p for p in in_group(run.pid) if b"spawn_main" in command_of(p)]):
@@ -92,12 +92,9 @@ def test_an_interrupt_does_not_wait_for_a_server_that_is_silent(tmp_path: Path) 
     scene = scenes_made.write_scene(tmp_path / "layout.json", scenes_made.mesatask())
     with socket.create_server(("127.0.0.1", 0)) as server:
         server.settimeout(120)
-        run = subprocess.Popen(
-            [sys.executable, "-m", "app.cli.main", "scene", "inspect", str(scene), "--finder",
-             "openai:model", "--finder-url", f"http://127.0.0.1:{server.getsockname()[1]}/v1",
-             "--finder-cache", str(tmp_path / "cache")],
-            start_new_session=True, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
-        )  # fmt: skip
+        words = f"scene inspect {scene} --finder openai:model --finder-cache {tmp_path}/cache"
+        url = f"http://127.0.0.1:{server.getsockname()[1]}/v1"
+        run = started("app.cli.main", *words.split(), "--finder-url", url)
         try:
             asked, _ = server.accept()
             with asked:

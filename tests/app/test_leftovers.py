@@ -13,17 +13,15 @@ from app.server.ending import LOCK, WorkspaceLease, remove_leftovers
 from sessions.storage import ArrayFiles
 
 LEFT = (
-    "arrays/ab/.tmp1234.part", "drafts/.key.1234/object.urdf", "uploads/01/.a.obj.part",
-    "cache/.key.xyz/meta.json", "cache/shapes/.key.12.npz", "collision/.key.12.npz",
-    "scenes/.a-1.12/object.json", "assets/.door-1.123456/object.urdf",
-    "uploads/.kitchen-1.12/a/object.urdf", "thumbnails/.key.12.webp", "thumbnails/key.12.part",
-    "crops/01/.door.12.glb", "exports/.12/object.urdf", "learned/.3.12/record.json",
-    "releases/.kitchen-1.12/release.json", "storage/.door-1.12", "scenes/report-1/.room.12.html",
+    *"arrays/ab/.tmp1234.part drafts/.key.1234/object.urdf uploads/01/.a.obj.part".split(),
+    *"cache/.key.xyz/meta.json cache/shapes/.key.12.npz collision/.key.12.npz".split(),
+    *"scenes/.a-1.12/object.json assets/.door-1.123456/object.urdf".split(),
+    *"uploads/.kitchen-1.12/a/object.urdf thumbnails/.key.12.webp thumbnails/key.12.part".split(),
+    *"crops/01/.door.12.glb exports/.12/object.urdf learned/.3.12/record.json".split(),
+    *"releases/.kitchen-1.12/release.json storage/.door-1.12 scenes/report-1/.room.12.html".split(),
     "scenes/saved-1/.summary.12.json",
-)  # fmt: skip
-KEPT = (
-    "drafts/key/object.urdf", "uploads/01/a.obj", "assets/door-1/object.urdf", "artiworld.db",
-)  # fmt: skip
+)
+KEPT = (*"drafts/key/object.urdf uploads/01/a.obj assets/door-1/object.urdf artiworld.db".split(),)
 SECOND = "uploads/02/.oven_2"
 """A second annotation's source, of an object whose name begins with a dot."""
 
@@ -55,10 +53,8 @@ def test_nothing_is_removed_while_another_server_runs(workspace: Path) -> None:
         "import sys; from pathlib import Path; from app.server.ending import WorkspaceLease; "
         "lease = WorkspaceLease(Path(sys.argv[1])); print('held', flush=True); sys.stdin.read()"
     )
-    other = subprocess.Popen(
-        [sys.executable, "-c", code, str(workspace)],
-        stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
-    )  # fmt: skip
+    words, pipe = [sys.executable, "-c", code, str(workspace)], subprocess.PIPE
+    other = subprocess.Popen(words, stdin=pipe, stdout=pipe, text=True)
     assert other.stdout is not None and other.stdout.readline() == "held\n"
     (workspace / LEFT[0]).write_text("being written")
     mine = WorkspaceLease(workspace)

@@ -74,9 +74,8 @@ def test_an_invited_person_comes_in_and_stays_the_same(server: Server) -> None:
     status, page = browser.ask("GET", authorized(address, "1"))
     assert status == 200 and b"location.replace('/')" in page and b"evil" not in page
     assert browser.cookie is not None and "_login" not in browser.cookie
-    assert browser.api("GET", "/me")[1] | {"scopes": 0} == {
-        "name": "nora", "role": "reviewer", "scopes": 0,
-    }  # fmt: skip
+    me = {"name": "nora", "role": "reviewer", "scopes": 0}
+    assert browser.api("GET", "/me")[1] | {"scopes": 0} == me
     # Again, in another browser: the same account, known by its subject.
     second = Browser(server)
     second.ask("GET", authorized(there(second), "1"))
@@ -109,8 +108,8 @@ def test_a_client_without_a_secret_comes_in(issuer, tmp_path, monkeypatch) -> No
 
 
 def test_strangers_and_owners_of_passwords_stay_out(server: Server) -> None:
-    for subject, said in (("3", b"zoe isn&#39;t invited"), ("2", b"ann isn&#39;t invited"),
-                          ("4", b"says no preferred_username")):  # fmt: skip
+    refusals = {"3": b"zoe isn&#39;t invited", "2": b"ann isn&#39;t invited"}
+    for subject, said in {**refusals, "4": b"says no preferred_username"}.items():
         browser = Browser(server)
         status, page = browser.ask("GET", authorized(there(browser), subject))
         assert (status, said in page) == (403, True), page
@@ -192,10 +191,8 @@ def forging(issuer: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Ite
         address, cookie = login.begin("http://127.0.0.1/back")
         asked = {k: v[0] for k, v in parse_qs(urlsplit(address).query).items()}
         now = int(time.time())
-        claims = {
-            "iss": issuer, "aud": "artiworld", "sub": "1", "exp": now + 60, "iat": now,
-            "nonce": asked["nonce"], "preferred_username": "nora",
-        }  # fmt: skip
+        claims = {"iss": issuer, "aud": "artiworld", "sub": "1", "exp": now + 60, "iat": now}
+        claims |= {"nonce": asked["nonce"], "preferred_username": "nora"}
         answers.update(access_token="x", token_type="Bearer", id_token=make(claims, key))
         return login.finish({"code": "c", "state": asked["state"]}, cookie, "http://127.0.0.1/back")
 

@@ -169,9 +169,8 @@ def test_masses_dynamics_and_collision_shapes_of_the_file_are_kept(opened, urdf:
     folder = Path(obj.document.saved.folder)
     asset = json.loads((folder / "provenance.json").read_text())["asset"]
     every = ["damping", "friction", "effort", "velocity"]
-    assert asset["told"] == {
-        "masses": ["body_0", "door_1"], "dynamics": {"hinge": every}, "collision": ["door_1"],
-    }  # fmt: skip
+    masses, bodies = ["body_0", "door_1"], ["door_1"]
+    assert asset["told"] == {"masses": masses, "dynamics": {"hinge": every}, "collision": bodies}
     again = load_object(folder)
     assert {k: shown(held) for k, held in again.shapes.items()} == {"door_1": DOOR_SHAPES}
     assert {k: shown(held) for k, held in open_asset(folder).shapes.items()} == {

@@ -31,10 +31,7 @@ def open_with_tool(offers: Any, *commands: Any) -> tuple[Segmenting, Any]:
     obj: Any = SimpleNamespace(
         need_asset=lambda: SimpleNamespace(folder=None),
         lane=SimpleNamespace(segmentation=SimpleNamespace(submit=lambda *a, **k: job)),
-        services=SimpleNamespace(
-            workspace=None,
-            config=SimpleNamespace(segmenter="default"),
-        ),
+        services=SimpleNamespace(workspace=None, config=SimpleNamespace(segmenter="default")),
         jobs=Mock(),
         changed=lambda: None,
     )

@@ -93,15 +93,16 @@ def test_all_parts_is_asked_for_below_everything_and_encodes_first() -> None:
         return SimpleNamespace(result=lambda seconds: [], add_done_callback=lambda _: None)
 
     jobs = SimpleNamespace(progress=lambda what: None, add=lambda *a: None)
+    empty = {**dict.fromkeys(("tree", "up_axis", "left_out")), "unit_scale": 1.0}
+    empty |= dict.fromkeys(("prompts", "parts", "face_cuts"), ())
     obj = SimpleNamespace(
         need_asset=lambda: SimpleNamespace(folder="folder"),
-        document=SimpleNamespace(prompts=(), parts=(), tree=None, up_axis=None, unit_scale=1.0,
-                                 left_out=None, face_cuts=(), frame=SOURCE_FRAME),
+        document=SimpleNamespace(**empty, frame=SOURCE_FRAME),
         lane=SimpleNamespace(segmentation=SimpleNamespace(submit=submit)),
-        services=SimpleNamespace(
-            workspace=None, config=SimpleNamespace(segmenter="default")),
-        jobs=jobs, changed=lambda: None,
-    )  # fmt: skip
+        services=SimpleNamespace(workspace=None, config=SimpleNamespace(segmenter="default")),
+        jobs=jobs,
+        changed=lambda: None,
+    )
     Segmenting(obj).use_tool(ToolRequest(PROPOSE, 1), "alice")
     (first, encoding), (second, tool) = asked
     assert (first, second) == ("encode", "use_tool")

@@ -71,9 +71,8 @@ def test_strict_labels_and_required_checks_prevent_acceptance(server: Server, mi
     assert kinds() == set()
     labels = [{"category": "Cupboard", "parts": ["door", "shelf"]}]
     mia.call("PATCH", "/project", {"settings": {"labels": labels, "strict": True}})
-    assert {(child, verdict) for child, verdict, _ in kinds()} == {
-        ("link_0", "broken"), ("link_1", "broken"),
-    }  # fmt: skip
+    broken = {("link_0", "broken"), ("link_1", "broken")}
+    assert {(child, verdict) for child, verdict, _ in kinds()} == broken
     with pytest.raises(ApiError, match="error"):
         mia.accept(id, warnings_seen=True)
     mia.call("PATCH", "/project", {"settings": {"required": ["name"]}})
@@ -130,8 +129,8 @@ def test_the_command_line_shows_and_sets(tmp_path: Path) -> None:
         pass
     labels = tmp_path / "labels.txt"
     labels.write_text("Oven: door, knob\n")
-    artiworld("project", "set", workspace, "--name", "Kitchens", "--labels", labels, "--strict",
-              "--require", "floating,collision", "--format", "mjcf,usd")  # fmt: skip
+    words = f"project set {workspace} --name Kitchens --labels {labels} --strict"
+    artiworld(*words.split(), *"--require floating,collision --format mjcf,usd".split())
     shown = artiworld("project", workspace).stdout
     assert "Kitchens" in shown and "Oven: door, knob" in shown and "floating" in shown
     assert_users_mistake(artiworld("project", "set", workspace, "--format", "vhs"), "vhs")

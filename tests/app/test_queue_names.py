@@ -8,9 +8,7 @@ from sessions.database import ObjectRecord
 
 def record(number: int, path: str) -> ObjectRecord:
     where = Path(path)
-    return ObjectRecord(
-        number, where, where.stem, None, "todo", 0, 0, None, "", "", "", None, 0
-    )  # fmt: skip
+    return ObjectRecord(number, where, where.stem, None, "todo", 0, 0, None, "", "", "", None, 0)
 
 
 def named(*paths: str) -> list[str]:

@@ -28,9 +28,8 @@ def predicted(a: float, b: float) -> Document:
 
 
 def record(number: int, state: str, seq: int = 1) -> ObjectRecord:
-    return ObjectRecord(
-        number, Path(f"{number}.ply"), str(number), None, state, 0, 0, None, "", "", "", None, seq  # type: ignore[arg-type]
-    )  # fmt: skip
+    known = (number, Path(f"{number}.ply"), str(number), None, state)
+    return ObjectRecord(*known, 0, 0, None, "", "", "", None, seq)  # type: ignore[arg-type]
 
 
 def test_the_least_sure_moving_joint_decides_and_a_hand_edit_is_sure():

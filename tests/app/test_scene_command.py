@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,7 +25,7 @@ from model.io.write import write_cloud, write_mesh
 from model.scenes.asset_parts import asset_digest
 from model.scenes.registry import read_scene
 from tests.app.run_cli import answer
-from tests.builders import wait_until
+from tests.builders import native_entry, placed, wait_until
 from tests.model.scenes import scenes_made as made
 
 
@@ -41,10 +42,9 @@ def table_scene(**more: object) -> dict:
     first = np.array(made.POSITION)
 
     def entry(name: str, uid: str, at: np.ndarray, scale: list[float]) -> dict:
-        return {"instance": name, "retrieved_uid": uid, "position": at.tolist(),
-                "rotation": turn, "scale_factor": scale}  # fmt: skip
+        return placed(name, uid, at.tolist(), rotation=turn, scale_factor=scale)
 
-    return made.mesatask([
+    objects = [
         entry("cabinet_1", "cab", first, [1, 1, 1]),
         entry("cabinet_2", "cab", first + [0, 9, 0], [1, 1, 1]),
         entry("cabinet_3", "cab", first + [9, 0, 0], [2, 2, 2]),
@@ -52,7 +52,8 @@ def table_scene(**more: object) -> dict:
         entry("teapot_1", "nowhere", first + [20, 0, 0], [1, 1, 1]),
         {**entry("broken_1", "cab", first, [1, 1, 1]), "rotation": [0, 0, 0, 0]},
         entry("broken_2\ud800", "cab", first, [1, math.inf, 1]),
-    ])  # fmt: skip
+    ]
+    return made.mesatask(objects)
 
 
 def convert(scene: Path, assets: Path, out: Path, *more: str) -> dict:
@@ -83,8 +84,8 @@ def world_of(entry: dict) -> tuple[np.ndarray, np.ndarray]:
 def test_states_are_reported(converted: tuple[Path, dict]) -> None:
     out, summary = converted
     states = {k: v["state"] for k, v in objects_of(out).items()}
-    assert states == {"cabinet_1": "predicted", "cabinet_2": "predicted", "cabinet_3": "predicted",
-                      "rock_1": "static", "teapot_1": "missing"}  # fmt: skip
+    cabinets = dict.fromkeys(("cabinet_1", "cabinet_2", "cabinet_3"), "predicted")
+    assert states == {**cabinets, "rock_1": "static", "teapot_1": "missing"}
     assert summary["missing_assets"] == ["nowhere"]
     assert [p["object"] for p in summary["problems"]] == ["broken_1", "broken_2\ufffd"]
 
@@ -271,11 +272,7 @@ def workers_of(pid: int) -> list[int]:
 
 def test_a_killed_run_is_resumed(assets: Path, tmp_path: Path) -> None:
     """First one of its workers, then the run itself."""
-    objects = [
-        {"instance": f"cabinet_{i}", "retrieved_uid": "cab", "position": [3 * i, 0, 0],
-         "rotation": [0, 0, 0, 1], "scale_factor": [1 + i / 10] * 3}
-        for i in range(8)
-    ]  # fmt: skip
+    objects = [placed(f"cabinet_{i}", "cab", [3 * i, 0, 0], 1 + i / 10) for i in range(8)]
     scene = made.write_scene(tmp_path / "layout.json", made.mesatask(objects))
     out = tmp_path / "out"
     words = ["scene", "convert", str(scene), "--assets", str(assets), "--out", str(out)]
@@ -310,11 +307,8 @@ def test_a_killed_run_is_resumed(assets: Path, tmp_path: Path) -> None:
 def test_one_bad_asset_never_ends_the_run(tmp_path: Path) -> None:
     folder = made.make_assets(tmp_path / "assets")
     (folder / "bad.obj").write_text("v 1 2 nan\nf 1 2 3\n")
-    both = [
-        {"instance": f"cabinet_{i}", "retrieved_uid": uid, "position": [3 * i, 0, 0],
-         "rotation": [0, 0, 0, 1], "scale_factor": [1, 1, 1]}
-        for i, uid in enumerate(("bad", "rock", "cab"))
-    ]  # fmt: skip
+    assets = ("bad", "rock", "cab")
+    both = [placed(f"cabinet_{i}", uid, [3 * i, 0, 0]) for i, uid in enumerate(assets)]
     scene = made.write_scene(tmp_path / "layout.json", made.mesatask(both))
     convert(scene, folder, tmp_path / "out")
     entries = objects_of(tmp_path / "out")
@@ -326,10 +320,9 @@ def test_one_bad_asset_never_ends_the_run(tmp_path: Path) -> None:
 
 def test_clicks_beside_an_asset_cut_it_as_in_the_browser(tmp_path: Path) -> None:
     """Without --assets they are beside the scene, as for serve."""
-    mesh = made.boxes(
-        ((0.0, 0.0, 0.0), (0.02, 0.5, 0.8)), *(((0.0, 0.0, z), (0.4, 0.5, z + 0.02))
-        for z in np.linspace(0, 0.78, 13)), ((0.405, 0.0, 0.0), (0.42, 0.5, 0.8)),
-    )  # fmt: skip
+    sides = ((0.0, 0.0, 0.0), (0.02, 0.5, 0.8)), ((0.405, 0.0, 0.0), (0.42, 0.5, 0.8))
+    shelves = [((0.0, 0.0, z), (0.4, 0.5, z + 0.02)) for z in np.linspace(0, 0.78, 13)]
+    mesh = made.boxes(sides[0], *shelves, sides[1])
     click = {"position": [0.42, 0.2, 0.3], "part": 1}
     prompts = {"parts": [{"id": 1, "name": "door"}], "clicks": [click]}
     objects = []
@@ -337,18 +330,15 @@ def test_clicks_beside_an_asset_cut_it_as_in_the_browser(tmp_path: Path) -> None
         write_mesh(mesh, tmp_path / f"{name}.ply")  # +z up
         kept = json.dumps(prompts) if name != "bad" else "{"
         (tmp_path / f"{name}.prompts.json").write_text(kept)
-        objects.append({
-            "id": name, "description": "rock" if name == "still" else "cabinet", "asset": name,
-            "position": [2.0 * i, 0, 0.5], "quaternion_wxyz": [0.6, 0, 0, 0.8],
-            "scale": [2, 1.5, 1], "anchor": "center",
-        })  # fmt: skip
+        at = {"position": [2.0 * i, 0, 0.5], "quaternion_wxyz": [0.6, 0, 0, 0.8]}
+        what = "rock" if name == "still" else "cabinet"
+        objects.append(native_entry(name, description=what, scale=[2, 1.5, 1], **at))
     scene = made.write_scene(tmp_path / "home.json", made.own(objects))
     out = tmp_path / "out"
     assert main(["scene", "convert", str(scene), "--out", str(out), "--jobs", "1", "--json"]) == 0
     states = objects_of(out)
-    assert {k: v["state"] for k, v in states.items()} == {
-        "good": "predicted", "bad": "failed", "still": "static",
-    }  # fmt: skip
+    now = {"good": "predicted", "bad": "failed", "still": "static"}
+    assert {k: v["state"] for k, v in states.items()} == now
     assert "bad.prompts.json" in states["bad"]["reason"]
     door = load_object(out / states["good"]["asset_folder"]).parts[1]
     assert door.name == "door" and door.mesh is not None
@@ -363,8 +353,7 @@ def test_a_scan_stands_on_the_floor_and_not_on_its_outliers(tmp_path: Path) -> N
     outliers = rng.uniform((-0.5, -0.5, -0.4), (0.5, 0.5, -0.1), (6, 3))
     points = np.concatenate([top, outliers]).astype(np.float32)
     write_cloud(PointCloud(points), tmp_path / "slab.ply")
-    entry = {"id": "slab", "description": "slab", "asset": "slab", "position": [1, 2, 0],
-             "quaternion_wxyz": [1, 0, 0, 0], "scale": [1, 1, 1], "anchor": "base"}  # fmt: skip
+    entry = native_entry("slab", description="slab", position=[1, 2, 0], anchor="base")
     scene = made.write_scene(tmp_path / "room.json", made.own([entry]))
     convert(scene, tmp_path, tmp_path / "out")
     _, at = world_of(objects_of(tmp_path / "out")["slab"])
@@ -392,9 +381,8 @@ def test_inspect(assets: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str
     ],
 )
 def test_mistakes_are_reported_in_one_line(
-    words: list[str], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:  # fmt: skip
+    words: list[str], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
     monkeypatch.chdir(tmp_path)
     made.write_scene(tmp_path / "layout.json", made.mesatask())
     assert main(["scene", "convert", *words, "--out", "out"]) == 2

@@ -29,10 +29,8 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A GLB with the cabinet, a rock before its door, and one far away, in all formats."""
     folder = tmp_path_factory.mktemp("room")
     path = made.write_gltf(folder / "room.glb", near=True)
-    summary = convert(
-        path, made.make_assets(folder / "assets"), folder / "out", "--formats", "sdf,usd",
-        "--collision", "--predictor", "geometric",
-    )  # fmt: skip
+    words = "--formats sdf,usd --collision --predictor geometric"
+    summary = convert(path, made.make_assets(folder / "assets"), folder / "out", *words.split())
     assert summary["states"] == {"predicted": 1, "static": 2}
     assert {"scene.sdf", "scene.usda", "scene.xml", "room.glb"} <= set(summary["files"])
     return folder / "out"
@@ -166,10 +164,9 @@ def test_bullet_loads_the_sdf_world(room: Path, monkeypatch: pytest.MonkeyPatch)
     client = bullet.connect(bullet.DIRECT)
     try:
         bodies = bullet.loadSDF("bullet.sdf", physicsClientId=client)
-        moving = [
-            bullet.getJointInfo(b, j, physicsClientId=client)[2]
-            for b in bodies for j in range(bullet.getNumJoints(b, physicsClientId=client))
-        ]  # fmt: skip
+        counts = {b: bullet.getNumJoints(b, physicsClientId=client) for b in bodies}
+        joints = [(b, j) for b, count in counts.items() for j in range(count)]
+        moving = [bullet.getJointInfo(*joint, physicsClientId=client)[2] for joint in joints]
         assert len(bodies) == 3
         assert sum(m in (bullet.JOINT_REVOLUTE, bullet.JOINT_PRISMATIC) for m in moving) == 2
     finally:
@@ -195,21 +192,17 @@ def cabinet_clicks(folder: Path) -> str:
         at = pose[:3, :3] @ np.array(local) + pose[:3, 3]
         return {"position": at.tolist(), "part": part}
 
-    clicks = {
-        "category": "cabinet", "parts": [{"id": 1, "name": "door"}, {"id": 2, "name": "drawer"}],
-        "clicks": [click((0, 0.25, 0.0), 0), click((0.3, 0.0, -0.15), 1),
-                   click((0.3, 0.0, 0.25), 2), click((0, -0.25, 0), 0)],
-    }  # fmt: skip
+    places = [((0, 0.25, 0), 0), ((0.3, 0, -0.15), 1), ((0.3, 0, 0.25), 2), ((0, -0.25, 0), 0)]
+    clicks = {"category": "cabinet", "clicks": [click(*place) for place in places]}
+    clicks["parts"] = [{"id": 1, "name": "door"}, {"id": 2, "name": "drawer"}]
     (folder / "clicks.json").write_text(json.dumps(clicks))
     return f"cabinet 4={folder / 'clicks.json'}"
 
 
 def test_a_scanned_room_is_articulated_by_clicks(tmp_path: Path) -> None:
     path = made.write_scan(tmp_path / "room.ply")
-    summary = convert(
-        path, made.make_assets(tmp_path / "assets"), tmp_path / "out", "--keep-limits",
-        "--clicks", cabinet_clicks(tmp_path), "--predictor", "geometric",
-    )  # fmt: skip
+    words = ("--keep-limits", "--clicks", cabinet_clicks(tmp_path), "--predictor", "geometric")
+    summary = convert(path, made.make_assets(tmp_path / "assets"), tmp_path / "out", *words)
     entries = objects_of(tmp_path / "out")
     assert entries["cabinet 4"]["state"] == "predicted", entries["cabinet 4"]["reason"]
     assert summary["states"] == {"predicted": 1, "static": 3}
@@ -246,9 +239,9 @@ def test_what_was_scanned_stays_where_it_was(tmp_path: Path) -> None:
     write_cloud(replace(cloud, points=points), path)
     np.savez(tmp_path / "room_labels.npz", instance=instance, segment20=classes)
     out = tmp_path / "out"
-    convert(path, made.make_assets(tmp_path / "assets"), out, "--clicks", cabinet_clicks(tmp_path),
-            "--predictor", "geometric", "--collision", "--keep-limits",
-            "--formats", "usd")  # fmt: skip
+    words = "--predictor geometric --collision --keep-limits --formats usd --clicks"
+    assets = made.make_assets(tmp_path / "assets")
+    convert(path, assets, out, *words.split(), cabinet_clicks(tmp_path))
     entries = objects_of(out)
     assert entries["chair 5"]["kind"] == "chair" and entries["chair 5"]["base"] == "fixed"
     passes = entries["cabinet 4"]["passes"]
@@ -262,8 +255,8 @@ def test_what_was_scanned_stays_where_it_was(tmp_path: Path) -> None:
     mujoco.mj_step(model, data, nstep=750)
     assert np.abs(data.xpos - before).max() < 0.01
     stage = Usd.Stage.Open(str(out / "scene.usda"))
-    filtered = [(str(p.GetPath()), str(t)) for p in stage.Traverse()
-                for t in p.GetRelationship("physics:filteredPairs").GetTargets()]  # fmt: skip
+    pairs = {p: p.GetRelationship("physics:filteredPairs") for p in stage.Traverse()}
+    filtered = [(str(p.GetPath()), str(t)) for p in pairs for t in pairs[p].GetTargets()]
     apart = [pair for pair in filtered if len({path.split("/")[2] for path in pair}) > 1]
     assert apart == [("/World/cabinet_4/door_1", "/World/chair_5/base")]
     ball = mujoco.MjSpec.from_file(str(out / "scene.xml"))

@@ -21,8 +21,8 @@ def nodes() -> dict[str, Node]:
     sizes = {"post": (0.01, 0.01, 2.0), "crate": (0.8, 0.8, 0.8)}
     for at, (name, size) in enumerate(sizes.items()):
         box = trimesh.creation.box(size)
-        shape = Shape(np.asarray(box.bounds), box.vertices.astype(np.float32),
-                      box.faces.astype(np.uint32))  # fmt: skip
+        vertices, faces = box.vertices.astype(np.float32), box.faces.astype(np.uint32)
+        shape = Shape(np.asarray(box.bounds), vertices, faces)
         world = np.eye(4)
         world[0, 3] = at
         out[name] = Node(client, name, Group((name,), shape, [Placement(world, np.full(3, 0.5))]))

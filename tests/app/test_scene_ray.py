@@ -14,6 +14,7 @@ import psutil
 import pytest
 
 from app.cli.main import main
+from tests.builders import placed
 from tests.model.scenes import scenes_made as made
 
 COUNT = 6
@@ -40,15 +41,11 @@ jobs._convert = slow
 
 
 def write_scene(folder: Path) -> list[str]:
-    objects = [
-        {"instance": f"cabinet_{i}", "retrieved_uid": "cab", "position": [3 * i, 0, 0],
-         "rotation": [0, 0, 0, 1], "scale_factor": [1 + i / 10] * 3}
-        for i in range(COUNT)
-    ]  # fmt: skip
+    objects = [placed(f"cabinet_{i}", "cab", [3 * i, 0, 0], 1 + i / 10) for i in range(COUNT)]
     scene = made.write_scene(folder / "layout.json", made.mesatask(objects))
     assets = made.make_assets(folder / "assets")
-    return ["scene", "convert", str(scene), "--assets", str(assets), "--out", str(folder / "out"),
-            "--predictor", "geometric", "--ray", "local"]  # fmt: skip
+    words = f"scene convert {scene} --assets {assets} --out {folder}/out --predictor geometric"
+    return [*words.split(), "--ray", "local"]
 
 
 def test_a_killed_worker_costs_nothing(tmp_path: Path) -> None:
@@ -60,14 +57,12 @@ def test_a_killed_worker_costs_nothing(tmp_path: Path) -> None:
     )
     held = tmp_path / "held"
     root = Path(__file__).parents[2]
-    environment = {
-        **os.environ, "HELD": str(held), "RAY_DISABLE_IMPORT_WARNING": "1",
-        "PYTHONPATH": f"{tmp_path / 'site'}{os.pathsep}{root}", "RAY_USAGE_STATS_ENABLED": "0",
-    }  # fmt: skip
-    run = subprocess.Popen(
-        [sys.executable, "-m", "app.cli.main", *write_scene(tmp_path), "--json"],
-        cwd=root, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
+    environment = {**os.environ, "HELD": str(held), "RAY_DISABLE_IMPORT_WARNING": "1"}
+    path = f"{tmp_path / 'site'}{os.pathsep}{root}"
+    environment |= {"PYTHONPATH": path, "RAY_USAGE_STATS_ENABLED": "0"}
+    words = [sys.executable, "-m", "app.cli.main", *write_scene(tmp_path), "--json"]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    run = subprocess.Popen(words, cwd=root, env=environment, **pipes)
     try:
         until = time.monotonic() + 240
         while not (held.exists() and held.read_text()) and run.poll() is None:

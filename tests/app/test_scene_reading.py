@@ -15,18 +15,14 @@ from app.server.scene_workspace import SceneWorkspace
 from app.server.workers import READ_CANCELLED
 from sessions.store import Store
 from tests.app.job_functions import reads_for_ever, shapes_without_end_of_rocks
-from tests.builders import wait_until
+from tests.builders import native_entry, wait_until
 from tests.model.scenes.scenes_made import make_assets, own, write_scene
 
 
 @pytest.fixture
 def open_scene(tmp_path: Path) -> Iterator[Callable[[], SceneWorkspace]]:
     assets = make_assets(tmp_path / "assets")
-    entries = [
-        {"id": asset, "description": "cabinet", "asset": asset, "position": [x, 0.5, 0.4],
-         "quaternion_wxyz": [1, 0, 0, 0], "scale": [1, 1, 1], "anchor": "center"}
-        for x, asset in enumerate(("cab", "rock"))
-    ]  # fmt: skip
+    entries = [native_entry(asset, x) for x, asset in enumerate(("cab", "rock"))]
     scene = write_scene(tmp_path / "home.json", own(entries))
     made: list[AppState] = []
 

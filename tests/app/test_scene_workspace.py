@@ -39,7 +39,7 @@ from sessions.document import Document, PartInfo
 from sessions.scene_commands import DecideObjects
 from sessions.storage import AssetStorage
 from sessions.store import Store
-from tests.builders import wait_until
+from tests.builders import native_entry, wait_until
 from tests.model.scenes.chat_server import chat_server
 from tests.model.scenes.saved import points_in_place
 from tests.model.scenes.scenes_made import POSITION, make_assets, own, write_scan, write_scene
@@ -48,10 +48,8 @@ EVIL = "rock <script>alert(1)</script>"
 
 
 def entry(id: str, asset: str | None, x: float, description: str, **more: Any) -> dict[str, Any]:
-    return {
-        "id": id, "description": description, "asset": asset, "position": [x, 0.5, 0.4],
-        "quaternion_wxyz": [0.8, 0.0, 0.0, 0.6], "scale": [1, 1, 1], "anchor": "center", **more,
-    }  # fmt: skip
+    turned = {"quaternion_wxyz": [0.8, 0.0, 0.0, 0.6], "description": description, "asset": asset}
+    return native_entry(id, x, **turned, **more)
 
 
 OBJECTS = [
@@ -91,11 +89,12 @@ class World:
 
     def settle(self) -> None:
         scene = self.scene_workspace
-        wait_until(
-            lambda: not scene.busy and all(w.drawn for w in scene.wanted() if w.document.tree)
-            and all(w.prepared or w.document.tree for w in scene.wanted()),
-            "nothing is left to do",
-        )  # fmt: skip
+
+        def rests() -> bool:
+            trees = [(w, w.document.tree) for w in scene.wanted()]
+            return not scene.busy and all(w.drawn if tree else w.prepared for w, tree in trees)
+
+        wait_until(rests, "nothing is left to do")
 
     def close(self) -> None:
         assert self.app_state is not None
@@ -133,10 +132,9 @@ def statuses(scene_workspace: SceneWorkspace) -> dict[str, str]:
 
 def test_objects_are_predicted_once_for_all_their_twins(world: World) -> None:
     scene_workspace = world.scene_workspace
-    assert statuses(scene_workspace) == {
-        "first": "predicted", "twin": "predicted", "small": "predicted", EVIL: "static",
-        "lost": "missing", "bad": "failed", "slab": "static",
-    }  # fmt: skip
+    now = dict.fromkeys(("first", "twin", "small"), "predicted")
+    now |= {EVIL: "static", "lost": "missing", "bad": "failed", "slab": "static"}
+    assert statuses(scene_workspace) == now
     assert scene_workspace.twins("first") == ["first", "twin"] and scene_workspace.twins(
         "small"
     ) == ["small"]
@@ -508,10 +506,8 @@ def test_a_helper_is_told_as_the_part_that_it_moves() -> None:
     )
     turn = Joint("turn", "continuous", "helper_1", "link_1", (0, 0, 1), (0, 0, 0))
     tree = KinematicTree(("link_0", "helper_1", "link_1"), (lift, turn))
-    doc = Document(
-        parts=(PartInfo(0), PartInfo(1, "seat")), tree=tree,
-        prediction=Prediction(tree, confidence={"link_1": 0.9}),
-    )  # fmt: skip
+    guess = Prediction(tree, confidence={"link_1": 0.9})
+    doc = Document(parts=(PartInfo(0), PartInfo(1, "seat")), tree=tree, prediction=guess)
     assert [(name, line) for name, line, _ in joint_lines(doc)] == [
         ("lift", "seat 1: lift · prismatic · 0 to 80 mm · 90\u00a0%"),
         ("turn", "seat 1: swivel · unlimited · 90\u00a0%"),
@@ -599,10 +595,9 @@ def test_the_saved_scene_loads_and_holds_what_was_accepted(accepted: World) -> N
     assert scene_workspace.document.saved is not None
     out = Path(scene_workspace.document.saved.folder)
     said = {o["id"]: o for o in json.loads((out / "scene.json").read_text())["objects"]}
-    assert {i: o["state"] for i, o in said.items()} == {
-        "first": "accepted", "twin": "accepted", "small": "rejected", EVIL: "todo",
-        "lost": "missing", "bad": "failed", "slab": "plain",
-    }  # fmt: skip
+    now = {"first": "accepted", "twin": "accepted", "small": "rejected", EVIL: "todo"}
+    now |= {"lost": "missing", "bad": "failed", "slab": "plain"}
+    assert {i: o["state"] for i, o in said.items()} == now
     assert said["first"]["urdf"] and not said["small"]["urdf"]
     assert said["small"]["decided"]["by"] == "bob" and said["small"]["reason"] == "rejected: axis"
     assert said["first"]["decided"]["by"] == "ann" and "cut it by clicks" in said[EVIL]["reason"]
@@ -699,8 +694,8 @@ def test_the_report_shows_the_limits_that_were_saved(accepted: World) -> None:
     path = Path(saved.folder) / "scene.json"
     told = json.loads(path.read_text())
     (entry,) = (o for o in told["objects"] if o["id"] == "first")
-    entry["shortened"] = [{"joint": joint.name, "was": [joint.lower, joint.upper],
-                           "limits": [0.0, 0.5], "hits": {"upper": "wall <b>"}}]  # fmt: skip
+    short = {"joint": joint.name, "was": [joint.lower, joint.upper], "limits": [0.0, 0.5]}
+    entry["shortened"] = [{**short, "hits": {"upper": "wall <b>"}}]
     path.write_text(json.dumps(told))
     done: list[Path] = []
     scene_workspace.saving.report(done.append)

@@ -139,11 +139,12 @@ def test_the_token_may_come_from_the_environment(monkeypatch):
 
 def test_every_option_arrives(scan):
     config = config_of(
-        str(scan), "--workspace", "w", "--database", "sqlite:///x.db", "--port", "0", "--token",
-        "long enough", "--user", "ada", "--up-axis", "y", "--unit-scale", "0.01",
-        "--max-upload-mb", "7", "--segmenter", "nearest", "--predictor", "geometric",
-        "--allow-origin", "https://a.example",
-    )  # fmt: skip
+        str(scan),
+        *"--workspace w --database sqlite:///x.db --port 0 --token".split(),
+        "long enough",
+        *"--user ada --up-axis y --unit-scale 0.01 --max-upload-mb 7 --segmenter nearest".split(),
+        *"--predictor geometric --allow-origin https://a.example".split(),
+    )
     assert config.paths == (scan,) and config.database == "sqlite:///x.db"
     assert (config.user, config.up_axis, config.unit_scale) == ("ada", "y", 0.01)
     assert (config.max_upload_mb, config.segmenter, config.token) == (7, "nearest", "long enough")

@@ -47,13 +47,11 @@ class Pair:
         self.port, self.people, self._store = free_port(), store.people, store
         self.running: dict[str, subprocess.Popen[bytes]] = {}
         for host in HOSTS:
-            words = [
-                sys.executable, "-m", "app.cli.main", "serve", *map(str, paths), "--host", host,
-                "--port", str(self.port), "--workspace", str(folder / "workspace"),
-                "--database", database, "--storage", f"file://{folder}/storage",
-                "--allow-origin", "https://scans.example.org", "--predictor", "geometric",
-                "--trusted-proxy", "127.0.0.1",
-            ]  # fmt: skip
+            words = [sys.executable, *"-m app.cli.main serve".split(), *map(str, paths)]
+            words += f"--host {host} --port {self.port} --workspace {folder}/workspace".split()
+            words += f"--database {database} --storage file://{folder}/storage".split()
+            words += "--allow-origin https://scans.example.org --predictor geometric".split()
+            words += "--trusted-proxy 127.0.0.1".split()
             with (folder / f"{host}.log").open("wb") as log:
                 self.running[host] = subprocess.Popen(
                     words, stdout=log, stderr=log, env={**os.environ, "OMP_NUM_THREADS": "1"}
@@ -157,10 +155,17 @@ def proxy(pair: Pair, tmp_path: Path) -> Iterator[str]:
     certs = tmp_path / "certs"
     certs.mkdir()
     subprocess.run(
-        ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "2", "-subj",
-         "/CN=scans.example.org", "-keyout", certs / "server.key", "-out", certs / "server.crt"],
-        check=True, capture_output=True, timeout=60,
-    )  # fmt: skip
+        [
+            *"openssl req -x509 -newkey rsa:2048 -nodes -days 2".split(),
+            *"-subj /CN=scans.example.org -keyout".split(),
+            certs / "server.key",
+            "-out",
+            certs / "server.crt",
+        ],
+        check=True,
+        capture_output=True,
+        timeout=60,
+    )
     port, text = free_port(), (DEPLOY / "nginx.conf").read_text()
     for name, host in zip(("artiworld-1", "artiworld-2"), HOSTS, strict=True):
         assert f"server {name}:8080;" in text
@@ -185,10 +190,8 @@ def proxy(pair: Pair, tmp_path: Path) -> Iterator[str]:
 def test_behind_the_proxy_one_server_may_end(pair: Pair, proxy: str) -> None:
     context = ssl.create_default_context()
     context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
-    headers = {
-        "Host": "scans.example.org", "Origin": "https://scans.example.org", "X-ArtiWorld": "1",
-        "Content-Type": "application/json",
-    }  # fmt: skip
+    headers = {"Host": "scans.example.org", "Origin": "https://scans.example.org"}
+    headers |= {"X-ArtiWorld": "1", "Content-Type": "application/json"}
 
     def ask(path: str, body: Any = None, cookie: str = "") -> Any:
         data = None if body is None else json.dumps(body).encode()

@@ -191,11 +191,9 @@ def an_asset_on_the_storage(given: Path, workspace: Path) -> Path:
     return place
 
 
-PLACES = (
-    a_zip, a_file, an_array, a_cached_asset, a_light, a_thumbnail, a_scene_objects_copy,
-    an_asset, a_part_cut_out, a_drawn_shape, collision_shapes, the_objects_inside_a_scene,
-    an_asset_on_the_storage, pytest.param(a_draft, marks=pytest.mark.slow),
-)  # fmt: skip
+PLACES = (a_zip, a_file, an_array, a_cached_asset, a_light, a_thumbnail, a_scene_objects_copy)
+PLACES += (an_asset, a_part_cut_out, a_drawn_shape, collision_shapes, the_objects_inside_a_scene)
+PLACES += (an_asset_on_the_storage, pytest.param(a_draft, marks=pytest.mark.slow))
 
 
 def sizes(place: Path) -> dict[str, int]:
@@ -270,17 +268,15 @@ def test_ten_that_learn_at_once_get_a_version_each(
 ) -> None:
     assert sorted(at_once(kind, partial(_learn, tmp_path))) == list(range(1, AT_ONCE + 1))
     assert experience.versions(tmp_path) == list(range(1, AT_ONCE + 1))
-    known = {record_of(tmp_path / experience.FOLDER / str(v))["assets"][0]
-             for v in experience.versions(tmp_path)}  # fmt: skip
+    folders = [tmp_path / experience.FOLDER / str(v) for v in experience.versions(tmp_path)]
+    known = {record_of(folder)["assets"][0] for folder in folders}
     assert known == {f"oven-{number}" for number in range(AT_ONCE)}
     assert in_use(tmp_path) is not None
 
 
 def _draft_of_a_size(source: PartSource, number: int) -> Path:
-    limit = Joint(
-        "door", "revolute", "link_0", "link_1", (0, 0, 1), (0, 0, 0), lower=0,
-        upper=0.5 + number / 10,
-    )  # fmt: skip
+    line, upper = ((0, 0, 1), (0, 0, 0)), 0.5 + number / 10
+    limit = Joint("door", "revolute", "link_0", "link_1", *line, lower=0, upper=upper)
     return prepare_asset(source, KinematicTree(TREE.links, (limit,)))
 
 

@@ -35,9 +35,10 @@ def s3(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
     running = subprocess.Popen(
-        [program, "-H", "127.0.0.1", "-p", str(port)],
-        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-    )  # fmt: skip
+        [program, *"-H 127.0.0.1 -p".split(), str(port)],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
     address = f"http://127.0.0.1:{port}"
 
     def bucket() -> bool:
@@ -48,10 +49,9 @@ def s3(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
             return False
 
     with pytest.MonkeyPatch.context() as patch:
-        for name, value in (
-            ("AWS_ENDPOINT_URL", address), ("AWS_ACCESS_KEY_ID", "a"),
-            ("AWS_SECRET_ACCESS_KEY", "b"), ("AWS_REGION", "us-east-1"),
-        ):  # fmt: skip
+        secrets = {"AWS_ACCESS_KEY_ID": "a", "AWS_SECRET_ACCESS_KEY": "b"}
+        place = {"AWS_ENDPOINT_URL": address, "AWS_REGION": "us-east-1"}
+        for name, value in (secrets | place).items():
             patch.setenv(name, value)
         try:
             wait_until(bucket, "the S3 server", 60)
@@ -97,12 +97,13 @@ def test_an_accepted_asset_lies_on_the_storage_and_comes_back(
         assert provenance(folder)["second"] is True
 
     monkeypatch.setenv(STORAGE_VARIABLE, s3)
-    released = artiworld("release", workspace, "--name", "kitchens", "--version", "1",
-                         "--license", "CC0-1.0", "--json")  # fmt: skip
+    released = artiworld(
+        "release", workspace, *"--name kitchens --version 1 --license CC0-1.0 --json".split()
+    )
     place = json.loads(released.stdout)["storage"]
     assert place.startswith(f"{s3}/releases/kitchens-1/")
     shutil.rmtree(workspace / "releases")
-    again = artiworld("release", workspace, "--name", "kitchens", "--version", "1")  # fmt: skip
+    again = artiworld("release", workspace, "--name", "kitchens", "--version", "1")
     assert_users_mistake(again, "is there already")
 
 

@@ -316,8 +316,7 @@ def test_what_was_said_while_the_joints_were_being_judged_is_kept(
 
 
 def test_what_the_gate_holds_back_after_a_person_went_on_waits_for_another_look(
-    cupboard: OpenObject,
-    app_state: AppState,
+    cupboard: OpenObject, app_state: AppState
 ) -> None:
     obj = cupboard
     if obj.document.review.state == "accepted":

@@ -53,11 +53,11 @@ from model.evaluation.scans import run as run_scans
 from model.evaluation.scans import to_json as scans_json
 from model.evaluation.segmentation import BenchConfig, DataSet
 from model.evaluation.segmentation import run as run_segment
-from model.prediction.ablation import SWITCHES
 from model.prediction.arti4urdf.decoding import decode
 from model.prediction.arti4urdf.network import load_weights
 from model.prediction.arti4urdf.predictor import Arti4UrdfPredictor, make_prompt
 from model.prediction.arti4urdf.structure import read_structure
+from model.prediction.builder import SWITCHES
 from model.prediction.registry import DEFAULT, Predictor, load_predictor
 from model.training.arti4urdf.small_trainer import (
     both,

@@ -43,11 +43,11 @@ from sessions.review import RejectReason
 sessions_router = APIRouter(tags=["sessions"])
 KINDS: frozenset[str] = frozenset(
     {
-        "add_click", "remove_prompt", "clear_prompts", "add_part", "name_part", "delete_part",
-        "set_category", "set_joint", "set_composite", "set_root", "reset_joint", "lock_joint",
+        *"add_click remove_prompt clear_prompts add_part name_part delete_part".split(),
+        *"set_category set_joint set_composite set_root reset_joint lock_joint".split(),
         "set_completion",
     }
-)  # fmt: skip
+)
 """Commands that a script may give; the others are results of jobs, or have a route of their own."""
 
 

@@ -142,10 +142,9 @@ class JointEditor:
         self._name = gui.add_text(words.FILE_NAME, "", hint=words.FILE_NAME_HINT)
         self._locked = gui.add_checkbox(words.LOCK, False, hint=words.LOCK_HINT)
         self._reset = gui.add_button(words.reset_to(False), color="gray")
-        self._edits = (
-            self._type, self._parent, self._axis, self._origin, self._lower, self._upper,
-            self._gizmo, self._name, self._locked, self._reset,
-        )  # fmt: skip
+        numbers = (self._axis, self._origin, self._lower, self._upper)
+        others = (self._gizmo, self._name, self._locked, self._reset)
+        self._edits = (self._type, self._parent, *numbers, *others)
         self._wire()
 
     def _wire(self) -> None:

@@ -30,18 +30,16 @@ MARKED: Final[Rgb] = (176, 182, 190)
 NEGATIVE: Final[Rgb] = (25, 25, 30)
 
 PART_NAMES: Final[tuple[str, ...]] = (
-    "base", "door", "drawer", "lid", "knob", "button", "handle", "wheel", "lever", "switch",
-    "screen", "seat", "leg", "arm", "cap", "blade", "tray", "shelf", "panel", "pedal", "spout",
-    "hinge", "rotor", "caster",
-)  # fmt: skip
+    *"base door drawer lid knob button handle wheel lever switch screen seat leg arm cap".split(),
+    *"blade tray shelf panel pedal spout hinge rotor caster".split(),
+)
 CATEGORIES: Final[tuple[str, ...]] = (
-    "Bottle", "Box", "Bucket", "Camera", "Cart", "Chair", "Clock", "CoffeeMachine", "Dishwasher",
-    "Dispenser", "Display", "Door", "Eyeglasses", "Fan", "Faucet", "FoldingChair", "Globe",
-    "Kettle", "Keyboard", "KitchenPot", "Knife", "Lamp", "Laptop", "Lighter", "Microwave",
-    "Mouse", "Oven", "Pen", "Phone", "Pliers", "Printer", "Refrigerator", "Remote", "Safe",
-    "Scissors", "Stapler", "StorageFurniture", "Suitcase", "Switch", "Table", "Toaster", "Toilet",
-    "TrashCan", "USB", "WashingMachine", "Window",
-)  # fmt: skip
+    *"Bottle Box Bucket Camera Cart Chair Clock CoffeeMachine Dishwasher Dispenser Display".split(),
+    *"Door Eyeglasses Fan Faucet FoldingChair Globe Kettle Keyboard KitchenPot Knife Lamp".split(),
+    *"Laptop Lighter Microwave Mouse Oven Pen Phone Pliers Printer Refrigerator Remote".split(),
+    *"Safe Scissors Stapler StorageFurniture Suitcase Switch Table Toaster Toilet TrashCan".split(),
+    *"USB WashingMachine Window".split(),
+)
 SCENE_COLORS: Final[dict[str, Rgb]] = {
     "predicted": (128, 90, 213),
     "on_hold": (168, 92, 26),

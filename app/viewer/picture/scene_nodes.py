@@ -366,25 +366,22 @@ class Instances(Node):
         return palette.SCENE_ALBEDO[look.status[id]] if part is None else palette.albedo(part)
 
     def _send_original(self) -> Any:
-        return self._client.scene.add_batched_glb(
-            f"{self._name}/own",
-            colored_glb(self.shape),
-            self._turns(),
-            self._positions(),
-            batched_scales=self._scales(),
-            lod="off",
-            cast_shadow=False,
-            receive_shadow=False,
-        )
+        name, glb = f"{self._name}/own", colored_glb(self.shape)
+        return self._client.scene.add_batched_glb(name, glb, *self._placed(), **self._plain())
 
     def _send_flat(self) -> Any:
         assert self.shape.faces is not None
-        return self._client.scene.add_batched_meshes_simple(
-            f"{self._name}/flat", self.shape.vertices, self.shape.faces, self._turns(),
-            self._positions(), batched_scales=self._scales(),
-            batched_colors=np.full((len(self.ids), 3), 180, np.uint8), lod="off",
-            flat_shading=True, side="double", cast_shadow=False, receive_shadow=False,
-        )  # fmt: skip
+        mesh = (f"{self._name}/flat", self.shape.vertices, self.shape.faces)
+        colors = np.full((len(self.ids), 3), 180, np.uint8)
+        look = {"batched_colors": colors, "flat_shading": True, "side": "double", **self._plain()}
+        return self._client.scene.add_batched_meshes_simple(*mesh, *self._placed(), **look)
+
+    def _placed(self) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+        return self._turns(), self._positions()
+
+    def _plain(self) -> dict[str, Any]:
+        shadows = {"cast_shadow": False, "receive_shadow": False}
+        return {"batched_scales": self._scales(), "lod": "off", **shadows}
 
     def _place(self) -> None:
         for handle in self.handles:

@@ -13,9 +13,8 @@ from app.server.accepting import accept, withdraw
 from app.server.names import display_text, joint_title
 from app.server.open_object import OpenObject
 from app.server.validating import UnseenWarningsError
-from app.viewer.panels.exporting import send_folder
 from app.viewer.panels.joint_tree import confidence_text, range_text
-from app.viewer.panels.reviewing import RejectButtons, Rejecting, ValidationList
+from app.viewer.panels.reviewing import RejectButtons, Rejecting, ValidationList, send_folder
 from app.viewer.panels.widgets import put
 from app.viewer.picture.motion import Motion
 from app.viewer.tab import Tab, plain

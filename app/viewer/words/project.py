@@ -18,15 +18,8 @@ DOWNLOAD: Final = "Download CSV"
 DOWNLOAD_HINT: Final = "A row for each day and person"
 FILE: Final = "artiworld_work.csv"
 CLOSE: Final = "Close"
-COLUMNS: Final = (
-    "Person",
-    "Objects",
-    "Accepted",
-    "Accepted/h",
-    "Active",
-    "Waiting",
-    "Clicks",
-    "Corrections",
+COLUMNS: Final = tuple(
+    "Person Objects Accepted Accepted/h Active Waiting Clicks Corrections".split()
 )
 ACCEPTED: Final = "accepted"
 DAY: Final = "day (UTC)"

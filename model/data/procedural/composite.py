@@ -6,6 +6,7 @@ They teach a network the joints' cues apart from the categories' habits.
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -170,11 +171,10 @@ def _front(
         )
         m.door(b, body, face, front - 0.002, spec)
     elif kind < 0.9 or not alone:
-        m.drawer(
-            b, body, face, front - 0.002, 0.8 * d, inner=clear, handle_style=style,
-            thickness=thick, inside=wood("birch"), travel=float(rng.uniform(0.6, 0.9)),
-            handle_length=0.4 * r.width
-        )  # fmt: skip
+        drawer = partial(m.drawer, inner=clear, handle_style=style, handle_length=0.4 * r.width)
+        drawer = partial(drawer, thickness=thick, inside=wood("birch"))
+        travel = float(rng.uniform(0.6, 0.9))
+        drawer(b, body, face, front - 0.002, 0.8 * d, travel=travel)
     else:
         side = 1 if rng.random() < 0.5 else -1
         axis = (side, 0, 0)

@@ -63,7 +63,7 @@ def cabinet(rng: np.random.Generator) -> ProceduralObject:
     ]
     left = furniture.Cupboard(
         (w, 0.44, h), (*cells, furniture.Cell("door", Opening(third, x, leg, leg + h))), wall=0.019,
-        gap=0.003, leg="taper", leg_height=leg, front="shaker", handle="bar", handle_length=0.13,
+        gap=0.003, legs=("taper", leg), front="shaker", handle="bar", handle_length=0.13,
         shelves=1, overhang=0.03, swing=1.92,
     )  # fmt: skip
     dark = plain("shadow", (52, 44, 38))

@@ -77,8 +77,8 @@ def bottle(b: Builder) -> None:
     radius, height = b.uniform(0.02, 0.06), b.uniform(0.1, 0.3)
     neck = b.uniform(0.2, 0.6) * radius
     z0 = height * b.uniform(0.6, 0.85)
-    b.add(0, lathe([(0, 0), (radius, 0), (radius, z0), (neck, z0 + 0.08 * height), (neck, height),
-                    (0, height)]))  # fmt: skip
+    glass = [(radius, 0), (radius, z0), (neck, z0 + 0.08 * height), (neck, height)]
+    b.add(0, lathe([(0, 0), *glass, (0, height)]))
     if b.chance(0.4):
         b.add(0, lathe([(radius * 1.005, 0.2 * z0), (radius * 1.005, 0.7 * z0)]), b.palette[3])
     part = b.new_part()
@@ -332,7 +332,5 @@ def composite(b: Builder) -> None:
         size *= 0.85
 
 
-FAMILIES = (
-    vessel, vessel, bottle, faucet, blades, eyeglasses, chair, cart, device, lamp, composite,
-    composite,
-)  # fmt: skip
+FAMILIES = (vessel, vessel, bottle, faucet, blades, eyeglasses, chair, cart, device, lamp)
+FAMILIES += (composite, composite)

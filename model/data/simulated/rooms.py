@@ -20,14 +20,16 @@ from model.geometry.crop import floor_and_walls, outliers
 
 Array = npt.NDArray[np.float64]
 
-AT_WALLS = ("StorageFurniture", "StorageFurniture", "StorageFurniture", "Refrigerator", "Oven",
-            "WashingMachine", "Dishwasher", "Safe", "Table", "Toilet", "TrashCan",
-            "Composite")  # fmt: skip
-FREE = ("Table", "Table", "Chair", "Chair", "Chair", "FoldingChair", "Suitcase", "TrashCan", "Cart",
-        "Fan", "Box")  # fmt: skip
+AT_WALLS = (
+    *"StorageFurniture StorageFurniture StorageFurniture Refrigerator Oven WashingMachine".split(),
+    *"Dishwasher Safe Table Toilet TrashCan Composite".split(),
+)
+FREE = tuple("Table Table Chair Chair Chair FoldingChair Suitcase TrashCan Cart Fan Box".split())
 IN_WALLS = ("Door", "Door", "Window")
-ON_TOP = ("Microwave", "CoffeeMachine", "Kettle", "KitchenPot", "Box", "Printer", "Display",
-          "Toaster", "Bottle", "Lamp", "Bucket", "Laptop")  # fmt: skip
+ON_TOP = (
+    *"Microwave CoffeeMachine Kettle KitchenPot Box Printer Display Toaster Bottle Lamp".split(),
+    *"Bucket Laptop".split(),
+)
 NOTHING = 0
 """Label of floor and walls; objects count from 1."""
 

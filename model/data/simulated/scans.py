@@ -10,7 +10,7 @@ panel. Sides of equal size get the same ornament, as in a row of drawers.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -35,14 +35,22 @@ FLUSH = (furniture.flush_front.__name__,)
 """Doors and drawers that lie in one plane with their frame."""
 _ASSEMBLY = {family.__name__: family for family in (*ASSEMBLIES, furniture.flush_front)}
 FAMILIES = tuple(name for name in family_names() if name not in HELD_OUT)
-SMALL_PARTED = ("Keyboard", "Remote", "Phone", "Switch", "Microwave", "WashingMachine",
-                "CoffeeMachine", "Camera", "Printer", "Dispenser", "Lamp", "Safe")  # fmt: skip
+SMALL_PARTED = (
+    *"Keyboard Remote Phone Switch Microwave WashingMachine CoffeeMachine Camera Printer".split(),
+    *"Dispenser Lamp Safe".split(),
+)
 """Families with keys, knobs and buttons."""
-DRAWERED = ("StorageFurniture", "StorageFurniture", "StorageFurniture", "Table", "Cart",
-            "Refrigerator", "Dishwasher", "Printer", "TrashCan", "Composite")  # fmt: skip
+DRAWERED = (
+    *"StorageFurniture StorageFurniture StorageFurniture Table Cart Refrigerator".split(),
+    *"Dishwasher Printer TrashCan Composite".split(),
+)
 """Families with drawers, racks and trays within a body."""
-SQUARE = (*4 * ("StorageFurniture",), *2 * ("Table",), *2 * ("cabinet",), "table", "appliance",
-          "Cart", "Refrigerator", "Dishwasher", "Printer", "TrashCan", "Composite")  # fmt: skip
+SQUARE = (
+    *4 * ("StorageFurniture",),
+    *2 * ("Table",),
+    *2 * ("cabinet",),
+    *"table appliance Cart Refrigerator Dishwasher Printer TrashCan Composite".split(),
+)
 """Families and assemblies whose parts fill boxes."""
 
 _FAMILY_SHARE = 0.6
@@ -467,7 +475,4 @@ def _disc(size: Float, depth: float, rng: np.random.Generator) -> list[Triangles
     return [lathe([*profile, profile[0]], 32) + (*(np.array(size) / 2).tolist(), 0.0)]
 
 
-_KINDS: tuple[Callable[[Float, float, np.random.Generator], list[Triangles]], ...] = (
-    _frame, _frame, _panel, _panel, _framed_panel, _framed_panel, _framed_panel,
-    _ribs, _label, _studs, _disc,
-)  # fmt: skip
+_KINDS = (_frame, _frame, _panel, _panel, *3 * (_framed_panel,), _ribs, _label, _studs, _disc)

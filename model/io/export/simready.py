@@ -149,10 +149,9 @@ def simready_problems(path: Path) -> list[str]:
     """
     with TemporaryDirectory(prefix="artiworld-") as folder:
         report = Path(folder, "report.json")
-        command = [
-            sys.executable, "-c", "from simready.validate._cli import main; main()",
-            "--profile", PROFILE, "--version", VERSION, "--output", str(report), str(path),
-        ]  # fmt: skip
+        options = ["--profile", PROFILE, "--version", VERSION, "--output", str(report), str(path)]
+        program = "from simready.validate._cli import main; main()"
+        command = [sys.executable, "-c", program, *options]
         try:
             done = subprocess.run(
                 command, capture_output=True, text=True, timeout=SECONDS, check=False

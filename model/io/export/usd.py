@@ -80,30 +80,30 @@ class _Writer:
         self.obj, self.path, self.folder, self.physics = obj, path, path.parent, physics
         self.materials = read_materials()
         for name in ("Gf", "Sdf", "Usd", "UsdGeom", "UsdPhysics", "UsdShade", "Vt"):
-            setattr(self, name, require(f"pxr.{name}", "artiworld[usd]", "USD"))
+            setattr(self, f"_{name}", require(f"pxr.{name}", "artiworld[usd]", "USD"))
         self.origins = link_origins(obj.tree)
         self.files: list[Path] = []
         self.looks: dict[tuple[Any, ...], Any] = {}
         self.names: dict[str, set[str]] = {}
 
-    Gf: Any
-    Sdf: Any
-    Usd: Any
-    UsdGeom: Any
-    UsdPhysics: Any
-    UsdShade: Any
-    Vt: Any
+    _Gf: Any
+    _Sdf: Any
+    _Usd: Any
+    _UsdGeom: Any
+    _UsdPhysics: Any
+    _UsdShade: Any
+    _Vt: Any
 
     def write(self, progress: Progress) -> tuple[Path, ...]:
-        stage = self.stage = self.Usd.Stage.CreateInMemory()
-        self.UsdGeom.SetStageUpAxis(stage, self.UsdGeom.Tokens.z)
-        self.UsdGeom.SetStageMetersPerUnit(stage, 1.0)
-        self.UsdPhysics.SetStageKilogramsPerUnit(stage, 1.0)
+        stage = self.stage = self._Usd.Stage.CreateInMemory()
+        self._UsdGeom.SetStageUpAxis(stage, self._UsdGeom.Tokens.z)
+        self._UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+        self._UsdPhysics.SetStageKilogramsPerUnit(stage, 1.0)
         self.top = f"/{self._identifier('/', self.obj.name or 'object')}"
-        root = self.UsdGeom.Xform.Define(stage, self.top).GetPrim()
+        root = self._UsdGeom.Xform.Define(stage, self.top).GetPrim()
         stage.SetDefaultPrim(root)
-        self.Usd.ModelAPI(root).SetKind("component")
-        self.UsdPhysics.ArticulationRootAPI.Apply(root)
+        self._Usd.ModelAPI(root).SetKind("component")
+        self._UsdPhysics.ArticulationRootAPI.Apply(root)
         self._label(root, "class", self.obj.category or self.obj.name or "object")
         parts = {p.link: p for p in self.obj.parts}
         self.links: dict[str, Any] = {}
@@ -132,11 +132,11 @@ class _Writer:
 
     def _link(self, link: str) -> Any:
         path = f"{self.top}/{self._identifier(self.top, link)}"
-        xform = self.UsdGeom.Xform.Define(self.stage, path)
-        xform.AddTranslateOp().Set(self.Gf.Vec3d(*rounded(self.origins[link])))
+        xform = self._UsdGeom.Xform.Define(self.stage, path)
+        xform.AddTranslateOp().Set(self._Gf.Vec3d(*rounded(self.origins[link])))
         prim = xform.GetPrim()
         prim.SetCustomDataByKey(NAME_KEY, link)
-        self.UsdPhysics.RigidBodyAPI.Apply(prim)
+        self._UsdPhysics.RigidBodyAPI.Apply(prim)
         inertial = self.physics.inertials.get(link)
         if inertial is not None:
             self._mass(prim, inertial, self.origins[link])
@@ -145,7 +145,7 @@ class _Writer:
     def _label(self, prim: Any, taxonomy: str, text: str) -> None:
         """A label for synthetic data; by its name, as older usd-core has no SemanticsLabelsAPI."""
         prim.AddAppliedSchema(f"SemanticsLabelsAPI:{taxonomy}")
-        types = self.Sdf.ValueTypeNames
+        types = self._Sdf.ValueTypeNames
         attribute = prim.CreateAttribute(f"semantics:labels:{taxonomy}", types.TokenArray, False)
         attribute.Set([text.strip().lower()])
 
@@ -153,14 +153,14 @@ class _Writer:
         values, axes = np.linalg.eigh(inertial.exact_tensor)
         axes *= np.sign(axes[np.abs(axes).argmax(0), range(3)])
         axes[:, 0] *= np.sign(np.linalg.det(axes))
-        api = self.UsdPhysics.MassAPI.Apply(prim)
+        api = self._UsdPhysics.MassAPI.Apply(prim)
         api.CreateMassAttr(float(inertial.mass))
         api.CreateCenterOfMassAttr(self._vec3f(inertial.center - origin))
-        api.CreateDiagonalInertiaAttr(self.Gf.Vec3f(*values.tolist()))
-        api.CreatePrincipalAxesAttr(self.Gf.Quatf(*quaternion_wxyz(axes)))
+        api.CreateDiagonalInertiaAttr(self._Gf.Vec3f(*values.tolist()))
+        api.CreatePrincipalAxesAttr(self._Gf.Quatf(*quaternion_wxyz(axes)))
 
     def _vec3f(self, values: npt.ArrayLike) -> Any:
-        return self.Gf.Vec3f(*rounded(values))
+        return self._Gf.Vec3f(*rounded(values))
 
     # Looks
 
@@ -169,12 +169,12 @@ class _Writer:
             f"{prim.GetPath()}/visual", mesh.vertices - self.origins[link], mesh.faces
         )
         if mesh.uv is not None:
-            st = self.UsdGeom.PrimvarsAPI(made).CreatePrimvar(
-                "st", self.Sdf.ValueTypeNames.TexCoord2fArray, self.UsdGeom.Tokens.vertex
+            st = self._UsdGeom.PrimvarsAPI(made).CreatePrimvar(
+                "st", self._Sdf.ValueTypeNames.TexCoord2fArray, self._UsdGeom.Tokens.vertex
             )
-            st.Set(self.Vt.Vec2fArray.FromNumpy(np.ascontiguousarray(mesh.uv, np.float32)))
+            st.Set(self._Vt.Vec2fArray.FromNumpy(np.ascontiguousarray(mesh.uv, np.float32)))
         shown = () if mesh.vertex_colors is None else self._colors(made, mesh.vertex_colors)
-        binding = self.UsdShade.MaterialBindingAPI
+        binding = self._UsdShade.MaterialBindingAPI
         used = np.unique(mesh.face_material).tolist()
         if len(used) == 1:
             look = self._look(mesh.materials[used[0]], shown, made_of)
@@ -183,7 +183,7 @@ class _Writer:
         for index in used:
             faces = np.flatnonzero(mesh.face_material == index).astype(np.int32)
             subset = binding.Apply(made.GetPrim()).CreateMaterialBindSubset(
-                f"subset_{index}", self.Vt.IntArray.FromNumpy(faces)
+                f"subset_{index}", self._Vt.IntArray.FromNumpy(faces)
             )
             look = self._look(mesh.materials[index], shown, made_of)
             binding.Apply(subset.GetPrim()).Bind(look)
@@ -191,31 +191,31 @@ class _Writer:
     def _colors(self, made: Any, rgba: npt.NDArray[np.uint8]) -> tuple[str, ...]:
         """Write a mesh' own colours; the names of what materials read of them."""
         linear = np.ascontiguousarray((rgba[:, :3] / 255.0) ** 2.2, np.float32)
-        vertex = self.UsdGeom.Tokens.vertex
-        made.CreateDisplayColorPrimvar(vertex).Set(self.Vt.Vec3fArray.FromNumpy(linear))
+        vertex = self._UsdGeom.Tokens.vertex
+        made.CreateDisplayColorPrimvar(vertex).Set(self._Vt.Vec3fArray.FromNumpy(linear))
         if (rgba[:, 3] == 255).all():
             return ("displayColor",)
         alpha = np.ascontiguousarray(rgba[:, 3] / 255.0, np.float32)
-        made.CreateDisplayOpacityPrimvar(vertex).Set(self.Vt.FloatArray.FromNumpy(alpha))
+        made.CreateDisplayOpacityPrimvar(vertex).Set(self._Vt.FloatArray.FromNumpy(alpha))
         return ("displayColor", "displayOpacity")
 
     def _mesh(self, path: str, vertices: FloatArray, faces: npt.NDArray[np.int32]) -> Any:
-        made = self.UsdGeom.Mesh.Define(self.stage, path)
+        made = self._UsdGeom.Mesh.Define(self.stage, path)
         points = np.ascontiguousarray(vertices, np.float32)
-        made.CreatePointsAttr(self.Vt.Vec3fArray.FromNumpy(points))
+        made.CreatePointsAttr(self._Vt.Vec3fArray.FromNumpy(points))
         counts = np.full(len(faces), 3, np.int32)
-        made.CreateFaceVertexCountsAttr(self.Vt.IntArray.FromNumpy(counts))
+        made.CreateFaceVertexCountsAttr(self._Vt.IntArray.FromNumpy(counts))
         indices = np.ascontiguousarray(faces.reshape(-1), np.int32)
-        made.CreateFaceVertexIndicesAttr(self.Vt.IntArray.FromNumpy(indices))
-        made.CreateSubdivisionSchemeAttr(self.UsdGeom.Tokens.none)
+        made.CreateFaceVertexIndicesAttr(self._Vt.IntArray.FromNumpy(indices))
+        made.CreateSubdivisionSchemeAttr(self._UsdGeom.Tokens.none)
         extent = np.ascontiguousarray(np.stack([points.min(axis=0), points.max(axis=0)]))
-        made.CreateExtentAttr(self.Vt.Vec3fArray.FromNumpy(extent))
+        made.CreateExtentAttr(self._Vt.Vec3fArray.FromNumpy(extent))
         which, normals = corner_normals(Mesh(vertices, faces))
-        shading = self.UsdGeom.PrimvarsAPI(made).CreatePrimvar(
-            "normals", self.Sdf.ValueTypeNames.Normal3fArray, self.UsdGeom.Tokens.faceVarying
+        shading = self._UsdGeom.PrimvarsAPI(made).CreatePrimvar(
+            "normals", self._Sdf.ValueTypeNames.Normal3fArray, self._UsdGeom.Tokens.faceVarying
         )
-        shading.Set(self.Vt.Vec3fArray.FromNumpy(normals))
-        shading.SetIndices(self.Vt.IntArray.FromNumpy(which.reshape(-1)))
+        shading.Set(self._Vt.Vec3fArray.FromNumpy(normals))
+        shading.SetIndices(self._Vt.IntArray.FromNumpy(which.reshape(-1)))
         return made
 
     def _look(self, material: Material, shown: tuple[str, ...], made_of: str) -> Any:
@@ -239,7 +239,7 @@ class _Writer:
         )
         if key in self.looks:
             return self.looks[key]
-        types, shade = self.Sdf.ValueTypeNames, self.UsdShade
+        types, shade = self._Sdf.ValueTypeNames, self._UsdShade
         path = f"{self.top}/Looks/{self._identifier('Looks', material.name)}"
         made = self.looks[key] = shade.Material.Define(self.stage, path)
         self._label(made.GetPrim(), "material", made_of)
@@ -247,7 +247,7 @@ class _Writer:
         surface.CreateIdAttr("UsdPreviewSurface")
         *rgb, alpha = (c / 255.0 for c in color_of)
         color = surface.CreateInput("diffuseColor", types.Color3f)
-        color.Set(self.Gf.Vec3f(*(c**2.2 for c in rgb)))
+        color.Set(self._Gf.Vec3f(*(c**2.2 for c in rgb)))
         opacity = surface.CreateInput("opacity", types.Float)
         opacity.Set(alpha)
         roughness = _ROUGHNESS if material.roughness is None else material.roughness
@@ -268,7 +268,7 @@ class _Writer:
 
     def _maps(self, path: str, surface: Any, maps: SurfaceMaps) -> None:
         """Texture values are multiplied by the scale and shifted by the bias, in linear space."""
-        types = self.Sdf.ValueTypeNames
+        types = self._Sdf.ValueTypeNames
         if maps.normal is not None:
             picture, bump = self._picture(maps.normal), maps.normal_scale
             texture = self._texture(path, "normal_map", picture, "raw")
@@ -291,10 +291,10 @@ class _Writer:
             occlusion.ConnectToSource(texture.CreateOutput("r", types.Float))
 
     def _texture(self, path: str, name: str, picture: str, color_space: str) -> Any:
-        types = self.Sdf.ValueTypeNames
-        texture = self.UsdShade.Shader.Define(self.stage, f"{path}/{name}")
+        types = self._Sdf.ValueTypeNames
+        texture = self._UsdShade.Shader.Define(self.stage, f"{path}/{name}")
         texture.CreateIdAttr("UsdUVTexture")
-        texture.CreateInput("file", types.Asset).Set(self.Sdf.AssetPath(f"./{picture}"))
+        texture.CreateInput("file", types.Asset).Set(self._Sdf.AssetPath(f"./{picture}"))
         texture.CreateInput("wrapS", types.Token).Set("repeat")
         texture.CreateInput("wrapT", types.Token).Set("repeat")
         texture.CreateInput("sourceColorSpace", types.Token).Set(color_space)
@@ -304,14 +304,14 @@ class _Writer:
 
     def _scaled(self, texture: Any, scale: Sequence[float], bias: Sequence[float]) -> None:
         for name, values in (("scale", scale), ("bias", bias)):
-            made = texture.CreateInput(name, self.Sdf.ValueTypeNames.Float4)
-            made.Set(self.Gf.Vec4f(*values))
+            made = texture.CreateInput(name, self._Sdf.ValueTypeNames.Float4)
+            made.Set(self._Gf.Vec4f(*values))
 
     def _primvar(self, path: str, name: str, kind: str, type: Any) -> Any:
         """A primvar reader."""
-        reader = self.UsdShade.Shader.Define(self.stage, f"{path}/{name}")
+        reader = self._UsdShade.Shader.Define(self.stage, f"{path}/{name}")
         reader.CreateIdAttr(f"UsdPrimvarReader_{kind}")
-        reader.CreateInput("varname", self.Sdf.ValueTypeNames.String).Set(name)
+        reader.CreateInput("varname", self._Sdf.ValueTypeNames.String).Set(name)
         return reader.CreateOutput("result", type)
 
     def _picture(self, image: ImageFile) -> str:
@@ -331,17 +331,17 @@ class _Writer:
             made = self._primitive(path, shape, self.origins[link])
         else:
             made = self._mesh(path, shape.vertices - self.origins[link], shape.faces)
-            api = self.UsdPhysics.MeshCollisionAPI.Apply(made.GetPrim())
-            api.CreateApproximationAttr(self.UsdPhysics.Tokens.convexHull)
-        made.CreatePurposeAttr(self.UsdGeom.Tokens.guide)
-        self.UsdPhysics.CollisionAPI.Apply(made.GetPrim())
+            api = self._UsdPhysics.MeshCollisionAPI.Apply(made.GetPrim())
+            api.CreateApproximationAttr(self._UsdPhysics.Tokens.convexHull)
+        made.CreatePurposeAttr(self._UsdGeom.Tokens.guide)
+        self._UsdPhysics.CollisionAPI.Apply(made.GetPrim())
 
     def _primitive(self, path: str, shape: Primitive, origin: FloatArray) -> Any:
         pose = shape.object_from_shape
         kinds = {"box": "Cube", "cylinder": "Cylinder", "sphere": "Sphere", "capsule": "Capsule"}
-        made = getattr(self.UsdGeom, kinds[shape.kind]).Define(self.stage, path)
-        made.AddTranslateOp().Set(self.Gf.Vec3d(*rounded(pose[:3, 3] - origin)))
-        made.AddOrientOp().Set(self.Gf.Quatf(*quaternion_wxyz(pose)))
+        made = getattr(self._UsdGeom, kinds[shape.kind]).Define(self.stage, path)
+        made.AddTranslateOp().Set(self._Gf.Vec3d(*rounded(pose[:3, 3] - origin)))
+        made.AddOrientOp().Set(self._Gf.Quatf(*quaternion_wxyz(pose)))
         if shape.kind == "box":
             made.CreateSizeAttr(1.0)
             made.AddScaleOp().Set(self._vec3f(shape.sizes))
@@ -350,7 +350,7 @@ class _Writer:
         made.CreateRadiusAttr(sizes[0])
         if shape.kind != "sphere":
             made.CreateHeightAttr(sizes[1])
-            made.CreateAxisAttr(self.UsdGeom.Tokens.z)
+            made.CreateAxisAttr(self._UsdGeom.Tokens.z)
         return made
 
     # Affordances
@@ -359,22 +359,22 @@ class _Writer:
         """A line across what is pinched, or along the approach to what is pushed or hooked."""
         pinch = affordance.kind in ("grasp", "turn")
         name = f"{GRASP_VECTOR if pinch else 'affordance'}_{number:02}"
-        made = self.UsdGeom.BasisCurves.Define(
+        made = self._UsdGeom.BasisCurves.Define(
             self.stage, f"{self.links[affordance.link].GetPath()}/{name}"
         )
         center = np.asarray(affordance.center)
         along = np.asarray(affordance.closing if pinch else affordance.normal)
         half = (affordance.width / 2 + 0.01) * along
         points = np.stack([center - half, center + half]).astype(np.float32)
-        made.CreatePointsAttr(self.Vt.Vec3fArray.FromNumpy(points))
-        made.CreateCurveVertexCountsAttr(self.Vt.IntArray([2]))
-        made.CreateTypeAttr(self.UsdGeom.Tokens.linear)
-        made.CreateWidthsAttr(self.Vt.FloatArray([_LINE]))
-        made.SetWidthsInterpolation(self.UsdGeom.Tokens.constant)
-        extent = self.UsdGeom.Curves.ComputeExtent(made.GetPointsAttr().Get(), [_LINE])
+        made.CreatePointsAttr(self._Vt.Vec3fArray.FromNumpy(points))
+        made.CreateCurveVertexCountsAttr(self._Vt.IntArray([2]))
+        made.CreateTypeAttr(self._UsdGeom.Tokens.linear)
+        made.CreateWidthsAttr(self._Vt.FloatArray([_LINE]))
+        made.SetWidthsInterpolation(self._UsdGeom.Tokens.constant)
+        extent = self._UsdGeom.Curves.ComputeExtent(made.GetPointsAttr().Get(), [_LINE])
         made.CreateExtentAttr(extent)
-        made.CreatePurposeAttr(self.UsdGeom.Tokens.guide)
-        types = self.Sdf.ValueTypeNames
+        made.CreatePurposeAttr(self._UsdGeom.Tokens.guide)
+        types = self._Sdf.ValueTypeNames
         for key, kind, value in (
             ("kind", types.Token, affordance.kind),
             ("joint", types.String, affordance.joint),
@@ -389,7 +389,7 @@ class _Writer:
 
     def _joints(self) -> None:
         scope = f"{self.top}/joints"
-        self.UsdGeom.Scope.Define(self.stage, scope)
+        self._UsdGeom.Scope.Define(self.stage, scope)
         prims: dict[str, Any] = {}
         for joint in self.obj.tree.joints:
             path = f"{scope}/{self._identifier('joints', joint.name)}"
@@ -398,15 +398,15 @@ class _Writer:
             self._mimic(prims[name], self.obj.tree.by_name[name], mimic, prims[mimic.joint])
         if self.physics.fixed_base:
             path = f"{scope}/{self._identifier('joints', 'fixed_to_world')}"
-            made = self.UsdPhysics.FixedJoint.Define(self.stage, path)
+            made = self._UsdPhysics.FixedJoint.Define(self.stage, path)
             made.CreateBody1Rel().SetTargets([self.links[self.obj.tree.root].GetPath()])
         for a, b in self.physics.overlapping:
-            api = self.UsdPhysics.FilteredPairsAPI.Apply(self.links[a])
+            api = self._UsdPhysics.FilteredPairsAPI.Apply(self.links[a])
             api.CreateFilteredPairsRel().AddTarget(self.links[b].GetPath())
 
     def _joint(self, path: str, joint: Joint) -> Any:
         schema = JOINT_KINDS[joint.type].usd.removeprefix("Physics")
-        made = getattr(self.UsdPhysics, schema).Define(self.stage, path)
+        made = getattr(self._UsdPhysics, schema).Define(self.stage, path)
         prim = made.GetPrim()
         prim.SetCustomDataByKey(NAME_KEY, joint.name)
         made.CreateBody0Rel().SetTargets([self.links[joint.parent].GetPath()])
@@ -415,10 +415,10 @@ class _Writer:
         turn = x_onto(np.asarray(rounded(joint.axis))) if joint.moves else np.eye(3)
         made.CreateLocalPos0Attr(self._vec3f(offset))
         made.CreateLocalPos1Attr(self._vec3f(np.zeros(3)))
-        made.CreateLocalRot0Attr(self.Gf.Quatf(*quaternion_wxyz(turn)))
-        made.CreateLocalRot1Attr(self.Gf.Quatf(*quaternion_wxyz(turn)))
+        made.CreateLocalRot0Attr(self._Gf.Quatf(*quaternion_wxyz(turn)))
+        made.CreateLocalRot1Attr(self._Gf.Quatf(*quaternion_wxyz(turn)))
         if joint.moves:
-            made.CreateAxisAttr(self.UsdPhysics.Tokens.x)
+            made.CreateAxisAttr(self._UsdPhysics.Tokens.x)
             unit = 180.0 / math.pi if joint.rotates else 1.0
             if joint.limited:
                 made.CreateLowerLimitAttr((joint.lower or 0.0) * unit)
@@ -430,8 +430,8 @@ class _Writer:
         dynamics = self.physics.dynamics.get(joint.name)
         if dynamics is None:
             return
-        api = self.UsdPhysics.DriveAPI.Apply(prim, "angular" if joint.rotates else "linear")
-        api.CreateTypeAttr(self.UsdPhysics.Tokens.force)
+        api = self._UsdPhysics.DriveAPI.Apply(prim, "angular" if joint.rotates else "linear")
+        api.CreateTypeAttr(self._UsdPhysics.Tokens.force)
         api.CreateStiffnessAttr(0.0)
         api.CreateDampingAttr(dynamics.damping / unit)
         api.CreateMaxForceAttr(dynamics.effort)
@@ -448,7 +448,7 @@ class _Writer:
         """A schema of PhysX, which usd-core doesn't know, by its names."""
         prim.AddAppliedSchema(schema)
         for name, value in values:
-            prim.CreateAttribute(name, self.Sdf.ValueTypeNames.Float, False).Set(value)
+            prim.CreateAttribute(name, self._Sdf.ValueTypeNames.Float, False).Set(value)
 
     def _mimic(self, prim: Any, joint: Joint, mimic: Mimic, leader: Any) -> None:
         """PhysX: q + gearing * q(leader) + offset = 0, in degrees or metres."""
@@ -465,6 +465,6 @@ class _Writer:
                 (f"{base}:offset", -mimic.offset * mine_unit),
             ],
         )
-        token = self.Sdf.ValueTypeNames.Token
+        token = self._Sdf.ValueTypeNames.Token
         prim.CreateAttribute(f"{base}:referenceJointAxis", token, False).Set(theirs)
         prim.CreateRelationship(f"{base}:referenceJoint", False).SetTargets([leader.GetPath()])

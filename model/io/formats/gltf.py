@@ -28,14 +28,9 @@ _UNREADABLE = {
     "EXT_meshopt_compression": "meshopt compression",
 }
 _READ = {
-    "EXT_mesh_gpu_instancing",
-    "KHR_mesh_quantization",
-    "KHR_texture_transform",
-    "KHR_lights_punctual",
-    "KHR_xmp",
-    "KHR_xmp_json_ld",
-    "KHR_animation_pointer",
-    "EXT_texture_webp",
+    *"EXT_mesh_gpu_instancing KHR_mesh_quantization KHR_texture_transform".split(),
+    *"KHR_lights_punctual KHR_xmp KHR_xmp_json_ld KHR_animation_pointer".split(),
+    *"EXT_texture_webp".split(),
 }
 """Extensions that are read, or that change no shape."""
 _LOOKS = "KHR_materials_"

@@ -34,10 +34,8 @@ from model.io.formats.loaded import WHITE, ReferenceRefused, read_bytes, resolve
 
 _MAX_MTL = 64 << 20
 # Options of a map_* line and how many values each takes at most.
-_OPTIONS = {
-    "-blendu": 1, "-blendv": 1, "-boost": 1, "-mm": 2, "-o": 3, "-s": 3, "-t": 3, "-texres": 1,
-    "-clamp": 1, "-bm": 1, "-imfchan": 1, "-type": 1, "-cc": 1,
-}  # fmt: skip
+_SINGLE = "-blendu -blendv -boost -texres -clamp -bm -imfchan -type -cc".split()
+_OPTIONS = {**dict.fromkeys(_SINGLE, 1), "-mm": 2, "-o": 3, "-s": 3, "-t": 3}
 _LEFT_OUT = {"map_pm": "metallic map", "map_pr": "roughness map"}
 _NORMALS = ("norm", "map_bump", "bump")
 _BRIGHTEST = 1e3

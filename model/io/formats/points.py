@@ -42,6 +42,8 @@ _KEYS = {
 MOST_RATIO = 200
 """An archive that unpacks to more than this many times its size holds no scan."""
 _RATIO_FROM = 50_000_000
+ARCHIVE_ERRORS = (OSError, ValueError, KeyError, EOFError, SyntaxError, TypeError, MemoryError)
+ARCHIVE_ERRORS += (zipfile.BadZipFile, zlib.error, RuntimeError)
 
 
 def npz_arrays(
@@ -64,10 +66,7 @@ def npz_arrays(
         with np.load(io.BytesIO(data), allow_pickle=False) as file:
             kept = [k for k in file.files if k.lower() in wanted]
             return {k.lower(): np.asarray(file[k]) for k in kept}, file.files
-    except (
-        OSError, ValueError, KeyError, EOFError, SyntaxError, TypeError, MemoryError,
-        zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError,
-    ) as error:  # fmt: skip
+    except ARCHIVE_ERRORS as error:
         raise InputFileError(path, f"is not an NPZ archive of arrays ({error})") from None
 
 

@@ -106,9 +106,9 @@ class _Reader:
         self.notes: list[str] = []
         self.colors: dict[str, tuple[int, int, int, int]] = {}
         self.textures: dict[str, Material] = {}
-        self.commas = self.moved = False
-        self.planar: set[str] = set()
-        self.unlimited: list[str] = []  # mimic joints that take their leader's range
+        self._commas = self.moved = False
+        self._planar: set[str] = set()
+        self._unlimited: list[str] = []  # mimic joints that take their leader's range
 
     def read(self) -> UrdfModel:
         if self.path.name == ANYMESH:
@@ -209,8 +209,8 @@ class _Reader:
             or any(len(piece.split()) != 1 for piece in pieces)
         ):
             return text.split()
-        if not self.commas:
-            self.commas = True
+        if not self._commas:
+            self._commas = True
             self.notes.append(
                 f"numbers are separated by commas, as in {attribute}={text!r} of <{element.tag}>; "
                 "they were read as if by blanks"
@@ -272,7 +272,7 @@ class _Reader:
         self, joint: Joint, links: list[str], locals_: dict[str, FloatArray]
     ) -> tuple[Joint, ...]:
         """A planar joint as two slides and a turn, in the child's frame."""
-        if joint.name not in self.planar or not joint.moves:
+        if joint.name not in self._planar or not joint.moves:
             return (joint,)
         helpers = free_helpers(joint.child, 2, links)
         chain = composite_joints(Composite("planar"), joint, helpers)
@@ -288,7 +288,7 @@ class _Reader:
     def _followed(self, joint: Joint, joints: Sequence[Joint]) -> Joint:
         """A follower without limits has its leader's range times the multiplier."""
         leader = next((j for j in joints if joint.mimic and j.name == joint.mimic.joint), None)
-        if joint.name not in self.unlimited or joint.mimic is None or leader is None:
+        if joint.name not in self._unlimited or joint.mimic is None or leader is None:
             return joint
         if leader.lower is None or leader.upper is None:
             if joint.type != "revolute":
@@ -332,7 +332,7 @@ class _Reader:
     def _joint_type(self, element: Element, where: str) -> JointType:
         given = element.get("type", "")
         if given == "planar" and not self.lenient:
-            self.planar.add(element.get("name", ""))
+            self._planar.add(element.get("name", ""))
             return "continuous"
         if given in _TO_FIXED:
             self.notes.append(f"{where}: {given} joints are not supported; it became fixed")
@@ -350,7 +350,7 @@ class _Reader:
         limit = element.find("limit")
         stated = limit is not None and ("lower" in limit.attrib or "upper" in limit.attrib)
         if not stated and element.find("mimic") is not None:
-            self.unlimited.append(element.get("name", ""))
+            self._unlimited.append(element.get("name", ""))
             return 0.0, 0.0
         if limit is not None and not stated:
             why = "<limit> states neither lower nor upper; it doesn't move until a range is set"

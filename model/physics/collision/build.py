@@ -127,8 +127,8 @@ recent_objects: LruCache[str, dict[str, tuple[Shape, ...]]] = LruCache(8)
 def _object_key(
     obj: ArticulatedObject, settings: CollisionSettings, declared: Mapping[str, tuple[Shape, ...]]
 ) -> str:
-    ranges = [(j.name, j.type, j.parent, j.child, j.axis, j.origin, j.lower, j.upper, j.mimic,
-               *["gives way"] * j.give_way) for j in obj.tree.joints]  # fmt: skip
+    of = "name type parent child axis origin lower upper mimic".split()
+    ranges = [(*(getattr(j, n) for n in of), *["gives way"] * j.give_way) for j in obj.tree.joints]
     parts = (v for p in obj.parts for v in (p.link, p))
     arrays = sorted(packed(declared).items()) if declared else ()
     return fingerprint("object 3", settings, ranges, *parts, *(v for item in arrays for v in item))

@@ -86,7 +86,8 @@ def _word_odds(structure: Structure, part: int, mechanisms: Array, fixed: float)
         slots[k * RANKS : k * RANKS + len(scores)] = mechanisms[k] * softmax(2.0 * scores)
         best = found[0]
         assert best is not None
-        kind = "screw" if best.travel is not None or mechanism == "screw" else best.type
+        comes_off = best.travel is not None or mechanism == v.TYPES[v.SCREW]
+        kind = v.TYPES[v.SCREW] if comes_off else best.type
         types[v.TYPES.index(kind)] += mechanisms[k]
     out = np.zeros(v.SIZE)
     out[v.TYPE_IDS] = np.log(types / types.sum())

@@ -42,21 +42,11 @@ if TYPE_CHECKING:
     from tokenizers import Tokenizer
 
 GLOBAL, PART = "<g>", "<p>"
-SPECIAL_TOKENS = (
-    "<g_start>", "<g_end>", "<p_start>", "<p_end>", "<json_start>", "<json_end>", "<urdf_start>",
-    "<urdf_end>", GLOBAL, PART,
-)  # fmt: skip
+_BOUNDS = [f"<{what}_{end}>" for what in ("g", "p", "json", "urdf") for end in ("start", "end")]
+SPECIAL_TOKENS = (*_BOUNDS, GLOBAL, PART)
 END_OF_TURN = "<|im_end|>"
 IGNORED = -100
-_ATTENTION_AND_MLP = [
-    "q_proj",
-    "k_proj",
-    "v_proj",
-    "o_proj",
-    "gate_proj",
-    "up_proj",
-    "down_proj",
-]
+_ATTENTION_AND_MLP = [f"{name}_proj" for name in ("q", "k", "v", "o", "gate", "up", "down")]
 LANGUAGE, GEOMETRY = "language_model", "geometry"
 """Folders of a saved model."""
 

@@ -47,13 +47,16 @@ _SCORES = SIZES + FEATURES
 _VECTORS = ("outward", "exit", "contact", "handle", "normal")
 _EXPERTS = ("network", "rules")
 NAMES: tuple[str, ...] = (
-    "mechanism", "rank", "relative score", "score", "lower", "upper", "arm", "turns",
-    "axis up", "axis z", "along", "across", "slenderness", "reach",
-    *(f"axis on {name}" for name in _VECTORS), *(f"arm on {name}" for name in _VECTORS), "arm z",
-    "agreeing", "named", "named motion", "mechanism score", "mechanism score below best",
-    *(f"scalar {k}" for k in range(_SCORES)), "named fixed", "unnamed",
+    *"mechanism, rank, relative score, score, lower, upper, arm, turns, axis up".split(", "),
+    *"axis z, along, across, slenderness, reach".split(", "),
+    *(f"axis on {name}" for name in _VECTORS),
+    *(f"arm on {name}" for name in _VECTORS),
+    *"arm z, agreeing, named, named motion, mechanism score".split(", "),
+    "mechanism score below best",
+    *(f"scalar {k}" for k in range(_SCORES)),
+    *"named fixed, unnamed".split(", "),
     *(f"{expert} {what}" for expert in _EXPERTS for what in ("slot", "motion", "kind", "fixed")),
-)  # fmt: skip
+)
 """Features of a candidate; lengths in diagonals of the object."""
 NOTHING: Mapping[int, Array] = {}
 _FIXED = v.TYPES.index("fixed")

@@ -16,6 +16,7 @@ import numpy.typing as npt
 from scipy.special import softmax
 
 from model.core.articulated_object import Prediction, SegmentedObject
+from model.core.errors import ConfigurationError
 from model.core.joint import Joint, same_motion
 from model.core.motion_lexicon import MECHANISM_TABLE
 from model.core.progress import Progress, no_progress
@@ -49,7 +50,9 @@ from model.prediction.builder import (
     COLLISION_FREE,
     EXPERIENCE,
     FREE_AXIS,
+    LEFT_OUT,
     MAX_LOG_ODDS,
+    SWITCHES,
     Evidence,
     PredictionBuilder,
     as_on,
@@ -60,7 +63,7 @@ from model.prediction.builder import (
 )
 from model.prediction.experience import FILE, Experience, Recalled, load_experience
 from model.prediction.geometric.context import PartContext, part_evidence
-from model.prediction.geometric.mechanisms import SWEPT_LIMITS
+from model.prediction.geometric.mechanisms import swept_limits
 
 Array = npt.NDArray[np.float64]
 
@@ -125,6 +128,8 @@ def _share(
 NOTHING: Mapping[int, Recalled] = {}
 ALTERNATIVES = 2
 """Other motions of a joint that are offered."""
+RULES_ALONE = 1000.0
+"""Geometry's weight with which the network's reading no longer counts."""
 APART, LINE = 0.15, 0.06
 """Motions differ from this angle between their axes on (rad), or this distance (diagonals)."""
 
@@ -136,6 +141,7 @@ class Arti4UrdfPredictor:
         model: in evaluation mode. name: as registered. version: of the weights.
         hybrid: None for the network alone.
         experience: of accepted objects; only the hybrid reads it.
+        left_out: one of the mechanisms that :meth:`predict` does without, or "".
     """
 
     def __init__(
@@ -146,11 +152,13 @@ class Arti4UrdfPredictor:
         hybrid: HybridSettings | None = None,
         version: str = "",
         experience: Experience | None = None,
+        left_out: str = "",
     ) -> None:
         self.name = name
         self.hybrid = hybrid
         self.model = model.eval()
         self.experience = experience
+        self.left_out = left_out
         self.version = version
 
     def predict(
@@ -162,7 +170,12 @@ class Arti4UrdfPredictor:
         progress: Progress = no_progress,
     ) -> Prediction:
         """See :class:`model.prediction.registry.Predictor`."""
-        return self.predict_with_evidence(segmented, locked=locked, seed=seed, progress=progress)[0]
+        token = LEFT_OUT.set(self.left_out)
+        try:
+            given = {"locked": locked, "seed": seed, "progress": progress}
+            return self.predict_with_evidence(segmented, **given)[0]
+        finally:
+            LEFT_OUT.reset(token)
 
     def predict_with_evidence(
         self,
@@ -326,10 +339,10 @@ def _note(structure: Structure, answer: Answer, part: int) -> str:
     if proposal is None:
         return explain(kind.capitalize(), (), "" if decision.slot < 0 else FREE_AXIS)
     mechanism = MECHANISMS[decision.slot // RANKS]
-    swept = mechanism in SWEPT_LIMITS and decision.lower < 0 and decision.type != v.CONTINUOUS
-    title = MECHANISM_TABLE["spin" if mechanism == "screw" else mechanism].title
+    swept = swept_limits(mechanism) and decision.lower < 0 and decision.type != v.CONTINUOUS
+    title = MECHANISM_TABLE["spin" if mechanism == v.TYPES[v.SCREW] else mechanism].title
     if decision.type == v.SCREW:
-        title = MECHANISM_TABLE["screw"].title
+        title = kind.capitalize()
     return explain(title, proposal.reasons, COLLISION_FREE if swept else "")
 
 
@@ -365,6 +378,20 @@ def learned_hybrid(experience: Experience | None, version: str = "") -> Arti4Urd
         version=f"{plain.version} {version}".rstrip(),
         experience=experience,
     )
+
+
+def without(mechanism: str) -> Arti4UrdfPredictor:
+    """The hybrid without one of its mechanisms.
+
+    Raises:
+        ConfigurationError: for one that isn't in :data:`~model.prediction.builder.SWITCHES`.
+    """
+    if mechanism not in SWITCHES:
+        there = ", ".join(SWITCHES)
+        raise ConfigurationError(f"no mechanism {mechanism!r} to leave out; there are {there}")
+    alone = HybridSettings(weight=RULES_ALONE) if mechanism == "network" else HybridSettings()
+    name, model = f"without:{mechanism}", hybrid().model
+    return Arti4UrdfPredictor(model, name=name, hybrid=alone, left_out=mechanism)
 
 
 def learned(folder: str) -> Arti4UrdfPredictor:

@@ -27,7 +27,7 @@ from model.prediction.geometric.context import (
     PartContext,
     distinct_motions,
 )
-from model.prediction.geometric.mechanisms import SWEPT_LIMITS, face_front, proposals_for
+from model.prediction.geometric.mechanisms import face_front, proposals_for, swept_limits
 from model.prediction.geometric.motion_scores import PartFeatures, measure_features, motion_scores
 from model.prediction.geometric.roles import guess_mechanisms
 from model.prediction.geometric.sampled_object import SAMPLE_BUDGET, SampledObject, sample_object
@@ -161,7 +161,7 @@ class Structure:
             found = self.slots[part][slot]
             if found is None:
                 return None
-            sweep = SWEPT_LIMITS.get(MECHANISMS[slot // RANKS])
+            sweep = swept_limits(MECHANISMS[slot // RANKS])
             if sweep is not None:
                 found = sweep(self.contexts[part], found)
             self._candidates[key] = found
@@ -267,21 +267,11 @@ def _scalars(
 ) -> list[float]:
     shape, sampled = context.shape, context.sampled
     half = np.sort(shape.box.half)
-    out = [
-        root_score,
-        len(sampled) / 10,
-        float(sampled.scanned),
-        10 * shape.noise,
-        *(4 * half),
-        *np.log(np.maximum(half, 1e-4)),
-        shape.thinness,
-        shape.slenderness,
-        float(np.sqrt(max(shape.area, 0.0))),
-        float(shape.low[2] - sampled.low[2]),
-        float(sampled.high[2] - shape.high[2]),
-        float(context.assembly.root == context.part),
-        context.assembly.front_certainty,
-    ]
+    out = [root_score, len(sampled) / 10, float(sampled.scanned), 10 * shape.noise, *(4 * half)]
+    out += [*np.log(np.maximum(half, 1e-4)), shape.thinness, shape.slenderness]
+    out += [float(np.sqrt(max(shape.area, 0.0))), float(shape.low[2] - sampled.low[2])]
+    out += [float(sampled.high[2] - shape.high[2]), float(context.assembly.root == context.part)]
+    out += [context.assembly.front_certainty]
     out += _feature_scalars(context, k)
     scored = motion_scores(context, k, others) if k is not None else {}
     scored.pop("drop", None)  # the shipped network was trained without it
@@ -297,38 +287,39 @@ def _feature_scalars(context: PartContext, k: PartFeatures | None) -> list[float
     shape = context.shape
     around = [r.spread for r in shape.roundnesses[:3]]
     handle = context.handle
-    return [
+    radius = k.shape.roundest.radius if k.shape.roundest is not None else 0.0
+    out = [
         k.relative,
-        k.size,
-        float(k.disc is not None),
-        k.disc.radius if k.disc is not None else 0.0,
+        k.shape.size,
+        float(k.shape.roundest is not None),
+        radius,
         k.flat,
         k.axis_up,
-        float(k.ball),
+        float(k.shape.ball),
+    ]
+    out += [
         k.height,
         float(k.grounded),
-        k.top,
-        k.bottom,
-        k.sides,
-        k.covered_sides / 6,
-        k.exposed,
-        k.backed,
-        k.exit_score,
-        k.depth,
-        *k.face,
-        k.fill,
+        k.cover.above,
+        k.cover.below,
+        k.cover.sides,
+        k.cover.count / 6,
+        k.cover.exposed,
+    ]
+    out += [
+        k.cover.backed,
+        k.exit.score,
+        k.exit.depth,
+        *k.exit.face,
+        k.shape.panel.fill,
         k.normal_up,
         k.aligned,
         k.end_contact,
-        *np.clip(k.contact_spread, 0, 2),
-        k.same_size / 4,
-        3 * k.above_parent,
-        *[5 * s for s in (*around, 1.0, 1.0, 1.0)[:3]],
-        float(context.in_contact),
-        float(context.closed),
-        handle.strength if handle is not None else 0.0,
-        handle.share if handle is not None else 0.0,
     ]
+    out += [*np.clip(k.contact_spread, 0, 2), k.same_size / 4, 3 * k.above_parent]
+    out += [5 * s for s in (*around, 1.0, 1.0, 1.0)[:3]]
+    out += [float(context.in_contact), float(context.closed)]
+    return out + ([handle.strength, handle.share] if handle is not None else [0.0, 0.0])
 
 
 def _vectors(context: PartContext, k: PartFeatures | None) -> Floats:
@@ -336,7 +327,7 @@ def _vectors(context: PartContext, k: PartFeatures | None) -> Floats:
     if k is None:
         return out
     shape = context.shape
-    out[0], out[1] = k.outward, k.exit
+    out[0], out[1] = k.cover.outward, k.exit.direction
     out[2] = context.contact_center - shape.center
     handle = context.handle
     if handle is not None:

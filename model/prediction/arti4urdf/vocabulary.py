@@ -27,23 +27,8 @@ REVOLUTE, CONTINUOUS, PRISMATIC, SCREW, FIXED = range(len(TYPES))
 """``screw`` stands for two joints along one axis, prismatic and continuous, with a helper link."""
 
 _STRUCTURAL = (
-    "<pad>",
-    "<bos>",
-    "<g_start>",
-    "<g_end>",
-    "<p_start>",
-    "<p_end>",
-    "<json_start>",
-    "<close>",
-    "<json_end>",
-    "<urdf_start>",
-    "<links>",
-    "<free>",
-    "<as_offered>",
-    "<urdf_end>",
-    "<child>",
-    "<joint>",
-    "<unknown>",
+    *"<pad> <bos> <g_start> <g_end> <p_start> <p_end> <json_start> <close> <json_end>".split(),
+    *"<urdf_start> <links> <free> <as_offered> <urdf_end> <child> <joint> <unknown>".split(),
 )
 STEPS = 20
 """Numbers have 2 * STEPS + 1 levels."""
@@ -54,7 +39,7 @@ CATEGORIES = tuple(
     eyeglasses fan faucet foldingchair globe kettle keyboard kitchenpot knife lamp laptop lighter
     microwave mouse oven pen phone pliers printer refrigerator remote safe scissors stapler
     storagefurniture suitcase switch table toaster toilet trashcan usb washingmachine
-    window""".split()  # noqa: SIM905
+    window""".split()
 )
 NAME_WORDS = tuple(
     """arm backrest bail ball basket blade bolt bracket bulb button cap cartridge caster circle
@@ -62,7 +47,7 @@ NAME_WORDS = tuple(
     gear globe hand handle hatch head jaw key knob lamp latch leg lens lever lid lock monitor neck
     nozzle pad pedal plate plug plunger propeller pump rack ring rocker roller rotor sash screen
     seat shade shaft shelf shutter slider sphere spout stopper switch tabletop tap temple toggle
-    tool tray trigger turntable wheel window""".split()  # noqa: SIM905
+    tool tray trigger turntable wheel window""".split()
 )
 
 

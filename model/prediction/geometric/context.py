@@ -20,9 +20,9 @@ from model.core.joint import JOINT_KINDS, Joint, JointType, canonical_axis_sign
 from model.core.motion_lexicon import MECHANISM_TABLE, Mechanism
 from model.core.names import category_key, known_word, mechanism_of, words
 from model.core.progress import attempt
-from model.prediction.builder import Reason
+from model.prediction.builder import left_out
 from model.prediction.geometric.sampled_object import CONTACT_GAP, SampledObject
-from model.prediction.geometric.shape import PartShape, Protrusion
+from model.prediction.geometric.shape import NOTHING, TINY, PartShape, Protrusion
 
 Array = npt.NDArray[np.float64]
 
@@ -50,7 +50,7 @@ class JointProposal:
     upper: float = 0.0
     score: float = 0.0
     mechanism: Mechanism | None = None
-    reasons: tuple[Reason, ...] = ()
+    reasons: tuple[str, ...] = ()
     travel: tuple[float, float] | None = None
 
 
@@ -113,11 +113,11 @@ def joints_of(
     """A proposal's joints, object frame: that of the part, after a helper's if it has travel."""
     frame = sampled.frame
     link, above = sampled.shapes[part].link, sampled.shapes[parent].link
-    axis = _three(frame.direction_in_object(proposal.axis))
-    origin = _three(frame.point_in_object(proposal.origin))
+    axis = three(frame.direction_in_object(proposal.axis))
+    origin = three(frame.point_in_object(proposal.origin))
     scale = 1.0 if JOINT_KINDS[proposal.type].rotates else frame.diagonal
     lower, upper = proposal.lower * scale, proposal.upper * scale
-    if JOINT_KINDS[proposal.type].slides:
+    if JOINT_KINDS[proposal.type].slides and not left_out("usual stops"):
         stop = usual_stop(sampled.shapes[part].name)
         lower, upper = max(lower, -stop), min(upper, stop)
     joint = Joint(f"joint_{link}", proposal.type, above, link, axis, origin, lower, upper)
@@ -129,7 +129,8 @@ def joints_of(
     return [canonical_axis_sign(slide), canonical_axis_sign(replace(joint, parent=helper))]
 
 
-def _three(v: Array) -> tuple[float, float, float]:
+def three(v: Array) -> tuple[float, float, float]:
+    """A vector (3,) as plain numbers."""
     return float(v[0]), float(v[1]), float(v[2])
 
 
@@ -139,6 +140,10 @@ SQUARE = np.deg2rad(8)
 """Largest angle (rad) between a shut panel and the object's directions."""
 IN_FRONT = 0.1
 """Largest gap (diagonals) between a shut panel and its parent."""
+HAND, SLENDER_HAND = 0.1, 0.35
+"""Least size (diagonals) and largest middle over long extent of a clock hand."""
+ACROSS, UPWARD, PARALLEL = 0.5, 0.9, 0.95
+"""Cosines: below the first an axis is across another, above the last it is the same direction."""
 BAR = 0.2
 """Least size of a push bar over that of its door; buttons are smaller."""
 
@@ -258,7 +263,7 @@ class PartContext:
         behind = np.roll(covers, 3)
         away = self.directions @ unit(self.shape.center - self.parent_shape.center)
         half = self.shape.box.half
-        thin = 1 - half / max(float(half.max()), 1e-9)
+        thin = 1 - half / max(float(half.max()), NOTHING)
         return behind - 1.3 * covers + 0.35 * away + 0.5 * np.concatenate([thin, thin])
 
     def panel_outward(self, axis: Array) -> Array:
@@ -307,7 +312,7 @@ class PartContext:
             found = None if out else panel.beyond(side)
             if found is None or found.strength == 0:
                 continue
-            rim = np.abs(np.delete(found.center / np.maximum(box.half, 1e-6), panel.normal)).max()
+            rim = np.abs(np.delete(found.center / np.maximum(box.half, TINY), panel.normal)).max()
             if side == front or (rim > 0.85 and found.share < 0.05):
                 out.append((found.center, found.spread, found.strength))
         for j, above in enumerate(self.assembly.parent):
@@ -337,12 +342,12 @@ class PartContext:
             return True
         shape, base = self.shape, self.parent_shape
         normal = self.panel_normal
-        across = np.abs(normal) > 0.5
+        across = np.abs(normal) > ACROSS
         if np.abs(normal).max() < np.cos(SQUARE):
             return False
         # Seen along its normal, an open door stands beside its parent.
         overlap = np.minimum(shape.high, base.high) - np.maximum(shape.low, base.low)
-        shared = np.maximum(overlap + 0.03, 0) / np.maximum(shape.high - shape.low, 1e-6)
+        shared = np.maximum(overlap + 0.03, 0) / np.maximum(shape.high - shape.low, TINY)
         return bool(
             np.minimum(shared, 1.0)[~across].prod() >= 0.75 and -overlap[across].max() < IN_FRONT
         )
@@ -353,33 +358,37 @@ class PartContext:
         if "hand" in self.words:
             return True
         shape, base = self.shape, self.parent_shape
-        if shape.slenderness > 0.35 or base.thinness > 0.5:
+        if shape.slenderness > SLENDER_HAND or base.thinness > 0.5:
             return False
         face = base.roundest
         axis = face.axis if face is not None else base.box.axes[:, base.order[0]]
-        if abs(float(shape.box.axes[:, shape.order[0]] @ axis)) < 0.95:
+        if abs(float(shape.box.axes[:, shape.order[0]] @ axis)) < PARALLEL:
             return False
         if face is not None:
             return shape.size < 1.2 * face.radius
         # On a dial that isn't round, hands are two slender parts that cross.
-        return 0.1 < shape.size < 0.5 * base.size and any(
-            self.sampled.shapes[j].slenderness < 0.35
-            and self.sampled.shapes[j].size > 0.1
-            and self.assembly.parent[j] == self.parent
-            and abs(
-                float(self.sampled.shapes[j].box.axes[:, self.sampled.shapes[j].order[0]] @ axis)
-            )
-            > 0.95
-            and self.sampled.gap[self.part, j] < 0.02
-            for j in self.sampled.others(self.part)
+        return HAND < shape.size < 0.5 * base.size and any(
+            self.sampled.shapes[j].size > HAND and self.sampled.gap[self.part, j] < 0.02
+            for j in self.crossing_hands(axis)
             if j != self.parent
         )
+
+    def crossing_hands(self, axis: Array) -> list[int]:
+        """Other slender parts on the same parent that lie across ``axis`` (3,)."""
+        there = [(j, self.sampled.shapes[j]) for j in self.sampled.others(self.part)]
+        return [
+            j
+            for j, other in there
+            if other.slenderness < SLENDER_HAND
+            and self.assembly.parent[j] == self.parent
+            and abs(float(other.box.axes[:, other.order[0]] @ axis)) > PARALLEL
+        ]
 
     def upright(self) -> Array:
         """The part's box axis nearest to +z, pointing up; +z if none is near."""
         axes = self.shape.box.axes
         k = int(np.argmax(np.abs(axes[2])))
-        return axes[:, k] * (1.0 if axes[2, k] >= 0 else -1.0) if abs(axes[2, k]) > 0.9 else UP
+        return axes[:, k] * (1.0 if axes[2, k] >= 0 else -1.0) if abs(axes[2, k]) > UPWARD else UP
 
 
 GROUPS = tuple(dict.fromkeys(row.group for row in MECHANISM_TABLE.values() if row.group))

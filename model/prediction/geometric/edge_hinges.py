@@ -9,11 +9,11 @@ import numpy.typing as npt
 
 from model.core.motion_lexicon import Mechanism
 from model.kinematics.snapping import barrel_line
-from model.prediction.builder import Reason
-from model.prediction.geometric.context import UP, JointProposal, PartContext, snapped, unit
+from model.prediction.builder import CHAIN_PLANE, left_out
+from model.prediction.geometric.context import ACROSS, UP, JointProposal, PartContext, snapped, unit
 from model.prediction.geometric.limits import CATEGORY_OPENING, OPENING
 from model.prediction.geometric.sampled_object import CONTACT_GAP
-from model.prediction.geometric.shape import fit_panel
+from model.prediction.geometric.shape import NOTHING, TINY, fit_panel
 from model.prediction.geometric.tree import SLENDER, chain_plane, is_slender
 
 Array = npt.NDArray[np.float64]
@@ -66,13 +66,8 @@ WEIGHTS: dict[Mechanism, EdgeWeights] = {
     ),
 }
 
-CATEGORY_UPRIGHT: dict[str, float] = {
-    "refrigerator": 2.0,
-    "door": 2.0,
-    "safe": 1.5,
-    "washingmachine": 0.8,
-    "microwave": 0.5,
-}
+CATEGORY_UPRIGHT: dict[str, float] = {"refrigerator": 2.0, "door": 2.0, "safe": 1.5}
+CATEGORY_UPRIGHT |= {"washingmachine": 0.8, "microwave": 0.5}
 """Additional weight of vertical axes for a category's doors."""
 
 
@@ -150,13 +145,13 @@ def _edge_proposal(panel: _Panel, across: int, along: int, side: float) -> Joint
     held = 0.0 if panel.closed else panel.contact[across, side]
     score += weights.contact * held
     if held > 0.3:
-        reasons.append(Reason.ONLY_CONTACT)
+        reasons.append("at the only edge in contact")
     if weights.inner and abs(held) < 0.3 and context.shape.slenderness < SLENDER:
         score += weights.inner * _inner(context, direction, across)
     ajar = _ajar(context, panel.out_normal, direction, axis) if panel.closed else 0.0
     score += weights.ajar * ajar
     if ajar > 0.5:
-        reasons.append(Reason.AJAR)
+        reasons.append("panel ajar")
     open_ = not panel.closed and held > 0.3
     out = panel.out_normal
     origin = _edge_origin(context, panel.normal, across, side, out, open_, panel.local)
@@ -167,7 +162,7 @@ def _edge_proposal(panel: _Panel, across: int, along: int, side: float) -> Joint
         origin = barrels[0]
         if barrels[1] > 1:
             score += weights.barrels
-            reasons.append(Reason.BARRELS)
+            reasons.append("at visible barrels")
     arm = context.shape.center - origin
     if float(np.cross(axis, arm) @ out) < 0:
         axis = -axis  # positive q opens
@@ -180,13 +175,13 @@ def _edge_proposal(panel: _Panel, across: int, along: int, side: float) -> Joint
 def _chain_proposals(context: PartContext) -> list[JointProposal]:
     """A member folds within the plane of its chain, or that it spans with a neighbour."""
     shape, assembly = context.shape, context.assembly
-    if shape.slenderness > SLENDER:
+    if shape.slenderness > SLENDER or left_out("chains"):
         return []
     long = shape.box.axes[:, shape.order[2]]
     end = context.contact_center
 
     def proposal(axis: Array, score: float) -> JointProposal:
-        reasons = (Reason.CHAIN_PLANE,)
+        reasons = (CHAIN_PLANE,)
         return JointProposal("revolute", axis, end, -1.2, 1.2, score, "temple", reasons)
 
     found = []
@@ -242,7 +237,7 @@ def _contact_scores(
         for side in (-1.0, 1.0):
             at = side * local[:, k] > half[k] - band
             near[side] = float(np.median(d[at])) if at.sum() >= 3 else float(np.median(d))
-        reach = max(2 * float(half[k]), 1e-6)
+        reach = max(2 * float(half[k]), TINY)
         for side in (-1.0, 1.0):
             gain = (near[-side] - near[side]) / (0.35 * reach)
             # Differences below the spacing of the samples are noise.
@@ -260,16 +255,16 @@ def _edge_score(
     along: int,
     side: float,
     normal: int,
-) -> tuple[float, list[Reason]]:
+) -> tuple[float, list[str]]:
     half = context.shape.box.half
-    reasons: list[Reason] = []
+    reasons: list[str] = []
     upright = abs(float(axis @ UP))
     more = CATEGORY_UPRIGHT.get(context.category, 0.0) if weights.upright else 0.0
     score = (weights.upright + more) * upright + weights.level * (1 - upright)
-    if weights.bottom and direction[2] < -0.5:
+    if weights.bottom and direction[2] < -ACROSS:
         score += weights.bottom
-        reasons.append(Reason.BOTTOM_EDGE)
-    ratio = float(half[along] / (half[along] + half[across] + 1e-9))
+        reasons.append("at the bottom edge")
+    ratio = float(half[along] / (half[along] + half[across] + NOTHING))
     score += weights.long * 2 * (ratio - 0.5) + weights.short * 2 * (0.5 - ratio)
     here = _margin(context, direction)
     there = _margin(context, -direction)
@@ -278,23 +273,23 @@ def _edge_score(
     handle = _handle_cue(context, across, along, side, normal)
     score += weights.handle * handle
     if handle > 0.3:
-        reasons.append(Reason.HANDLE)
+        reasons.append("opposite the handle")
     if _sibling_beyond(context, direction, across, along, normal):
         score -= weights.sibling
         # Adjacent doors turn about their outer vertical edges.
         score += weights.sibling * upright * 0.5
-    elif upright > 0.5 and _sibling_beyond(context, -direction, across, along, normal):
+    elif upright > ACROSS and _sibling_beyond(context, -direction, across, along, normal):
         score += 0.6 * weights.sibling
-        reasons.append(Reason.OUTER_EDGE)
+        reasons.append("at the outer edge of two panels")
     if weights.back:
         front = context.assembly.front
         back = -float(direction @ front)
         score += weights.back * back * (0.4 + 0.6 * context.assembly.front_certainty)
         if back > 0.7:
-            reasons.append(Reason.BACK)
+            reasons.append("at the back")
     if weights.wall and _rises_beyond(context, direction) > 2 * _rises_beyond(context, -direction):
         score += weights.wall
-        reasons.append(Reason.RAISED_BACK)
+        reasons.append("at the raised back")
     return score, reasons
 
 
@@ -320,22 +315,22 @@ def _margin(context: PartContext, direction: Array) -> float:
 def _inner(context: PartContext, direction: Array, across: int) -> float:
     """-1..1: how much deeper than the opposite edge this one lies within the parent."""
     deeper = _margin(context, direction) - _margin(context, -direction)
-    return float(np.clip(deeper / max(2 * float(context.shape.box.half[across]), 1e-6), -1, 1))
+    return float(np.clip(deeper / max(2 * float(context.shape.box.half[across]), TINY), -1, 1))
 
 
 def _handle_cue(context: PartContext, across: int, along: int, side: float, normal: int) -> float:
     """-1..1: positive if the strongest handle is far from this edge."""
-    if context.shape.panel.normal != normal:
+    if context.shape.panel.normal != normal or left_out("handles"):
         return 0.0
     half = context.shape.box.half
     best = 0.0
     for center, spread, strength in context.grips:
-        at = float(center[across] / max(half[across], 1e-6))
+        at = float(center[across] / max(half[across], TINY))
         if abs(at) < 0.25:
             continue
         # Bar handles are parallel to the hinge.
         a, b = float(spread[along]), float(spread[across])
-        shape = (a - b) / max(a + b, 1e-6)
+        shape = (a - b) / max(a + b, TINY)
         value = -side * float(np.clip(at / 0.7, -1, 1)) * (0.75 + 0.25 * shape) * strength
         if abs(value) > abs(best):
             best = value
@@ -348,7 +343,7 @@ def _sibling_beyond(
     """True if another moving panel in the same plane is adjacent to the edge."""
     sampled, shape = context.sampled, context.shape
     box = shape.box
-    for j in sampled.others(context.part):
+    for j in () if left_out("adjacent panels") else sampled.others(context.part):
         if j in (context.parent, context.assembly.root):
             continue
         other = sampled.shapes[j]
@@ -394,7 +389,7 @@ def _edge_origin(
         band = side * local[:, across] > box.half[across] * (1 - 0.2)
         d = context.distance
         if band.sum() >= 4:
-            near = band & (d <= np.quantile(d[band], 0.3) + 1e-9)
+            near = band & (d <= np.quantile(d[band], 0.3) + NOTHING)
             spot = local[near].mean(0)
             at[normal] = spot[normal]
             at[across] = 0.5 * (at[across] + spot[across])
@@ -412,7 +407,7 @@ def _ajar(context: PartContext, outward: Array, direction: Array, axis: Array) -
     angle = np.arcsin(np.clip(np.linalg.norm(turn), 0.0, 1.0))
     # One side of a noisy panel gives its direction only half as well.
     angle = angle / 2 if context.shape.scanned else angle
-    if np.linalg.norm(shut) != 1 or angle < AJAR[0]:
+    if np.linalg.norm(shut) != 1 or angle < AJAR[0] or left_out("ajar panels"):
         return 0.0
     # A panel parallel to a face of its parent is shut, whatever the angle of both.
     along = np.abs(context.parent_shape.normals @ outward) > np.cos(FLUSH)
@@ -428,6 +423,8 @@ def _barrels(
     context: PartContext, axis: Array, origin: Array, across: int, normal: int
 ) -> tuple[Array, int] | None:
     """Centre of the hinge barrels near an edge, and their number; cached in the context."""
+    if left_out("barrels"):
+        return None
     key = axis.tobytes() + origin.tobytes() + bytes((across, normal))
     if key not in context.barrels:
         context.barrels[key] = _barrels_at(context, axis, origin, across, normal)

@@ -13,8 +13,8 @@ from model.core.tree import KinematicTree
 from model.kinematics.surface import surface_of
 from model.kinematics.sweep import TOLERANCE as SWEPT
 from model.kinematics.sweep import free_until
-from model.prediction.builder import Reason
-from model.prediction.geometric.context import JointProposal, PartContext
+from model.prediction.builder import CHAIN_PLANE, left_out
+from model.prediction.geometric.context import UPWARD, JointProposal, PartContext, three
 from model.prediction.geometric.sampled_object import SampledObject
 from model.prediction.geometric.shape import PartShape, same_extents
 
@@ -58,16 +58,12 @@ def free_range(
     direction, point = frame.direction_in_object(axis), frame.point_in_object(origin)
     mover = sampled.parts[part]
     others = f"not {mover.link}"
-    joint = Joint(
-        "joint",
-        "continuous" if rotates else "prismatic",
-        others,
-        mover.link,
-        (float(direction[0]), float(direction[1]), float(direction[2])),
-        (float(point[0]), float(point[1]), float(point[2])),
-        None if rotates else min(stop * unit, 0.0),
-        None if rotates else max(stop * unit, 0.0),
-    )
+    line = three(direction), three(point)
+    if rotates:
+        joint = Joint("joint", "continuous", others, mover.link, *line)
+    else:
+        ends = min(stop * unit, 0.0), max(stop * unit, 0.0)
+        joint = Joint("joint", "prismatic", others, mover.link, *line, *ends)
     made = {sampled.parts[k].link: surface_of(sampled.parts[k], POINTS) for k in (part, *obstacles)}
     surfaces = {link: s for link, s in made.items() if s is not None}
     tree = KinematicTree((others, mover.link), (joint,))
@@ -83,16 +79,9 @@ def free_turn(
     context: PartContext, axis: Array, origin: Array, stop: float, tolerance: float | None = None
 ) -> float:
     """:func:`free_range` of the part's turn (rad) against its parent."""
-    return free_range(
-        context.sampled,
-        context.part,
-        (context.parent,),
-        rotates=True,
-        axis=axis,
-        origin=origin,
-        stop=stop,
-        tolerance=tolerance,
-    )
+    who = (context.sampled, context.part, (context.parent,))
+    line = {"axis": axis, "origin": origin, "stop": stop}
+    return free_range(*who, rotates=True, **line, tolerance=tolerance)
 
 
 def own_tolerance(shape: PartShape) -> float:
@@ -102,12 +91,7 @@ def own_tolerance(shape: PartShape) -> float:
     return float(np.clip(OWN_THICKNESS * thickness, SWEPT, TOLERANCE))
 
 
-OPENING: dict[str, float] = {
-    "hinge": 1.65,
-    "drop": 1.571,
-    "flap": 1.75,
-    "temple": 1.5,
-}
+OPENING: dict[str, float] = {"hinge": 1.65, "drop": 1.571, "flap": 1.75, "temple": 1.5}
 """Usual opening from shut (rad), unless something stops it earlier."""
 
 CATEGORY_OPENING: dict[tuple[str, str], float] = {
@@ -167,7 +151,7 @@ def with_swept_limits(context: PartContext, best: JointProposal) -> JointProposa
     )
     if closing + opening > 4.4 and many:
         return replace(best, lower=-closing, upper=opening)
-    if Reason.CHAIN_PLANE in best.reasons and min(closing, opening) > best.upper:
+    if CHAIN_PLANE in best.reasons and min(closing, opening) > best.upper:
         return best  # members that pass each other collide nowhere: keep the usual limits
     total = FOLDED_TOTAL
     if best.mechanism == "flap":
@@ -199,13 +183,14 @@ def shut_front(context: PartContext, motion: JointProposal) -> bool:
         return context.shut
     if "flap" in mechanisms:
         # A lid that leans on a wall is open.
-        return abs(float(context.panel_normal[2])) > 0.9 and context.shut
+        return abs(float(context.panel_normal[2])) > UPWARD and context.shut
     return named == "slide_out" and context.closed
 
 
 def from_zero(context: PartContext, motion: JointProposal) -> JointProposal:
     """The motion with 0 as its lower limit if the part was scanned shut."""
-    two_ways = motion.lower < 0 < motion.upper and JOINT_KINDS[motion.type].limited
+    kept = left_out("shut panels start at zero") or not JOINT_KINDS[motion.type].limited
+    two_ways = motion.lower < 0 < motion.upper and not kept
     return replace(motion, lower=0.0) if two_ways and shut_front(context, motion) else motion
 
 

@@ -13,18 +13,42 @@ import numpy as np
 import numpy.typing as npt
 
 from model.kinematics.sweep import TOLERANCE as SWEPT
-from model.prediction.builder import Reason
-from model.prediction.geometric.context import UP, JointProposal, PartContext, unit
+from model.prediction.builder import left_out
+from model.prediction.geometric.context import (
+    ACROSS,
+    PARALLEL,
+    UP,
+    JointProposal,
+    PartContext,
+    unit,
+)
 from model.prediction.geometric.limits import TOLERANCE, free_turn
-from model.prediction.geometric.shape import PartShape, Roundness, blades, roundness, same_extents
+from model.prediction.geometric.shape import (
+    NOTHING,
+    TINY,
+    PartShape,
+    Roundness,
+    blades,
+    roundness,
+    same_extents,
+)
 from model.prediction.geometric.tree import LEAF, chain_plane
 
 Array = npt.NDArray[np.float64]
 
+CROSSED_PARTS, CROSSED_FRAMES = "where the parts cross", "where the frames cross"
+ONE_END, SUPPORT = "held at one end", "vertical through its support"
+SYMMETRY = "about its symmetry axis"
+"""Reasons for a joint's place, as in notes to the reader."""
 MIN_RANGE = 0.2
 """Collision-free range (rad) below which the pin is misplaced, so that its range is meaningless."""
 SPINDLE = 1.0
 """Score of a lever's axis across the leaf that holds it; chosen by us, not tuned."""
+OF_OBJECT, ROUGH = 0.9995, 0.11
+"""Cosine to a direction of the object; spread of radii over their mean of what is barely round."""
+SWING_UP, SWING_DOWN, QUARTER, LEVER_TURN = (-1.5, 1.5), (-0.8, 2.4), 1.57, 1.571
+ROCKS, TILT, LEAST_TILT = 0.28, 0.6, 0.15
+"""Usual ranges (rad) of bails that stand and hang, levers, rockers; swept and least of heads."""
 
 
 def pivot_proposals(context: PartContext) -> list[JointProposal]:
@@ -41,17 +65,20 @@ def pivot_proposals(context: PartContext) -> list[JointProposal]:
     found = []
     if cross is not None:
         inside = _inside_both(cross, shape, base, axis)
-        found.append(_pin(axis, cross, 1.5 * inside, Reason.CROSSED_PARTS))
-    found.append(_pin(axis, contact, 0.6, Reason.CONTACT))
+        found.append(_pin(axis, cross, 1.5 * inside, CROSSED_PARTS))
+    found.append(_pin(axis, contact, 0.6, "at the contact"))
     if same_extents(shape, base):
         # Two equal parts cross; neither holds the other at its end.
         found = [dataclasses.replace(p, score=p.score + 1.0) for p in found]
-    found += _end_pivots(context, axis) + _crossed_frames(context)
+    found += [] if left_out("pins at ends") else _end_pivots(context, axis)
+    found += _crossed_frames(context)
     return [_pivot_limits(context, p) for p in found]
 
 
-def _pin(axis: Array, origin: Array, score: float, reason: Reason) -> JointProposal:
-    return JointProposal("revolute", axis, origin, score=score, reasons=(reason,))
+def _pin(
+    axis: Array, origin: Array, score: float, reason: str, lower: float = 0.0, upper: float = 0.0
+) -> JointProposal:
+    return JointProposal("revolute", axis, origin, lower, upper, score, reasons=(reason,))
 
 
 def _crossed_frames(context: PartContext) -> list[JointProposal]:
@@ -64,7 +91,7 @@ def _crossed_frames(context: PartContext) -> list[JointProposal]:
     axis = np.cross(a, b)
     if np.linalg.norm(axis) < np.sin(np.deg2rad(15)):
         return []
-    return [_pin(unit(axis), context.contact_center, 2.2, Reason.CROSSED_FRAMES)]
+    return [_pin(unit(axis), context.contact_center, 2.2, CROSSED_FRAMES)]
 
 
 def crossing_point(shape: PartShape, base: PartShape, axis: Array) -> Array | None:
@@ -110,7 +137,7 @@ def _end_pivots(context: PartContext, axis: Array) -> list[JointProposal]:
         score = 0.5 + 1.2 * float(np.clip((rest - near) / 0.1, -1, 1))
         # A folding blade is held at the end that lies deeper inside the handle.
         score += 0.8 * _inside(spot, context.parent_shape)
-        found.append(_pin(axis, spot, score, Reason.ONE_END))
+        found.append(_pin(axis, spot, score, ONE_END))
     return found
 
 
@@ -119,7 +146,7 @@ def _inside(point: Array, base: PartShape) -> float:
 
     The place along the parent doesn't count: a folded blade is pinned near the handle's end.
     """
-    local = np.abs(base.box.axes.T @ (point - base.center)) / np.maximum(base.box.half, 1e-6)
+    local = np.abs(base.box.axes.T @ (point - base.center)) / np.maximum(base.box.half, TINY)
     long = base.order[2]
     if local[long] < 1:
         local[long] = 0
@@ -146,7 +173,7 @@ def within_reach(context: PartContext, h: JointProposal) -> JointProposal:
     Only for parts that cross, as a blade that folds into its handle grazes it all the way, and
     not below :data:`MIN_RANGE`.
     """
-    if not {Reason.CROSSED_PARTS, Reason.CROSSED_FRAMES} & set(h.reasons):
+    if not {CROSSED_PARTS, CROSSED_FRAMES} & set(h.reasons):
         return h
 
     def free(stop: float) -> float:
@@ -166,34 +193,23 @@ def swing_proposals(context: PartContext) -> list[JointProposal]:
     found = []
     for k in range(3):
         axis = shape.box.axes[:, k]
-        if abs(axis[2]) > 0.5:
+        if abs(axis[2]) > ACROSS:
             continue
         along = (contact - contact.mean(0)) @ axis
         reach = 2 * shape.box.reach(axis)
-        spread = float(np.ptp(np.quantile(along, [0.05, 0.95]))) / max(reach, 1e-6)
+        spread = float(np.ptp(np.quantile(along, [0.05, 0.95]))) / max(reach, TINY)
         score = 2.0 * spread + 0.6 * float(shape.box.half[k] / shape.box.half.max())
         low, high = contact[along < 0], contact[along >= 0]
         origin = contact.mean(0)
         if len(low) and len(high):
             origin = 0.5 * (low.mean(0) + high.mean(0))
         found.append(
-            JointProposal(
-                "revolute",
-                axis,
-                origin,
-                -1.5 if up else -0.8,
-                1.5 if up else 2.4,
-                score,
-                reasons=(Reason.BOTH_ENDS,),
-            )
+            _pin(axis, origin, score, "held at both ends", *(SWING_UP if up else SWING_DOWN))
         )
     if found:
         return found
     axis = shape.box.axes[:, shape.order[1]]
-    reasons = (Reason.ONE_END,)
-    return [
-        JointProposal("revolute", axis, context.contact_center, 0.0, 1.57, 0.0, reasons=reasons)
-    ]
+    return [_pin(axis, context.contact_center, 0.0, ONE_END, 0.0, QUARTER)]
 
 
 def lever_proposals(context: PartContext) -> list[JointProposal]:
@@ -215,7 +231,7 @@ def lever_proposals(context: PartContext) -> list[JointProposal]:
         choices += list(zip(e, there, np.roll(there, 3), strict=True))
     for direction, ahead, behind in choices:
         through = leaf * abs(float(direction @ normal))
-        if abs(direction @ along) > 0.5 and shape.slenderness < 0.6 and through < 0.9:
+        if abs(direction @ along) > ACROSS and shape.slenderness < 0.6 and through < 0.9:
             continue
         score = 1.2 * behind - 0.8 * ahead + 0.1 * float(np.abs(direction).max() > 0.999)
         score += SPINDLE * through
@@ -227,9 +243,7 @@ def lever_proposals(context: PartContext) -> list[JointProposal]:
         tip = tip - (tip @ axis) * axis
         if float(np.cross(axis, tip) @ context.assembly.front) < -1e-3:
             axis = -axis
-        found.append(
-            JointProposal("revolute", axis, origin, 0.0, 1.571, score, reasons=(Reason.STEM,))
-        )
+        found.append(_pin(axis, origin, score, "about its stem", 0.0, LEVER_TURN))
     return found
 
 
@@ -240,18 +254,16 @@ def toggle_proposals(context: PartContext) -> list[JointProposal]:
     found = []
     for k in range(3):
         axis = shape.box.axes[:, k]
-        if abs(axis @ outward) > 0.5:
+        if abs(axis @ outward) > ACROSS:
             continue
         rest = [j for j in range(3) if j != k]
         across = max(
-            float(shape.box.half[j]) for j in rest if abs(shape.box.axes[:, j] @ outward) < 0.5
+            float(shape.box.half[j]) for j in rest if abs(shape.box.axes[:, j] @ outward) < ACROSS
         )
-        score = across / max(float(shape.box.half.max()), 1e-9)
+        score = across / max(float(shape.box.half.max()), NOTHING)
         score += 0.4 * (1 - abs(float(axis @ UP)))
         origin = shape.center - outward * 0.6 * shape.box.reach(outward)
-        found.append(
-            JointProposal("revolute", axis, origin, -0.28, 0.28, score, reasons=(Reason.MIDDLE,))
-        )
+        found.append(_pin(axis, origin, score, "about its middle", -ROCKS, ROCKS))
     return found
 
 
@@ -260,20 +272,18 @@ def tilt_proposals(context: PartContext) -> list[JointProposal]:
     shape = context.shape
     found = []
     origin = context.contact_center
-    level = [k for k in range(3) if abs(shape.box.axes[2, k]) <= 0.5]
-    longest = max(float(shape.box.half.max()), 1e-9)
+    level = [k for k in range(3) if abs(shape.box.axes[2, k]) <= ACROSS]
+    longest = max(float(shape.box.half.max()), NOTHING)
     choices = [(shape.box.axes[:, k], float(shape.box.half[k]) / longest) for k in level]
     plane = chain_plane(context.assembly, context.part)
-    if plane is not None and abs(float(plane.normal[2])) < 0.5:
+    if plane is not None and abs(float(plane.normal[2])) < ACROSS:
         # The head of a lamp turns as the members of its chain.
         choices.append((plane.normal, 1.2 + 1.5 * plane.certainty))
     for axis, score in choices:
-        down = -free_turn(context, axis, origin, -0.6, TOLERANCE)
-        up = free_turn(context, axis, origin, 0.6, TOLERANCE)
-        low, high = -max(down, 0.15), max(up, 0.15)
-        found.append(
-            JointProposal("revolute", axis, origin, low, high, score, reasons=(Reason.MOUNT,))
-        )
+        down = -free_turn(context, axis, origin, -TILT, TOLERANCE)
+        up = free_turn(context, axis, origin, TILT, TOLERANCE)
+        low, high = -max(down, LEAST_TILT), max(up, LEAST_TILT)
+        found.append(_pin(axis, origin, score, "about its mount", low, high))
     return found
 
 
@@ -287,25 +297,25 @@ def spin_proposals(context: PartContext) -> list[JointProposal]:
     rough = shape.scanned and shape.size < 60 * shape.noise
     found = []
     for r in shape.roundnesses:
-        if rough and np.abs(r.axis).max() < 0.9995:
+        if rough and np.abs(r.axis).max() < OF_OBJECT:
             continue  # too noisy for directions of its own
         score, origin = _spin_score(context, r, outwardness, wheel)
-        reason = Reason.SYMMETRY if r.round else Reason.CENTER
+        reason = SYMMETRY if r.round else "through its centre, barely round"
         found.append(_continuous(r.axis, origin, score, reason))
     ball = shape.ball and shape.size > 25 * shape.noise
     poles = _poles(context) if ball and not wheel else None
     if poles is not None:
-        found.append(_continuous(poles, shape.center, 4.5, Reason.POLES))
+        found.append(_continuous(poles, shape.center, 4.5, "between its two supports"))
     fold = blades(shape)
     if fold is not None:
-        found.append(_continuous(fold[0], fold[1], 4.0, Reason.BLADES))
+        found.append(_continuous(fold[0], fold[1], 4.0, "axis of its equal blades"))
     if not found:
         thin = shape.box.axes[:, shape.order[0]]
         found.append(JointProposal("continuous", thin, shape.center))
     return found
 
 
-def _continuous(axis: Array, origin: Array, score: float, reason: Reason) -> JointProposal:
+def _continuous(axis: Array, origin: Array, score: float, reason: str) -> JointProposal:
     return JointProposal("continuous", axis, origin, score=score, reasons=(reason,))
 
 
@@ -314,9 +324,9 @@ def _spin_score(
 ) -> tuple[float, Array]:
     """Score of an axis of symmetry, and a point on it."""
     shape = context.shape
-    score = 2.5 * float(np.clip(1 - r.spread / 0.11, -0.5, 1))
+    score = 2.5 * float(np.clip(1 - r.spread / ROUGH, -0.5, 1))
     # A disc turns about its short axis, a rod about its long one.
-    score += 0.4 * float(np.clip(1 - r.half / max(r.radius, 1e-6), -0.3, 1))
+    score += 0.4 * float(np.clip(1 - r.half / max(r.radius, TINY), -0.3, 1))
     level = 1 - abs(float(r.axis @ UP))
     score += _scan_bonus(shape, r.axis)
     if wheel:
@@ -325,14 +335,14 @@ def _spin_score(
         out = outwardness.get(tuple((sign * r.axis).round(6)))
         if out is not None and not wheel:
             score += 0.4 * max(0.0, float(out))
-    if context.clock_hand and abs(r.axis @ shape.box.axes[:, shape.order[0]]) > 0.95:
+    if context.clock_hand and abs(r.axis @ shape.box.axes[:, shape.order[0]]) > PARALLEL:
         return score + 3.0, _hub(context, r)
     return score, r.center
 
 
 def _scan_bonus(shape: PartShape, axis: Array) -> float:
     """Bonus of the object's directions on scans, where missing sides tilt a part's own axes."""
-    return 0.9 if shape.scanned and np.abs(axis).max() > 0.9995 else 0.0
+    return 0.9 if shape.scanned and np.abs(axis).max() > OF_OBJECT else 0.0
 
 
 def _hub(context: PartContext, r: Roundness) -> Array:
@@ -352,17 +362,7 @@ def _other_hand(context: PartContext) -> int | None:
     """Another clock hand on the same dial that reaches over this one."""
     shape = context.shape
     thin = shape.box.axes[:, shape.order[0]]
-    found = [
-        j
-        for j in context.sampled.others(context.part)
-        if context.assembly.parent[j] == context.parent
-        and context.sampled.shapes[j].slenderness < 0.35
-        and abs(
-            float(context.sampled.shapes[j].box.axes[:, context.sampled.shapes[j].order[0]] @ thin)
-        )
-        > 0.95
-        and context.sampled.gap[context.part, j] < 0.05
-    ]
+    found = [j for j in context.crossing_hands(thin) if context.sampled.gap[context.part, j] < 0.05]
     return max(found, key=lambda j: (context.sampled.shapes[j].size, -j)) if found else None
 
 
@@ -388,9 +388,9 @@ def swivel_proposals(context: PartContext) -> list[JointProposal]:
     found = []
     r = roundness(shape.outline, up, shape.scanned)
     if r is not None:
-        found.append(_continuous(up, r.center, 1.5 - 12 * r.spread, Reason.SYMMETRY))
+        found.append(_continuous(up, r.center, 1.5 - 12 * r.spread, SYMMETRY))
     for axis, score in ((up, 0.7), (UP, 0.9)):
-        found.append(_continuous(axis, _support(context), score, Reason.SUPPORT))
+        found.append(_continuous(axis, _support(context), score, SUPPORT))
     return found
 
 
@@ -404,17 +404,17 @@ def screw_proposals(context: PartContext) -> list[JointProposal]:
     shape = context.shape
     up = context.upright()
     if "seat" in context.words or (shape.roundest is None and shape.size > 0.4):
-        seat = _continuous(up, _support(context), 1.0, Reason.SUPPORT)
+        seat = _continuous(up, _support(context), 1.0, SUPPORT)
         return [replace(seat, travel=(0.0, 0.06))]
     best: JointProposal | None = None
     along = unit(shape.center - context.parent_shape.center)
     for r in shape.roundnesses:
         axis = r.axis * (1.0 if r.axis @ along >= 0 else -1.0)
-        score = 2.0 * float(np.clip(1 - r.spread / 0.11, -0.5, 1)) + float(axis @ along)
+        score = 2.0 * float(np.clip(1 - r.spread / ROUGH, -0.5, 1)) + float(axis @ along)
         score += 0.4 * abs(float(axis @ UP)) + _scan_bonus(shape, axis)
         travel = (0.0, float(np.clip(0.6 * 2 * r.half, 0.02, 0.08)))
         if best is None or score > best.score:
-            cap = _continuous(axis, r.center, score, Reason.SYMMETRY)
+            cap = _continuous(axis, r.center, score, SYMMETRY)
             best = replace(cap, travel=travel)
     if best is None:
         best = JointProposal("continuous", up, shape.center, travel=(0.0, 0.05))

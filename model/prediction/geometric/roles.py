@@ -26,7 +26,14 @@ from model.core.motion_lexicon import (
 )
 from model.core.names import mechanism_of, mechanisms_of
 from model.core.tree import KinematicTree, moving_chain
-from model.prediction.geometric.context import Assembly, JointProposal, PartContext, joints_of
+from model.prediction.builder import left_out
+from model.prediction.geometric.context import (
+    PARALLEL,
+    Assembly,
+    JointProposal,
+    PartContext,
+    joints_of,
+)
 from model.prediction.geometric.edge_hinges import edge_proposals
 from model.prediction.geometric.limits import from_zero
 from model.prediction.geometric.mechanisms import face_front, propose
@@ -93,13 +100,16 @@ def mechanism_scores(
         unnamed: features of all unnamed parts by index, including this one.
     """
     scores = motion_scores(part, features, unnamed)
+    bonus = 0.0 if left_out("usual motions of a category") else CATEGORY_BONUS
     for usual in CATEGORY_MOTIONS.get(part.category, ()):
-        scores[usual] = scores.get(usual, 0.0) + CATEGORY_BONUS
+        scores[usual] = scores.get(usual, 0.0) + bonus
     return scores
 
 
 def named_mechanism(part: PartContext) -> Mechanism | None:
     """The mechanism that a part's name implies; its shape decides if the name is ambiguous."""
+    if left_out("names"):
+        return None
     named, _ = mechanism_of(part.shape.name, part.sampled.category)
     several = mechanisms_of(part.shape.name, part.sampled.category)
     if len(several) > 1:  # people call a drawer's front a "drawer door": its shape decides
@@ -151,8 +161,6 @@ ROCKER = 0.6
 """Size over the object's above which a part is no rocker, but a front."""
 NAMED_TYPE = 1.0
 """Score of the mechanism that the part's name would imply for the other joint type."""
-ALONG = 0.95
-"""Cosine above which two directions count as the same."""
 FREE, HELD = 0.3, 0.5
 """Largest coverage of a drawer in front, and smallest behind and on both sides."""
 DEEP = 0.5
@@ -222,7 +230,7 @@ def _drawer_hinge(context: PartContext, out: Array) -> JointProposal | None:
     """
     box = context.shape.box
     deep = int(np.argmax(np.abs(out @ box.axes)))
-    if abs(float(out @ box.axes[:, deep])) < ALONG or abs(float(out[2])) > 1 - ALONG:
+    if abs(float(out @ box.axes[:, deep])) < PARALLEL or abs(float(out[2])) > 1 - PARALLEL:
         return None
     if _mechanism(context, "prismatic") != "slide_out":
         return None
@@ -240,7 +248,7 @@ def _drawer_hinge(context: PartContext, out: Array) -> JointProposal | None:
     fitting = [
         p
         for p in edge_proposals(context, "drop" if flap else "hinge", front=out)
-        if abs(float(p.axis @ box.axes[:, edge])) > ALONG
+        if abs(float(p.axis @ box.axes[:, edge])) > PARALLEL
         and (not flap or p.origin[2] < box.center[2])
     ]
     return max(fitting, key=lambda p: p.score)

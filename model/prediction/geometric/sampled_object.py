@@ -15,7 +15,7 @@ import numpy.typing as npt
 from scipy.spatial import KDTree
 
 from model.core.articulated_object import Part, SegmentedObject
-from model.prediction.geometric.shape import PartShape, rotation
+from model.prediction.geometric.shape import NOTHING, TINY, PartShape, rotation
 
 Array = npt.NDArray[np.float64]
 
@@ -313,11 +313,10 @@ class SampledObject:
     """The parts of one object with their shapes.
 
     Attributes:
-        name, category: of the object. parts: as given, object frame.
+        category: of the object. parts: as given, object frame.
         shapes: of the parts, in their order. frame: the working frame.
     """
 
-    name: str
     category: str | None
     shapes: tuple[PartShape, ...]
     frame: WorkingFrame
@@ -380,7 +379,7 @@ class SampledObject:
         close = near[d[near] <= limit]
         return self.shapes[i].points[close if len(close) >= 4 else near]
 
-    def union(self, members: tuple[int, ...]) -> Array:
+    def _union(self, members: tuple[int, ...]) -> Array:
         """(N, 3) points of several parts."""
         if not members:
             return np.zeros((0, 3))
@@ -430,20 +429,20 @@ class SampledObject:
         sign = np.sign(e[:, k] @ direction)
         u, v = (x for x in range(3) if x != k)
         own = self.shapes[i].points @ e
-        rest = self.union(others) @ e
+        rest = self._union(others) @ e
         if not len(rest):
             return 0.0
         low, high = own.min(0), own.max(0)
-        cell = max(0.02, float(max(high[u] - low[u], high[v] - low[v])) / 14, 1e-6)
+        cell = max(0.02, float(max(high[u] - low[u], high[v] - low[v])) / 14, TINY)
         nu = max(1, int((high[u] - low[u]) / cell))
         nv = max(1, int((high[v] - low[v]) / cell))
 
         def index(p: Array) -> npt.NDArray[np.int64]:
             a = np.clip(
-                ((p[:, u] - low[u]) / (high[u] - low[u] + 1e-9) * nu).astype(int), 0, nu - 1
+                ((p[:, u] - low[u]) / (high[u] - low[u] + NOTHING) * nu).astype(int), 0, nu - 1
             )
             b = np.clip(
-                ((p[:, v] - low[v]) / (high[v] - low[v] + 1e-9) * nv).astype(int), 0, nv - 1
+                ((p[:, v] - low[v]) / (high[v] - low[v] + NOTHING) * nv).astype(int), 0, nv - 1
             )
             return a * nv + b
 
@@ -498,7 +497,7 @@ def sample_object(
         )
         for part, s in zip(parts, samples, strict=True)
     )
-    return SampledObject(segmented.name, segmented.category, shapes, frame, parts)
+    return SampledObject(segmented.category, shapes, frame, parts)
 
 
 def _common_noise(each: list[Noise]) -> float:

@@ -14,6 +14,8 @@ import numpy.typing as npt
 from scipy.spatial import ConvexHull, KDTree, QhullError
 
 Array = npt.NDArray[np.float64]
+TINY, NOTHING = 1e-6, 1e-9
+"""Divisors instead of 0: of extents (diagonals) and ratios, and of what is never so small."""
 
 ROUND = 0.055
 """Largest spread of a circle, see :class:`Roundness` (a hexagon has 0.047, a square 0.11)."""
@@ -69,7 +71,7 @@ def roundness(points: Array, axis: Array, scanned: bool, noise: float = 0.0) -> 
         return None
     ring = _resampled(hull, 96)
     scale = float(np.ptp(ring, axis=0).max())
-    if scale < 1e-9:
+    if scale < NOTHING:
         return None
     a = np.column_stack([2 * ring, np.ones(len(ring))])
     solution, *_ = np.linalg.lstsq(a, (ring**2).sum(1), rcond=None)
@@ -223,13 +225,13 @@ class PartShape:
     def thinness(self) -> float:
         """Thin over middle extent: small for panels and blades."""
         thin, middle, _ = self.order
-        return float(self.box.half[thin] / max(self.box.half[middle], 1e-6))
+        return float(self.box.half[thin] / max(self.box.half[middle], TINY))
 
     @cached_property
     def slenderness(self) -> float:
         """Middle over long extent: small for rods and blades."""
         _, middle, long = self.order
-        return float(self.box.half[middle] / max(self.box.half[long], 1e-6))
+        return float(self.box.half[middle] / max(self.box.half[long], TINY))
 
     @cached_property
     def panel(self) -> Panel:
@@ -304,13 +306,13 @@ def fit_panel(shape: PartShape, normal: int | None = None) -> Panel:
     u, v = (i for i in range(3) if i != k)
     depth = local[:, k]
     half = float(box.half[k])
-    if half < 1e-6 or len(local) < 30:
+    if half < TINY or len(local) < 30:
         return Panel(k, -half, half)
     cells = 12 if len(local) > 900 else 8
     cell = np.zeros(len(local), int)
     for i in (u, v):
         at = np.clip(
-            ((local[:, i] / (2 * box.half[i] + 1e-9) + 0.5) * cells).astype(int), 0, cells - 1
+            ((local[:, i] / (2 * box.half[i] + NOTHING) + 0.5) * cells).astype(int), 0, cells - 1
         )
         cell = cell * cells + at
     total = len(np.unique(cell))
@@ -343,7 +345,7 @@ def fit_panel(shape: PartShape, normal: int | None = None) -> Panel:
 
 def _box_in(points: Array, axes: Array, scanned: bool) -> Box:
     low, high = extent(points @ axes, scanned)
-    return Box(axes, axes @ ((low + high) / 2), np.maximum((high - low) / 2, 1e-6))
+    return Box(axes, axes @ ((low + high) / 2), np.maximum((high - low) / 2, TINY))
 
 
 def same_extents(a: PartShape, b: PartShape, tolerance: float = 0.25, slack: float = 0.01) -> bool:
@@ -434,7 +436,7 @@ def _rim(points: Array, axis: Array) -> float:
     np.maximum.at(
         reach, ((np.arctan2(b, a) / (2 * np.pi) + 0.5) * 36).astype(int) % 36, np.hypot(a, b)
     )
-    return float(np.quantile(reach, 0.1) / max(reach.max(), 1e-9))
+    return float(np.quantile(reach, 0.1) / max(reach.max(), NOTHING))
 
 
 def blades(shape: PartShape) -> tuple[Array, Array, int] | None:

@@ -13,9 +13,10 @@ import numpy.typing as npt
 
 from model.core.names import base_score, mechanism_of, words
 from model.core.progress import attempt
+from model.prediction.builder import left_out
 from model.prediction.geometric.context import UP, Assembly, snapped, unit
 from model.prediction.geometric.sampled_object import CONTACT_GAP, SampledObject
-from model.prediction.geometric.shape import blades, same_extents
+from model.prediction.geometric.shape import NOTHING, TINY, blades, same_extents
 
 Array = npt.NDArray[np.float64]
 
@@ -71,13 +72,13 @@ def root_scores(sampled: SampledObject) -> Array:
     touches = (sampled.gap < CONTACT_GAP) & ~np.eye(n, dtype=bool)
     # Neighbours count by their size, so that many small ones (keys on a door) count little.
     heft = np.minimum(1.0, (size / 0.06) ** 2)
-    touching = 0.5 * (touches @ size) / max(size.sum(), 1e-9)
-    touching += 0.5 * (touches @ heft) / max(heft.sum(), 1e-9)
+    touching = 0.5 * (touches @ size) / max(size.sum(), NOTHING)
+    touching += 0.5 * (touches @ heft) / max(heft.sum(), NOTHING)
     low = np.array([s.low[2] for s in shapes]) - sampled.low[2]
-    height = max(float(sampled.high[2] - sampled.low[2]), 1e-6)
+    height = max(float(sampled.high[2] - sampled.low[2]), TINY)
     named = np.array([base_score(s.name, sampled.category) for s in shapes])
     area = np.array([s.area for s in shapes])
-    out = 1.2 * size / max(size.max(), 1e-9)
+    out = 1.2 * size / max(size.max(), NOTHING)
     out += 0.8 * (volume / max(volume.max(), 1e-12)) ** (1 / 3)
     out += 0.5 * np.sqrt(area / max(area.max(), 1e-12))
     out += 1.0 * touching
@@ -128,7 +129,7 @@ def spanning_parents(sampled: SampledObject, root: int) -> list[int]:
             continue
         if j is not None and (mutual or held.get(j) is None) and not is_below(parent, j, i):
             parent[i] = j
-    return _leaves_apart(sampled, root, parent)
+    return parent if left_out("leaves of one front") else _leaves_apart(sampled, root, parent)
 
 
 def _leaves_apart(sampled: SampledObject, root: int, parent: list[int]) -> list[int]:
@@ -191,7 +192,7 @@ def _holder(sampled: SampledObject, root: int, i: int) -> int | None:
         and not same_extents(shape, sampled.shapes[j], 0.2, 0.001)
         and not _both_slender(sampled, root, i, j)
     ]
-    if not near:
+    if not near or left_out("contact with other parts"):
         return None
     best = max(near, key=lambda j: (share(j), -j))
     mine, roots = share(best), share(root)
@@ -270,7 +271,7 @@ def chain_plane(assembly: Assembly, part: int) -> ChainPlane | None:
     of motion. For members in one oblique line it is the vertical plane through them.
     """
     directions = np.array([_long(assembly, k) for k in chain_of(assembly, part)])
-    if not len(directions):
+    if not len(directions) or left_out("chains"):
         return None
     alone = np.linalg.svd(directions)
     spread = alone.S / np.sqrt(len(directions))

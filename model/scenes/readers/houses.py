@@ -47,6 +47,8 @@ from model.scenes.scene import (
 )
 from model.scenes.unpacking import Unpacked, Unpacker
 from model.scenes.values import (
+    BOX_CORNERS,
+    BOX_FACES,
     JsonReader,
     Place,
     about_z,
@@ -64,11 +66,6 @@ from model.scenes.values import (
 THICKNESS = 0.04
 """Metres that floors and walls are given."""
 FLOOR_COLOR, WALL_COLOR = (164, 142, 118), (226, 222, 212)
-_BOX = np.array([[i >> k & 1 for k in range(3)] for i in range(8)], float)
-_BOX_FACES = np.array(
-    [[0, 2, 1], [1, 2, 3], [4, 5, 6], [5, 7, 6], [0, 1, 4], [1, 5, 4],
-     [2, 6, 3], [3, 6, 7], [0, 4, 2], [2, 4, 6], [1, 3, 5], [3, 7, 5]], np.int32,
-)  # fmt: skip
 Hole = tuple[float, float, float, float]
 """Along the wall from and to, up from and to."""
 
@@ -154,7 +151,7 @@ def _wall(wall: Any, holes: dict[str, list[tuple[Hole, bool]]]) -> list[Loaded]:
         for (a, b, c, d), behind in holes.get(id, ())
     ]
     return [
-        _solid(origin + (spot + _BOX * size) @ frame, _BOX_FACES, WALL_COLOR)
+        _solid(origin + (spot + BOX_CORNERS * size) @ frame, BOX_FACES, WALL_COLOR)
         for spot, size in _pieces(width, high - low, cut)
     ]
 
@@ -206,7 +203,7 @@ def _points(value: Any, what: str) -> FloatArray:
 
 def box_solid(low: FloatArray, size: FloatArray, color: tuple[int, int, int]) -> Loaded:
     """The axis-parallel box from (3,) ``low`` of (3,) ``size``, in one colour."""
-    return _solid(low + _BOX * size, _BOX_FACES, color)
+    return _solid(low + BOX_CORNERS * size, BOX_FACES, color)
 
 
 def _solid(vertices: FloatArray, faces: Any, color: tuple[int, int, int]) -> Loaded:

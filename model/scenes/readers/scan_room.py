@@ -49,10 +49,10 @@ Labels = npt.NDArray[np.int64]
 BACKGROUND, BUILDING, ROOM = "background", "building", "room"
 """Surface without a label, walls and floor, and a room that nobody has labelled."""
 SCANNET20 = (
-    "wall", "floor", "cabinet", "bed", "chair", "sofa", "table", "door", "window", "bookshelf",
-    "picture", "counter", "desk", "curtain", "refrigerator", "shower curtain", "toilet", "sink",
-    "bathtub", "other furniture",
-)  # fmt: skip
+    *"wall, floor, cabinet, bed, chair, sofa, table, door, window, bookshelf, picture".split(", "),
+    *"counter, desk, curtain, refrigerator, shower curtain, toilet, sink, bathtub".split(", "),
+    "other furniture",
+)
 """Names of the ScanNet benchmark's classes in its order."""
 _BUILDING = frozenset({"wall", "floor", "ceiling"})
 PROPERTIES = ("instance", "instance_id", "instanceid", "object_id", "objectid")

@@ -62,9 +62,7 @@ class TrainingConfig:
 
 SIZES = tuple(QWEN3)
 _NEEDED = ("transformers", "tokenizers", "accelerate")
-_WHOLE = (
-    "samples", "epochs", "batch", "warmup", "longest", "points", "groups", "neighbours", "every",
-)  # fmt: skip
+_WHOLE = tuple("samples epochs batch warmup longest points groups neighbours every".split())
 _SHARES = ("nameless", "forgotten", "test_share")
 LORA_RANK, LORA_RATE = 16, 1e-4
 """Rank and learning rate of ``--lora``: low-rank updates tolerate a larger rate."""

@@ -146,11 +146,11 @@ class _FullTrainer:
         self.accelerator: Any = Accelerator(mixed_precision="bf16" if config.bfloat16 else "no")
         self.main = self.accelerator.is_main_process
         processes = self.accelerator.num_processes
-        self.share, rest = divmod(config.batch, processes)
+        self._share, rest = divmod(config.batch, processes)
         if rest:
             raise ConfigurationError(
                 f"a batch of {config.batch} can't be divided among {processes} processes: "
-                f"--set batch={processes * (self.share + 1)}"
+                f"--set batch={processes * (self._share + 1)}"
             )
         if self.main:
             out.mkdir(parents=True, exist_ok=True)
@@ -159,9 +159,9 @@ class _FullTrainer:
         model = load_model(config, sources.point_encoder, sources.language_model)
         if config.checkpointing:
             model.use_gradient_checkpointing()
-        self.tokenizer = model.tokenizer
-        self.sharded = self.accelerator.distributed_type == DistributedType.FSDP
-        if self.sharded:
+        self._tokenizer = model.tokenizer
+        self._sharded = self.accelerator.distributed_type == DistributedType.FSDP
+        if self._sharded:
             # Small and frozen: every process holds it in full.
             model.encoder.to(self.accelerator.device)
             self.accelerator.state.fsdp_plugin.ignored_modules = [model.encoder]
@@ -176,7 +176,7 @@ class _FullTrainer:
         self.step = self._restored()
         self.model.train()
         count = config.steps * config.batch
-        draws = Draws(sources.objects, config, self.tokenizer, count)
+        draws = Draws(sources.objects, config, self._tokenizer, count)
         self.batches = self._batches(draws, range(self.step, config.steps))
 
     def _record(self) -> dict[str, Any]:
@@ -199,15 +199,15 @@ class _FullTrainer:
         config, total = self.config, torch.zeros((), device=self.accelerator.device)
         set_rate(self.optimizer, config, step)
         self.optimizer.zero_grad(set_to_none=True)
-        for turn in range(self.share):
+        for turn in range(self._share):
             drawn = self._taken(next(self.batches))
             # Dropout depends on the object's position alone, so that a resumed run draws the same.
             torch.manual_seed(config.seed * 1_000_003 + drawn.position)
-            last = turn + 1 == self.share
+            last = turn + 1 == self._share
             with nullcontext() if last else self.accelerator.no_sync(self.model):
                 loss = self.model([drawn.example])
-                self.accelerator.backward(loss / self.share)
-            total += loss.detach().float() / self.share
+                self.accelerator.backward(loss / self._share)
+            total += loss.detach().float() / self._share
         norm = self.accelerator.clip_grad_norm_(self.model.parameters(), 1.0)
         if not bool(torch.isfinite(norm)):
             return None
@@ -256,7 +256,7 @@ class _FullTrainer:
         """Mean loss over validation objects, divided among the processes."""
         world = self.accelerator.num_processes
         count = len(self.sources.held) // world
-        draws = Draws(self.sources.held, self.config, self.tokenizer, count * world)
+        draws = Draws(self.sources.held, self.config, self._tokenizer, count * world)
         total = torch.zeros((), device=self.accelerator.device)
         self.model.eval()
         for k in range(count):
@@ -314,7 +314,7 @@ class _FullTrainer:
             return 0
         try:
             saved = json.loads(path.read_text())
-            options = {} if self.sharded else {"strict": False}
+            options = {} if self._sharded else {"strict": False}
             self.accelerator.load_state(str(self.out / saved["folder"]), **options)
             return int(saved["step"])
         except (

@@ -53,11 +53,10 @@ FOLDS = 5
 """Shares of the objects, each of which one trial fit leaves out."""
 OTHERS = 3.0
 """Weight of the other generator's rows: its objects are fewer than ours. Not tuned."""
-BOOSTING = {
-    "objective": "binary", "learning_rate": 0.05, "num_leaves": 16, "min_data_in_leaf": 30,
-    "lambda_l2": 5.0, "feature_fraction": 0.2, "bagging_fraction": 0.7, "bagging_freq": 1,
-    "num_threads": 1, "deterministic": True, "force_row_wise": True, "verbosity": -1,
-}  # fmt: skip
+BOOSTING: dict[str, Any] = {"objective": "binary", "learning_rate": 0.05, "num_leaves": 16}
+BOOSTING |= {"min_data_in_leaf": 30, "lambda_l2": 5.0, "feature_fraction": 0.2}
+BOOSTING |= {"bagging_fraction": 0.7, "bagging_freq": 1, "num_threads": 1, "verbosity": -1}
+BOOSTING |= {"deterministic": True, "force_row_wise": True}
 """LightGBM's settings. Slow steps on few features lose nothing on categories that were left out:
 docs/research/predictor.md has others."""
 TREES = 300

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
@@ -34,6 +34,8 @@ from model.training.segmentation.visible_objects import (
     train_moving,
 )
 
+Step = Literal["edges", "boxes", "parts", "clouds", "rooms", "moving", "mending", "proposals"]
+
 
 @dataclass(frozen=True)
 class Training:
@@ -44,20 +46,12 @@ class Training:
             ``first_click_cloud.npz``, ``later_click_cloud.npz``, ``later_click_close.npz``,
             ``first_click_moving.npz``, ``later_click_moving.npz``, ``part_masks.npz`` and, of
             rooms, ``room_first_click.npz`` and ``room_later_click.npz``.
-        skip_edges, skip_boxes, skip_parts, skip_clouds, skip_rooms, skip_moving, skip_corrective,
-        skip_proposals: keep the models that are there.
+        skip: trainings whose models are kept as they are.
         edges, boxes, clicks, clouds, moving, corrective, proposals: their settings.
     """
 
     out: Path = field(default_factory=lambda: static_assets() / "segmentation")
-    skip_edges: bool = False
-    skip_boxes: bool = False
-    skip_parts: bool = False
-    skip_clouds: bool = False
-    skip_rooms: bool = False
-    skip_moving: bool = False
-    skip_corrective: Annotated[bool, tyro.conf.arg(name="skip-mending")] = False
-    skip_proposals: bool = False
+    skip: tuple[Step, ...] = ()
     edges: EdgeTraining = field(default_factory=EdgeTraining)
     boxes: BoxTraining = field(default_factory=BoxTraining)
     clicks: ClickTraining = field(default_factory=ClickTraining)
@@ -75,18 +69,18 @@ def main() -> None:
     config = tyro.cli(Training, description=__doc__)
     config.out.mkdir(parents=True, exist_ok=True)
     out = config.out
-    trainings: tuple[tuple[bool, Callable[[], dict[str, float]]], ...] = (
-        (config.skip_edges, lambda: train_edges(config.edges, out / "edges.npz")),
-        (config.skip_boxes, lambda: train_boxes(config.boxes, out / "boxes.npz")),
-        (config.skip_parts, lambda: train_scorers(config.clicks, out)),
-        (config.skip_clouds, lambda: train_clouds(config.clouds, out)),
-        (config.skip_rooms, lambda: train_room_scorers(config.clicks, out)),
-        (config.skip_moving, lambda: train_moving(config.moving, out)),
-        (config.skip_corrective, lambda: train_corrective(config.corrective, out)),
-        (config.skip_proposals, lambda: train_part_masks(config.proposals, out)),
-    )
-    for skip, train in trainings:
-        if not skip:
+    trainings: dict[Step, Callable[[], dict[str, float]]] = {
+        "edges": lambda: train_edges(config.edges, out / "edges.npz"),
+        "boxes": lambda: train_boxes(config.boxes, out / "boxes.npz"),
+        "parts": lambda: train_scorers(config.clicks, out),
+        "clouds": lambda: train_clouds(config.clouds, out),
+        "rooms": lambda: train_room_scorers(config.clicks, out),
+        "moving": lambda: train_moving(config.moving, out),
+        "mending": lambda: train_corrective(config.corrective, out),
+        "proposals": lambda: train_part_masks(config.proposals, out),
+    }
+    for step, train in trainings.items():
+        if step not in config.skip:
             print(json.dumps(train(), indent=1))
 
 

@@ -147,8 +147,8 @@ def play(
         # Half of the sessions begin on the deepest point.
         begin = int(rng.integers(0, 2)) * int(rng.integers(1, len(starts)))
         explore = config.explore[ROUNDS.index(kind)]
-        _session(solver, encoding, truth, starts[begin], answers[begin], config.clicks, explore,
-                 rng, later_log)  # fmt: skip
+        opening = (starts[begin], answers[begin])
+        _session(solver, encoding, truth, *opening, config.clicks, explore, rng, later_log)
     return first_log.rows(), later_log.rows()
 
 

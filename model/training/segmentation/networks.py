@@ -201,13 +201,8 @@ def fit_boxes(rows: list[Row], networks: int) -> Mlp:
     features, overlap = (np.concatenate([r[k] for r in rows]) for k in (0, 1))
     click = np.repeat(np.arange(len(rows)), [len(r[1]) for r in rows])
     weight = np.ones(len(rows), np.float32)
-    return averaged(
-        [
-            fit_ranker(BOX_SCORE_FEATURES, features, overlap, click, weight,
-                       hidden=(64, 32), epochs=30, seed=seed)
-            for seed in range(networks)
-        ]
-    )  # fmt: skip
+    fit = partial(fit_ranker, BOX_SCORE_FEATURES, features, overlap, click, weight)
+    return averaged([fit(hidden=(64, 32), epochs=30, seed=seed) for seed in range(networks)])
 
 
 def train_boxes(config: BoxTraining, out: Path) -> dict[str, float]:
@@ -305,13 +300,9 @@ def _fit(played: list[MaskRows], config: PartMaskTraining) -> Mlp:
     worth = np.concatenate([r.share for r in played]) ** config.power
     # All objects weigh the same, however many masks they have.
     weight = np.concatenate([np.full(len(r.features), 1 / len(r.features)) for r in played])
-    return averaged(
-        [
-            fit_mlp(PART_FEATURE_NAMES, features, worth, weight / weight.mean(), hidden=(64, 32),
-                    epochs=30, dropout=0.2, rate=3e-3, decay=0.05, seed=seed)
-            for seed in range(config.networks)
-        ]
-    )  # fmt: skip
+    fit = partial(fit_mlp, PART_FEATURE_NAMES, features, worth, weight / weight.mean())
+    fit = partial(fit, hidden=(64, 32), epochs=30, dropout=0.2, rate=3e-3, decay=0.05)
+    return averaged([fit(seed=seed) for seed in range(config.networks)])
 
 
 def _measured(scorer: Mlp, played: list[MaskRows]) -> dict[str, float]:

@@ -13,9 +13,9 @@ import pytest
 from model.core.errors import ConfigurationError, InputFileError
 from model.data.registry import DatasetOptions
 from model.evaluation.compare import compare
-from model.evaluation.html_report import worst_objects, write_html
 from model.evaluation.joint_metrics import Execution, JointScore, ObjectScore, tree_edits
 from model.evaluation.report import Report, read_report, to_markdown
+from model.evaluation.rivals import worst_objects, write_html
 from model.evaluation.run import EvaluationConfig, evaluate
 from model.evaluation.summary import METRICS, bootstrap, calibrate, summarise
 from model.geometry import drawing

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from typing import Literal
 
@@ -47,6 +48,7 @@ class Cupboard:
         cells: the compartments.
         shelves: boards in each compartment that isn't a drawer.
         inset: fronts lie between the walls instead of before them.
+        legs: style and height (m).
         open_by: how far each front stands open, 0..1, in the order of the parts.
     """
 
@@ -54,8 +56,7 @@ class Cupboard:
     cells: tuple[Cell, ...]
     wall: float = 0.018
     gap: float = 0.003
-    leg: LegStyle = "taper"
-    leg_height: float = 0.12
+    legs: tuple[LegStyle, float] = ("taper", 0.12)
     front: m.PanelStyle = "plain"
     handle: m.HandleStyle | None = "bar"
     handle_length: float = 0.14
@@ -112,10 +113,10 @@ def cupboard(
     b = Builder("StorageFurniture", rng, palette)
     w, d, _h = spec.size
     body = b.base("furniture_body")
-    bottom = spec.leg_height
+    style, bottom = spec.legs
     m.carcass(body, spec.size, spec.wall, palette, bottom=bottom, top_overhang=spec.overhang)
-    surface = palette.body if spec.leg in ("block", "plinth", "taper") else palette.metal
-    legs(body, w, d, bottom, spec.leg, surface)
+    surface = palette.body if style in ("block", "plinth", "taper") else palette.metal
+    legs(body, w, d, bottom, style, surface)
     inside = wood("birch")
     for cell in spec.cells:
         _inside(body, cell, spec, palette)
@@ -136,7 +137,7 @@ def cupboard(
 def _inside(body: Body, cell: Cell, spec: Cupboard, palette: Palette) -> None:
     """Walls between this compartment and its right and upper neighbours, and its shelves."""
     w, d, h = spec.size
-    a, t, bottom = cell.area, spec.wall, spec.leg_height
+    a, t, bottom = cell.area, spec.wall, spec.legs[1]
     deep = d - 0.008 - (0.022 if spec.inset else 0)
     y = (d / 2 - 0.006) - deep / 2
     low, high = max(a.z0 - t / 2, bottom + t), min(a.z1 + t / 2, bottom + h - t)
@@ -160,7 +161,7 @@ def _inside(body: Body, cell: Cell, spec: Cupboard, palette: Palette) -> None:
 def _close(b: Builder, body: Body, cell: Cell, spec: Cupboard, inside: m.Surface) -> list[Body]:
     """The doors or the drawer of one compartment."""
     w, d, h = spec.size
-    t, bottom, thick = spec.wall, spec.leg_height, 0.018
+    t, bottom, thick = spec.wall, spec.legs[1], 0.018
     a = cell.area
     clear = m.Opening(
         max(a.x0 + t / 2, -w / 2 + t),
@@ -238,7 +239,7 @@ def storage_furniture(rng: np.random.Generator) -> ProceduralObject:
     ajar = rng.random(fronts) * (rng.random(fronts) < (0.3 if rng.random() < 0.3 else 0.0))
     spec = Cupboard(
         (w, float(size[1]), h), cells, wall=float(rng.uniform(0.015, 0.025)),
-        gap=float(rng.uniform(0.002, 0.005)), leg=leg, leg_height=tall,
+        gap=float(rng.uniform(0.002, 0.005)), legs=(leg, tall),
         front=("plain", "shaker", "raised", "glass")[rng.choice(4, p=[0.45, 0.3, 0.15, 0.1])],
         handle=("bar", "bow", "flat", "knob", "cup", "ball", "lip", None)[rng.integers(8)],
         handle_length=float(rng.uniform(0.08, 0.25)), shelves=int(rng.integers(0, 4)),
@@ -279,10 +280,8 @@ def table(rng: np.random.Generator) -> ProceduralObject:
     for a, z in pairwise(cuts):
         r = m.Opening(float(a), float(z), low, low + tall)
         clear = m.Opening(float(a) + wall / 2, float(z) - wall / 2, low + 0.001, low + tall)
-        m.drawer(
-            b, base, r.shrunk(0.0025), y - 0.001, 0.8 * deep, inner=clear,
-            handle_style=handle, inside=wood("birch"), thickness=0.016, handle_length=0.1
-        )  # fmt: skip
+        drawer = partial(m.drawer, handle_style=handle, inside=wood("birch"), handle_length=0.1)
+        drawer(b, base, r.shrunk(0.0025), y - 0.001, 0.8 * deep, inner=clear, thickness=0.016)
     for side in pedestals:
         _pedestal(b, base, side, w, d, low - 0.01, handle)
     return b.build()
@@ -318,10 +317,8 @@ def _pedestal(
             inner = m.Opening(
                 clear.x0, clear.x1, max(cell.area.z0, clear.z0), min(cell.area.z1, clear.z1)
             )
-            m.drawer(
-                b, base, cell.area.shrunk(0.002), y - 0.001, 0.8 * deep, inner=inner,
-                handle_style=handle, inside=wood("birch"), handle_length=0.1
-            )  # fmt: skip
+            drawer = partial(m.drawer, handle_style=handle, inside=wood("birch"), handle_length=0.1)
+            drawer(b, base, cell.area.shrunk(0.002), y - 0.001, 0.8 * deep, inner=inner)
 
 
 def cart(rng: np.random.Generator) -> ProceduralObject:
@@ -365,8 +362,6 @@ def cart(rng: np.random.Generator) -> ProceduralObject:
         z0, z1 = float(levels[-2]) + 0.055, float(levels[-1]) - 0.005
         if z1 - z0 > 0.1:
             r = m.Opening(-w / 2 + 0.035, w / 2 - 0.035, z0, z1)
-            m.drawer(
-                b, body, r, -d / 2 + 0.014, 0.85 * d, inner=r.shrunk(0.002),
-                handle_style="bar", inside=palette.front, thickness=0.012
-            )  # fmt: skip
+            drawer = partial(m.drawer, handle_style="bar", inside=palette.front, thickness=0.012)
+            drawer(b, body, r, -d / 2 + 0.014, 0.85 * d, inner=r.shrunk(0.002))
     return b.build()

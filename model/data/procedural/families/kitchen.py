@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -384,6 +385,7 @@ def _freezer_drawers(
     count: int,
 ) -> None:
     cuts = np.linspace(zone.z0, zone.z1, count + 1)
+    drawer = partial(m.drawer, thickness=thick, inside=INSIDE, travel=0.8, handle_length=0.6)
     for a, z in itertools.pairwise(cuts):
         r = m.Opening(zone.x0, zone.x1, float(a), float(z)).shrunk(0.002)
         cell = m.Opening(
@@ -392,7 +394,4 @@ def _freezer_drawers(
             max(float(a), zone.z0 + 0.045) + 0.002,
             min(float(z), zone.z1 - 0.025) - 0.002,
         )
-        m.drawer(
-            b, body, r, front - 0.006, 0.75 * hollow, inner=cell, handle_style=style,
-            thickness=thick, inside=INSIDE, travel=0.8, handle_length=0.6
-        )  # fmt: skip
+        drawer(b, body, r, front - 0.006, 0.75 * hollow, inner=cell, handle_style=style)

@@ -1,21 +1,22 @@
 """The reference of the command line, made of the help pages.
 
-``python -m app.cli.reference`` writes ``docs/command-line.md``.
+``python -m tests.reference`` writes ``docs/command-line.md``.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 from app.cli.commands import COMMANDS
 from app.cli.options import Command, Group, description, shown
 
-DOCUMENT = Path(__file__).parents[2] / "docs" / "command-line.md"
+DOCUMENT = Path(__file__).parents[1] / "docs" / "command-line.md"
 
 _HEAD = """# Command line
 
-<!-- Written by `python -m app.cli.reference`; change the options in app/cli, not this page. -->
+<!-- Written by `python -m tests.reference`; change the options in app/cli, not this page. -->
 
 `artiworld COMMAND --help` prints the same in a terminal. Paths may stand before, between and after
 options. Exit codes: 0; 2 for a mistake in the input, with one line that says what to do; 1 for a
@@ -27,9 +28,7 @@ and debug messages.
 """
 
 
-def commands(
-    found: Mapping[str, type[Command] | Group] = COMMANDS,
-) -> Iterator[tuple[str, type[Command]]]:
+def commands(found: Mapping[str, Any] = COMMANDS) -> Iterator[tuple[str, type[Command]]]:
     """The words that call each command, and its options, in the order of the help page."""
     for name, each in found.items():
         if isinstance(each, Group):
