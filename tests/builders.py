@@ -1,7 +1,5 @@
 """Small objects with known parts, and waiting."""
 
-from __future__ import annotations
-
 import io
 import json
 import struct

@@ -1,7 +1,5 @@
 """A scanned cabinet with a drawer and a door, of which only the outside in front was seen."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from model.core.articulated_object import ArticulatedObject, Part

@@ -1,7 +1,5 @@
 """The shape of the code: layers, no circles, few hidden imports, no private words."""
 
-from __future__ import annotations
-
 import ast
 import io
 import re

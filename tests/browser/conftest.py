@@ -1,7 +1,5 @@
 """A real Chromium and a real server for the browser tests."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any

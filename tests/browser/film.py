@@ -1,7 +1,5 @@
 """Moving pictures of the page: frames by screenshots, with the pointer and a caption drawn in."""
 
-from __future__ import annotations
-
 import io
 from dataclasses import dataclass, field
 from pathlib import Path

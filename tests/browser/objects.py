@@ -1,7 +1,5 @@
 """Small objects for the browser: quick to draw without a GPU, with known parts."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -4,8 +4,6 @@ Run ``make pictures`` after a change of the screens (``make pictures ARGS="joint
 some of them), and look at what git shows as changed. Data and cameras are the same each time.
 """
 
-from __future__ import annotations
-
 import argparse
 import io
 import re

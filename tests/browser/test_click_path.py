@@ -1,7 +1,5 @@
 """The way of a click: its files, trips to workers and commits, until its labels are drawn."""
 
-from __future__ import annotations
-
 import sys
 import threading
 import tomllib
@@ -14,8 +12,6 @@ from sessions.store import Store
 from tests.app.job_functions import PathTrace, begin_trace, end_trace
 from tests.budget import FILE, ROOT
 from tests.builders import wait_until
-
-pytestmark = pytest.mark.browser
 
 STATIONS = (
     "app/viewer/picture/object_nodes.py", "app/server/jobs.py", "sessions/store.py",

@@ -1,7 +1,5 @@
 """Downloads, SimReady packages, and accepting many above a confidence, from the browser."""
 
-from __future__ import annotations
-
 import io
 import zipfile
 from pathlib import Path
@@ -17,8 +15,6 @@ from model.io.assets.reader import load_object
 from sessions import commands as cmd
 from tests.browser.browsing import Tab, wait_until
 from tests.browser.test_urdf import URDF
-
-pytestmark = pytest.mark.browser
 
 
 @pytest.fixture

@@ -1,11 +1,8 @@
 """The queue as a gallery of hundreds, work on many of them, and the export, in a real browser."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
-import pytest
 import trimesh
 
 from model.io.assets.asset_folder import write_asset
@@ -14,7 +11,6 @@ from sessions import commands as cmd
 from tests.browser.browsing import Tab, wait_until
 from tests.browser.test_urdf import URDF
 
-pytestmark = pytest.mark.browser
 MANY = 150
 
 

@@ -1,7 +1,5 @@
 """Joints in the picture: limits and a tree that are dragged, views, one part alone, measuring."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -10,8 +8,6 @@ import pytest
 from app.viewer.picture.joint_handles import Side
 from tests.browser.browsing import Tab, wait_until
 from tests.browser.test_main_job import annotate, predict
-
-pytestmark = pytest.mark.browser
 
 
 def test_limits_parents_views_and_lengths_in_the_picture(

@@ -1,16 +1,11 @@
 """Plain light for browsers without a GPU: there from the start, kept over objects and reloads."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
-import pytest
 import trimesh
 
 from tests.browser.browsing import COARSE, Tab, wait_until
-
-pytestmark = pytest.mark.browser
 
 SURROUNDINGS = "() => window.__viserMutable.scene.environment !== null"
 LAMPS = "() => '/light/sky' in window.__viserSceneTree.getState()"

@@ -1,7 +1,5 @@
 """The main job in a real browser: open, click, predict, move, edit, accept; and nothing is lost."""
 
-from __future__ import annotations
-
 import json
 import math
 import re
@@ -9,14 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 
 from model.core.joint import motion
 from sessions.commands import SetCategory
 from tests.browser.browsing import PAGE_TIMEOUT, Tab, wait_until
 from tests.browser.objects import write_cloud
 
-pytestmark = pytest.mark.browser
 MASK = r"Mask (\d+) of (\d+): \d"
 
 

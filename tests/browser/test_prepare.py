@@ -1,7 +1,5 @@
 """A scan of any rotation and scale, on a table, is levelled and cleaned in the browser."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -10,8 +8,6 @@ import pytest
 
 from tests.browser.browsing import Tab, wait_until
 from tests.raw_scans import raw_scan
-
-pytestmark = pytest.mark.browser
 
 
 def up_error(tab: Tab, source_from_object: np.ndarray) -> float:

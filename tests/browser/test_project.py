@@ -1,7 +1,5 @@
 """The project page, and objects assigned to people in the gallery, in a real browser."""
 
-from __future__ import annotations
-
 import csv
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -16,7 +14,6 @@ from sessions.store import Store
 from tests.accepted import accept, cupboard
 from tests.browser.browsing import COARSE, FEWER_FRAMES, PAGE_TIMEOUT, Tab, wait_until
 
-pytestmark = pytest.mark.browser
 PASSWORD = "three horses eat 42 apples"
 
 

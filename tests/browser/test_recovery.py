@@ -1,7 +1,5 @@
 """SIGKILL in the middle of the work: what was clicked is there when the page opens again."""
 
-from __future__ import annotations
-
 import os
 import re
 import signal
@@ -10,14 +8,10 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import pytest
-
 from sessions.store import PendingAcceptance, Store
 from tests.browser.browsing import PAGE_TIMEOUT, page_at_rest
 from tests.browser.objects import write_cabinet
 from tests.builders import wait_until
-
-pytestmark = pytest.mark.browser
 
 
 def serve(path: Path, workspace: Path) -> tuple[subprocess.Popen[str], str]:

@@ -1,7 +1,5 @@
 """The gate in a real browser: shown, posed by a click, mended, accepted against with a reason."""
 
-from __future__ import annotations
-
 import json
 import re
 import time
@@ -24,11 +22,6 @@ from sessions import commands as cmd
 from tests.browser.browsing import Tab, wait_until
 from tests.builders import CUPBOARD_DOOR as DOOR
 from tests.builders import write_cupboard
-
-pytestmark = [
-    pytest.mark.browser,
-    pytest.mark.timeout(900),
-]
 
 TREE = KinematicTree(("link_0", "link_1"), (replace(DOOR, axis=(0, 0, 1)),))
 

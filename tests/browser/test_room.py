@@ -1,8 +1,6 @@
 """A real scanned kitchen that nobody has labelled: two objects are clicked out of it, articulated
 in place, and the room is saved with them where they stood."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path
@@ -21,11 +19,6 @@ from model.segmentation.prompts import iou, next_click
 from model.validation.report import Severity
 from tests.browser.browsing import SceneTab, wait_until
 from tests.model.scenes.saved import points_in_place
-
-pytestmark = [
-    pytest.mark.browser,
-    pytest.mark.timeout(900),
-]
 
 REFRIGERATOR = ((2.40, 0.29, 0.06), (2.80, 1.24, 2.17))
 CABINET = ((2.50, 2.72, 0.06), (2.97, 3.60, 0.88))

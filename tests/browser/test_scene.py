@@ -1,14 +1,11 @@
 """A whole scene in a real browser: choose, work on one object in place, decide, go back, save."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 
 from app.viewer.panels.joint_tree import joint_lines
 from app.viewer.picture import palette
@@ -16,8 +13,6 @@ from app.viewer.picture.scene_nodes import Surroundings
 from sessions import commands as cmd
 from tests.browser.browsing import SceneTab, wait_until
 from tests.model.scenes.scenes_made import make_assets, own, write_scene
-
-pytestmark = pytest.mark.browser
 
 
 def entry(id: str, asset: str, x: float, **more: Any) -> dict[str, Any]:

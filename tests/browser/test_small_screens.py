@@ -1,14 +1,9 @@
 """Small windows and tablets: nothing lies on another control, and fingers hit what they mean."""
 
-from __future__ import annotations
-
 from typing import Any
-
-import pytest
 
 from tests.browser.browsing import Tab, wait_until
 
-pytestmark = pytest.mark.browser
 LAID_OUT = """() => {
   const box = (e) => {
     const b = e.getBoundingClientRect();

@@ -1,7 +1,5 @@
 """Three people at once: annotate, submit, send back with a comment, correct, accept."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any

@@ -1,12 +1,9 @@
 """Preview, lasso, brush, cut, merge and uploads of several files, in a real browser."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 from PIL import Image
 
 from app.server.tasks import asset_of
@@ -15,8 +12,6 @@ from tests.browser.browsing import Tab, wait_until
 from tests.browser.objects import write_cloud, write_flush
 
 OVEN = Path(__file__).parents[2] / "static_assets" / "examples" / "oven_scan.ply"
-
-pytestmark = pytest.mark.browser
 
 
 def drag(tab: Tab, points: list[tuple[float, float]]) -> None:

@@ -1,16 +1,11 @@
 """An articulated object that somebody else made, checked in a real browser."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
-import pytest
 import trimesh
 
 from tests.browser.browsing import Tab, wait_until
-
-pytestmark = pytest.mark.browser
 
 URDF = """<robot name="r"><link name="body"><visual><geometry>
 <mesh filename="body.ply"/></geometry></visual></link>

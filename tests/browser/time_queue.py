@@ -9,8 +9,6 @@ predicts, checks, and accepts. Joints that come out wrong are counted, and corre
 of the offered motions is right. Person's time is that of :mod:`tests.browser.time_annotator`.
 """
 
-from __future__ import annotations
-
 import sys
 import tempfile
 from collections.abc import Iterator

@@ -5,8 +5,6 @@ its command-line options; see the README there. Later versions may add fields an
 change texts for people; what was there must stay.
 """
 
-from __future__ import annotations
-
 import contextlib
 import inspect
 import io

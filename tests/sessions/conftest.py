@@ -1,7 +1,5 @@
 """Values that the session tests share."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

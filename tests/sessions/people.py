@@ -1,7 +1,5 @@
 """Accounts for tests, with cheap hashes."""
 
-from __future__ import annotations
-
 from argon2 import PasswordHasher
 
 from sessions import accounts

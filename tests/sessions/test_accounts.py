@@ -1,7 +1,5 @@
 """Accounts, what proves them, and the record of what happened to them."""
 
-from __future__ import annotations
-
 import sqlite3
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Commands as JSON: what version 1 wrote stays readable, and bad input is named."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import fields
 

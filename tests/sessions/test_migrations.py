@@ -1,7 +1,5 @@
 """What older versions wrote opens with this one, whole."""
 
-from __future__ import annotations
-
 import sqlite3
 from collections.abc import Iterator
 from contextlib import contextmanager

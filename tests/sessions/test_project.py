@@ -1,7 +1,5 @@
 """The project page's figures from a log with known days."""
 
-from __future__ import annotations
-
 from datetime import timedelta
 from pathlib import Path
 

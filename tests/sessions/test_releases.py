@@ -1,7 +1,5 @@
 """Releases: frozen, the same bytes for the same assets, checked before anything is imported."""
 
-from __future__ import annotations
-
 import hashlib
 import io
 import json

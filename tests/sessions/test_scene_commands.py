@@ -1,7 +1,5 @@
 """What is decided about a scene as a whole."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

@@ -1,14 +1,12 @@
 """Whatever people do in whatever order: undo inverts, replay equals live, JSON keeps everything."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from unittest.mock import patch
 
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from model.core.articulated_object import Prediction
@@ -138,7 +136,7 @@ def begun(rest: st.SearchStrategy[list[cmd.Command]]) -> st.SearchStrategy[list[
 
 _NOTED = (cmd.RecordSegmentation, cmd.Saved, cmd.Placed)  # answers and facts, no steps
 sequences = begun(st.lists(commands, min_size=12, max_size=50))
-quick = settings(max_examples=35, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+quick = settings(max_examples=35)
 
 
 def contexts(index: int) -> Context:
@@ -231,7 +229,7 @@ def test_what_must_hold_of_every_document(sequence):
             assert document.segmentation_current
 
 
-@settings(max_examples=6, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=6)
 @given(begun(st.lists(commands, min_size=40, max_size=80)))
 def test_the_store_gives_back_what_was_live(sequence):
     with TemporaryDirectory() as folder, patch("sessions.store.SNAPSHOT_EVERY", 7):

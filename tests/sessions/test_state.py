@@ -1,7 +1,5 @@
 """What commands make of a session, as a person meets it."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

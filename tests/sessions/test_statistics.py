@@ -1,7 +1,5 @@
 """Figures about work: scripted sequences whose times are known."""
 
-from __future__ import annotations
-
 import csv
 import io
 import random

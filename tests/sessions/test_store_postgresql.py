@@ -1,7 +1,5 @@
 """The same store on a database server. Needs PostgreSQL's programs and the driver pg8000."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

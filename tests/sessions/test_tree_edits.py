@@ -1,7 +1,5 @@
 """Edits keep a tree a tree, and rooting it elsewhere keeps the mechanism."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

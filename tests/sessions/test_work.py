@@ -1,7 +1,5 @@
 """Assignments, leases and presence, and the way of a submitted object."""
 
-from __future__ import annotations
-
 import threading
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Motions of several joints: screw, ball, universal joint, plane, lift and swivel."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """What other packages offer under our entry-point groups, right or wrong."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from types import ModuleType
 from typing import Any

@@ -1,7 +1,5 @@
 """Procedural objects: closed solids, sensible sizes, and joints that move without collision."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

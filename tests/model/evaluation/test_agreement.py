@@ -1,7 +1,5 @@
 """Agreement of two annotations: each figure alone, frames apart, and what is said of it."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Which exports engines and validators accept, as ``artiworld bench assets`` measures it."""
 
-from __future__ import annotations
-
 import json
 import stat
 from pathlib import Path

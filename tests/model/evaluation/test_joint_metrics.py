@@ -1,13 +1,11 @@
 """Each wrong answer loses exactly the figures that it should."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from model.core.articulated_object import ArticulatedObject, Part
@@ -267,7 +265,6 @@ def test_a_knob_that_turns_almost_round_is_as_good_as_continuous(degrees, right)
     assert scored.usable is right
 
 
-@settings(deadline=None)
 @given(a=vector, b=vector)
 def test_axis_angle_is_symmetric_and_blind_to_sign(a, b) -> None:
     found = axis_angle(a, b)
@@ -276,7 +273,6 @@ def test_axis_angle_is_symmetric_and_blind_to_sign(a, b) -> None:
     assert found == pytest.approx(axis_angle(np.negative(a), b))
 
 
-@settings(deadline=None)
 @given(point=vector, origin=vector, axis=vector, along=st.floats(-5, 5))
 def test_distance_to_a_line_ignores_motion_along_it(point, origin, axis, along: float) -> None:
     axis = np.asarray(axis) / np.linalg.norm(axis)

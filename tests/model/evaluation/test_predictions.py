@@ -1,7 +1,5 @@
 """Other people's files: the oracle loses nothing, and each wrong answer what it should."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Figures with intervals, calibration, comparisons, and pages that hostile names can't break."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace

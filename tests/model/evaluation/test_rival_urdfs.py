@@ -1,7 +1,5 @@
 """URDFs of other systems, made as their public code writes them: scored, and opened."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Callable

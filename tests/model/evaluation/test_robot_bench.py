@@ -1,7 +1,5 @@
 """A gripper that opens exports in MuJoCo, by contact alone."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree as ET

@@ -1,7 +1,5 @@
 """Clicks on what is seen."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """An object is matched with one that is done: turned, mirrored, of other proportions, noisy."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

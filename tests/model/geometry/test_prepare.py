@@ -1,7 +1,5 @@
 """A scan in any frame is levelled, sized and cleaned, and the way back is exact."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import trimesh
@@ -84,7 +82,7 @@ def test_impossible_settings_are_refused(wrong: dict) -> None:
         PrepareSettings(**wrong)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.integers(1, 400), st.integers(0, 2**32 - 1), st.sampled_from([0.0, 1e-6, 1.0, 1e6]))
 def test_any_points_are_classified(count: int, seed: int, scale: float) -> None:
     rng = np.random.default_rng(seed)

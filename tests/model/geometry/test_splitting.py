@@ -1,7 +1,5 @@
 """Faces split along planes: the surface stays what it was."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import trimesh
@@ -39,7 +37,7 @@ def _solid(mesh: Mesh) -> trimesh.Trimesh:
     return out
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.lists(st.floats(-1, 1), min_size=3, max_size=3), st.floats(-0.6, 0.6),
        st.integers(0, 2**12 - 1))  # fmt: skip
 def test_a_closed_box_stays_closed_whatever_is_cut(normal, offset, chosen):

@@ -1,7 +1,5 @@
 """Maps of materials: which are read, how they lie, and what is said of those that can't be used."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

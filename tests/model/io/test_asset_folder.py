@@ -1,7 +1,5 @@
 """A saved asset: complete, loadable elsewhere, never half written."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from dataclasses import replace

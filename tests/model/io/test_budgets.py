@@ -1,7 +1,5 @@
 """What costs more than an object may is refused from its header, or in time that grows linearly."""
 
-from __future__ import annotations
-
 import io
 import json
 import os

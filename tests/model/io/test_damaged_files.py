@@ -1,7 +1,5 @@
 """Bad input: a clear error that names the file, or a warning; never anything else."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,8 +1,6 @@
 """Normal, emissive and occlusion maps: from a GLB through cutting and the saved asset into every
 format, read back by other programs."""
 
-from __future__ import annotations
-
 import io
 import re
 import shutil

@@ -1,7 +1,5 @@
 """One contract for all export formats, and what each format must keep."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path

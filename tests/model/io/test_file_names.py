@@ -1,7 +1,5 @@
 """Part names in files: the rule, and that all formats and re-opening follow it."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Masks of other systems, on files made as their public code writes them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """MJCF read into what a URDF is read into: exports of ours come back, and other people's open."""
 
-from __future__ import annotations
-
 import math
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Articulated objects of other people, opened with their parts, names and joints."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What the formats hold arrives: places, colours, textures, frames, parts."""
 
-from __future__ import annotations
-
 import json
 import time
 from pathlib import Path

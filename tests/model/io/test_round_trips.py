@@ -4,8 +4,6 @@ The middle file is read by ArtiWorld, as a person would open it; the last one by
 against the object at the start.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Formats of scanners, from files that their own libraries write, and broken ones of each."""
 
-from __future__ import annotations
-
 import struct
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """SDF files of one model are opened as articulated objects."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What a reader doesn't know it counts in a remark, or refuses; nothing passes silently."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable
 from pathlib import Path
@@ -68,7 +66,7 @@ def test_a_file_of_known_items_has_no_remark(name: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", FORMATS)
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(data=st.data())
 def test_an_unknown_item_anywhere_is_named_or_refused(name: str, data: st.DataObject) -> None:
     file, text, schema, notes_of = FORMATS[name]

@@ -1,7 +1,5 @@
 """Collision shapes that a URDF tells: what is taken of them, and what is told of bad ones."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What other people's URDF files hold, good and bad."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

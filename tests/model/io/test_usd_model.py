@@ -1,7 +1,5 @@
 """USD stages with joints are opened as articulated objects."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

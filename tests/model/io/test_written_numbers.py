@@ -1,7 +1,5 @@
 """Numbers in files: as short as they may be, and without what differs between processors."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

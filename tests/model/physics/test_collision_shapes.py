@@ -1,7 +1,5 @@
 """Collision shapes: hollows stay open, everything is covered, neighbours don't touch."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -405,7 +403,7 @@ DUST = np.full((9, 3), 5.8e-112)
 DUST[[0, 1, 2], [0, 1, 2]] = 0
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(hnp.arrays(np.float64, (9, 3), elements=st.floats(-1, 1, allow_subnormal=False)),
        st.sampled_from([1.0, 1e-3, 1e3]))  # fmt: skip
 @example(DUST, 1.0)

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import trimesh
@@ -54,7 +52,7 @@ points = st.lists(
 )
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(
     points=points, flat=st.sampled_from([(1, 1, 1), (1, 1, 0), (1, 0, 0), (0, 0, 0), (1e-4, 1, 1)])
 )
@@ -116,7 +114,7 @@ def test_an_open_sheet_weighs_its_area_and_one_of_two_sides_no_more():
     assert one.mass == pytest.approx(7.2) and two.mass == pytest.approx(7.2)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(points=points, flat=st.sampled_from([(1, 1, 1), (1, 1, 0), (1, 0, 0), (1e-4, 1, 1)]))
 def test_whatever_the_mesh_its_mass_is_valid(points, flat):
     at = np.array(points) * flat

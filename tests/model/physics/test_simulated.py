@@ -1,7 +1,5 @@
 """Saved demos in MuJoCo: handles can be pulled, doors swing, nothing jams."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """A server on this machine that speaks OpenAI's chat protocol, well or badly."""
 
-from __future__ import annotations
-
 import json
 import threading
 from collections.abc import Callable, Iterator

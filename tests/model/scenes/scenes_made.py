@@ -1,7 +1,5 @@
 """Small assets and the same scene in every format."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

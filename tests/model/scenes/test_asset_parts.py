@@ -1,7 +1,5 @@
 """Which parts an asset tells by itself."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from xml.etree import ElementTree as ET

@@ -1,7 +1,5 @@
 """Scenes that hold their geometry: GLB, USD and scanned rooms."""
 
-from __future__ import annotations
-
 import base64
 import json
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Sim-Id and Sim-Us: objects found, and objects that work."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The lexicon: what descriptions say about objects."""
 
-from __future__ import annotations
-
 import pytest
 
 from model.scenes.articulable_finders import LexiconFinder, read_lexicon

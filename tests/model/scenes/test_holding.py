@@ -1,7 +1,5 @@
 """What a scene tilts doesn't open under gravity in the written scene."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

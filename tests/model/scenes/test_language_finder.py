@@ -1,7 +1,5 @@
 """Finders that ask a language model, against a real server that behaves well and badly."""
 
-from __future__ import annotations
-
 import json
 import threading
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """PhyScene rooms made after its public code: read, converted in place, written back, refused."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

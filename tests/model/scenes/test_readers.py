@@ -1,7 +1,5 @@
 """Every scene reader: one contract, and what broken scenes get told."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What nobody clicks goes with what it is fastened to: handles, hinges and drawers' trays."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

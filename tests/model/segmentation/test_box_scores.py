@@ -1,7 +1,5 @@
 """Boxes between planes: what they hold, how a click ranks them, and which ones clicks leave."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

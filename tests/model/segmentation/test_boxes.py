@@ -1,7 +1,5 @@
 """Boxes round clicked regions: a drawer is found with the tray behind its front."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -265,7 +263,7 @@ def test_behind_a_front_a_box_ends_at_the_back(drawers) -> None:
     assert (depth > 0.02).all()
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.lists(st.floats(-3, 3), min_size=3, max_size=3))
 def test_main_directions_turn_with_the_object(angles) -> None:
     turn = Rotation.from_euler("xyz", angles).as_matrix()

@@ -1,7 +1,5 @@
 """Meshes that hold each of their faces twice, once for either side."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The contract of :class:`Segmenter`, run against every registered one."""
 
-from __future__ import annotations
-
 import functools
 import tempfile
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Quality and behaviour of the default segmenter on a cabinet with known parts."""
 
-from __future__ import annotations
-
 import json
 from copy import copy
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Faint lines on a flat front: flush doors and drawers are told apart."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Small parts are answered on the nodes themselves."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Points in the air, as depth cameras leave them: no surface, and no click on one is about more."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

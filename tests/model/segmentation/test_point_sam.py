@@ -1,7 +1,5 @@
 """Point-SAM's adapter with random weights: it honours the protocol, and loads strictly."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The same clicks give the same masks on every processor."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

@@ -1,7 +1,5 @@
 """Objects picked out of whole rooms by clicks."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

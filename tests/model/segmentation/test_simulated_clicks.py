@@ -1,7 +1,5 @@
 """The click protocol, the benchmark and the training pieces."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """On scans small pieces in front of one part go with it unless a prompt says otherwise."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """What accepted objects say about the joints of others, and when it takes over."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

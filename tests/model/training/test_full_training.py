@@ -1,7 +1,5 @@
 """The paper-size model's training: what is drawn, slices, weights that predict, clear mistakes."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import sys

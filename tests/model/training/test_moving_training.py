@@ -1,7 +1,5 @@
 """What the scorers of clicks on moving parts learn from."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Judging again after one joint was edited: as from scratch, without doing all of it again."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import replace
 from pathlib import Path

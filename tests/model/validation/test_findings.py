@@ -1,7 +1,5 @@
 """Objects that are known to be good or bad get exactly the findings that they should."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace

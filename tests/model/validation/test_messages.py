@@ -1,7 +1,5 @@
 """Every message of validation renders with sample values."""
 
-from __future__ import annotations
-
 from string import Formatter
 
 import pytest

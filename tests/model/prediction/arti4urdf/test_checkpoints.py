@@ -1,7 +1,5 @@
 """Weights on disk: what fits loads exactly, what doesn't says why."""
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import json

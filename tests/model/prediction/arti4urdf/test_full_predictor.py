@@ -1,7 +1,5 @@
 """The paper-size model as a predictor, on tiny random weights."""
 
-from __future__ import annotations
-
 import dataclasses
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The decoder against transformers' Qwen3 on random weights, and its cache."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

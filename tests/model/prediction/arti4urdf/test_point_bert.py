@@ -1,7 +1,5 @@
 """Point-BERT: grouping, published names and shapes, the small variant."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A tiny Qwen3 with random weights on disk, written by transformers and tokenizers themselves."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 TEXT = (

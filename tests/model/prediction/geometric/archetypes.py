@@ -4,8 +4,6 @@ Objects face -x and stand on z = 0. They are rough on purpose: what is tested is
 modelling.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise

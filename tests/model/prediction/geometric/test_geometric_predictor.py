@@ -1,7 +1,5 @@
 """The predictor's contract: odd input, locked joints, order, scale, cancellation."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import replace
 

@@ -3,8 +3,6 @@
 ``ARTIWORLD_PART_SETS`` sets how many are tried; 10,000 take half an hour.
 """
 
-from __future__ import annotations
-
 import logging
 import os
 from functools import partial

@@ -1,7 +1,5 @@
 """Requests and answers on the wire: exact for what is right, a clear refusal for the rest."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import json
@@ -143,7 +141,7 @@ def test_what_is_no_request_is_refused(data, words):
         decode_request(data)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.integers(0, 10**6), st.integers(0, 255))
 def test_a_damaged_request_never_breaks_the_reader(place, value):
     data = bytearray(encode_request(chest(), (LID,), 1))
