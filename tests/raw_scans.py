@@ -36,8 +36,8 @@ def raw_scan(
     size = float(np.linalg.norm(high - low))
     count = len(cloud) // 3
     middle, half = (low + high)[:2] / 2, 0.8 * size
-    table = np.column_stack([rng.uniform(middle - half, middle + half, (count, 2)),
-                             rng.normal(low[2], 0.001 * size, count)])  # fmt: skip
+    across = rng.uniform(middle - half, middle + half, (count, 2))
+    table = np.column_stack([across, rng.normal(low[2], 0.001 * size, count)])
     strays = rng.uniform(low - 0.3 * size, high + 0.3 * size, (len(cloud) // 250, 3))
     points = np.concatenate([cloud.points, table, strays])
     wood = np.clip(rng.normal((150, 112, 78), 6, (count, 3)), 0, 255)

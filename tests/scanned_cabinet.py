@@ -24,9 +24,8 @@ def cabinet(count: int = 1500) -> ArticulatedObject:
     """Its top, sides and fronts alone: nobody saw the back, the bottom and the inside."""
     rng = np.random.default_rng(0)
     w, d, h = (WIDTH, 0, 0), (0, DEPTH, 0), (0, 0, HEIGHT)
-    body = merged_clouds((
-        sheet((0, 0, 0), d, h, 2 * count, rng), sheet((WIDTH, 0, 0), d, h, 2 * count, rng),
-        sheet((0, 0, HEIGHT), w, d, count, rng)))  # fmt: skip
+    sides = [sheet((x, 0, 0), d, h, 2 * count, rng) for x in (0, WIDTH)]
+    body = merged_clouds((*sides, sheet((0, 0, HEIGHT), w, d, count, rng)))
     low = (0, 0, SPLIT - 0.004)
     drawer = sheet((0, 0, 0), w, low, count, rng, (200, 30, 30))
     high = (0, 0, HEIGHT - SPLIT)

@@ -55,17 +55,13 @@ def base_distributions() -> set[str]:
 
 def without_extras(code: str, **values: object) -> subprocess.CompletedProcess[str]:
     base = base_distributions()
-    refused = {
-        module for module, of in packages_distributions().items()
-        if not base & {canonicalize_name(name) for name in of}
-    }  # fmt: skip
+    found = packages_distributions().items()
+    refused = {module for module, of in found if not base & {canonicalize_name(n) for n in of}}
     assert {"tokenizers", "transformers", "mujoco", "pytest"} <= refused
     given = {**values, "REFUSED": sorted(refused)}
     told = f"import json; globals().update(json.loads({json.dumps(given)!r}))"
-    return subprocess.run(
-        [sys.executable, "-c", told + REFUSING + code], cwd=ROOT, capture_output=True, text=True,
-        check=False,
-    )  # fmt: skip
+    command = [sys.executable, "-c", told + REFUSING + code]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
 
 
 @pytest.mark.parametrize("package", ["app", "model", "sessions"])

@@ -14,9 +14,12 @@ from tests.budget import FILE, ROOT
 from tests.builders import wait_until
 
 STATIONS = (
-    "app/viewer/picture/object_nodes.py", "app/server/jobs.py", "sessions/store.py",
-    "model/geometry/picking.py", "model/segmentation/default.py",
-)  # fmt: skip
+    "app/viewer/picture/object_nodes.py",
+    "app/server/jobs.py",
+    "sessions/store.py",
+    "model/geometry/picking.py",
+    "model/segmentation/default.py",
+)
 """Where a click arrives: the worker, the store, the surface, the segmenter, the picture."""
 CARRIERS = r"tab-\d+|job callbacks|.* worker"
 """Threads of the server that a click passes: its tab's, and those that talk to workers."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from model.core.joint import motion
 from sessions.commands import SetCategory
-from tests.browser.browsing import PAGE_TIMEOUT, Tab, wait_until
+from tests.browser.browsing import COARSE, Tab, wait_until
 from tests.browser.objects import write_cloud
 
 MASK = r"Mask (\d+) of (\d+): \d"
@@ -412,14 +412,12 @@ def test_next_object_and_a_cloud(start: Any, open_tab: Any, cabinet: Any, tmp_pa
 
 
 def test_a_file_that_cannot_be_opened_says_so(
-    start: Any, browser: Any, tmp_path: Path, cabinet: Any
+    start: Any, open_page: Any, tmp_path: Path, cabinet: Any
 ) -> None:
     bad = tmp_path / "a_bad.ply"
     bad.write_bytes(b"ply\nformat ascii 1.0\nelement vertex 3\n")
     server = start(bad, cabinet[0])
-    page = browser.new_context(viewport={"width": 1280, "height": 800}).new_page()
-    page.set_default_timeout(PAGE_TIMEOUT)
-    page.goto(server.url)
+    page = open_page(f"{server.url}{COARSE}")
     wait_until(lambda: server.apps, "the server sees the tab")
     selection = server.apps[max(server.apps)].tab.selection
     wait_until(
@@ -442,7 +440,6 @@ def test_a_file_that_cannot_be_opened_says_so(
     again.wait_for(state="hidden")
     page.keyboard.press("n")
     wait_until(lambda: selection.object.asset is not None, "the next one opens all the same")
-    page.context.close()
 
 
 def test_touch_adds_a_prompt(start: Any, open_tab: Any, cabinet: Any) -> None:

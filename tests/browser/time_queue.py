@@ -354,10 +354,8 @@ def rows(browser: Any, folder: Path, tasks: dict[str, Task]) -> Iterator[dict[st
             if len(done) < len(tasks):
                 wait_until(lambda here=here: tab.object.record.id != here, "the next object")
             times.phase("accept")
-            yield {
-                "name": name, "kind": task.kind, "parts": len(parts), "IoU": iou, "first": first,
-                "right": right, "joints": total, "times": times,
-            }  # fmt: skip
+            about = {"name": name, "kind": task.kind, "parts": len(parts), "IoU": iou}
+            yield about | {"first": first, "right": right, "joints": total, "times": times}
     finally:
         context.close()
         server.close()

@@ -35,33 +35,21 @@ axes = st.sampled_from([(1.0, 0.0, 0.0), (0.0, 0.6, 0.8), (0.3, -0.2, 0.7)])
 @st.composite
 def joints(draw, child=links) -> Joint:
     name = draw(child)
-    return Joint(
-        draw(st.sampled_from(["a", "b", f"joint_{name}", f"new_{name}", f"joint_{name}"])),
-        draw(st.sampled_from(["revolute", "continuous", "prismatic", "fixed"])),
-        draw(links.filter(lambda n: n != name)),
-        name,
-        draw(axes),
-        draw(point),
-        -0.1,
-        draw(st.floats(0, 3)),
-    )
+    own = draw(st.sampled_from(["a", "b", f"joint_{name}", f"new_{name}", f"joint_{name}"]))
+    kind = draw(st.sampled_from(["revolute", "continuous", "prismatic", "fixed"]))
+    parent = draw(links.filter(lambda n: n != name))
+    return Joint(own, kind, parent, name, draw(axes), draw(point), -0.1, draw(st.floats(0, 3)))
 
 
 @st.composite
 def predictions(draw) -> Prediction:
     if draw(st.integers(0, 5)) == 0:
         return Prediction(None, ("nothing found",), backend="geometric 1")
-    tree = KinematicTree(
-        tuple(f"link_{i}" for i in range(5)),
-        tuple(
-            replace(
-                draw(joints(st.just(f"link_{i}"))),
-                name=f"joint_link_{i}",
-                parent=f"link_{draw(st.integers(0, i - 1))}",
-            )
-            for i in range(1, 5)
-        ),
-    )
+    chain = []
+    for i in range(1, 5):
+        joint, parent = draw(joints(st.just(f"link_{i}"))), f"link_{draw(st.integers(0, i - 1))}"
+        chain.append(replace(joint, name=f"joint_link_{i}", parent=parent))
+    tree = KinematicTree(tuple(f"link_{i}" for i in range(5)), tuple(chain))
     confidence = draw(st.dictionaries(links, st.floats(0, 1), max_size=3))
     return Prediction(tree, confidence=confidence, seconds=draw(st.floats(0, 9)))
 
@@ -72,31 +60,21 @@ counts = st.just(dict.fromkeys(range(5), 10)) | st.fixed_dictionaries(
     {i: st.integers(0, 3) for i in range(-1, 5)}
 )
 answers = st.builds(cmd.RecordSegmentation, st.just("?"), refs, st.just("walk"), coordinate, counts)
+regions = st.lists(st.builds(cmd.ToolRegion, parts, refs, st.booleans(), parts, texts), max_size=3)
+replaced, deleted = st.integers(0, 2), st.sampled_from([(), (1,), (3,)])
+verdicts = st.sampled_from(["accept", "reject"])
 commands: st.SearchStrategy[cmd.Command] = st.one_of(
     clicks,
     st.builds(cmd.AddClick, places, answers),
     answers,
     answers,
     st.builds(cmd.AddRegion, parts, refs, st.booleans(), parts),
-    st.builds(
-        cmd.ApplyTool,
-        st.just("cut"),
-        st.lists(
-            st.builds(cmd.ToolRegion, parts, refs, st.booleans(), parts, texts), max_size=3
-        ).map(tuple),
-        st.integers(0, 2),
-        st.sampled_from([(), (1,), (3,)]),
-    ),
+    st.builds(cmd.ApplyTool, st.just("cut"), regions.map(tuple), replaced, deleted),
     st.builds(cmd.LeaveOut, st.none() | refs, parts),
     st.builds(cmd.CropOut, st.just("oven"), st.just("/w/oven.ply"), refs, parts, point),
     st.builds(cmd.Placed, st.just("/w/room.ply"), st.just(""), refs, point),
     st.builds(cmd.SetArticulable, texts.filter(bool), st.none() | st.booleans()),
-    st.builds(
-        cmd.DecideObjects,
-        st.sampled_from(["accept", "reject"]),
-        st.tuples(parts),
-        st.none() | shares,
-    ),
+    st.builds(cmd.DecideObjects, verdicts, st.tuples(parts), st.none() | shares),
     st.builds(cmd.RemovePrompt, parts, st.integers(1, 3)),
     st.builds(cmd.ClearPrompts, st.none() | parts),
     st.builds(cmd.AddPart, parts, texts),

@@ -419,6 +419,6 @@ def test_what_follows_a_part_follows_it_on(predicted):
 
 
 def test_a_locked_part_keeps_its_lock(predicted):
-    locked = run(cmd.LockJoint("link_1", True), cmd.SetComposite("link_1", Composite("ball")),
-                 state=predicted)  # fmt: skip
+    ball = cmd.SetComposite("link_1", Composite("ball"))
+    locked = run(cmd.LockJoint("link_1", True), ball, state=predicted)
     assert locked.present.locked == {"link_1"}

@@ -17,9 +17,8 @@ from tests.model.io.test_exporters import make_object
 
 
 def test_numbers_are_short_and_keep_a_billionth() -> None:
-    assert [number(v) for v in (0.030000000000000002 * 1.5, -0.0, 2.0, 1e-5, 1e20)] == [
-        "0.045", "0", "2", "1e-05", "1e+20",
-    ]  # fmt: skip
+    some = (0.030000000000000002 * 1.5, -0.0, 2.0, 1e-5, 1e20)
+    assert [number(v) for v in some] == ["0.045", "0", "2", "1e-05", "1e+20"]
     assert vector((1.0, 6.1e-17, -3e-16)) == "1 0 0"
     rng = np.random.default_rng(0)
     values = rng.normal(size=1000) * 10.0 ** rng.uniform(-8, 8, 1000)
@@ -44,13 +43,14 @@ def with_other_last_bits(
 
     joints = tuple(
         replace(
-            j, origin=triple(j.origin),
+            j,
+            origin=triple(j.origin),
             axis=triple(np.asarray(j.axis)),
             lower=j.lower if not j.lower else float(bent(j.lower)),
             upper=j.upper if not j.upper else float(bent(j.upper)),
         )
         for j in obj.tree.joints
-    )  # fmt: skip
+    )
     inertials = {
         k: Inertial(float(bent(i.mass)), bent(i.center), bent(i.tensor))
         for k, i in physics.inertials.items()

@@ -141,8 +141,9 @@ def test_the_table_knows_parts_categories_and_a_default(tmp_path):
     with pytest.raises(ConfigurationError, match="wood"):
         table.only("unobtainium")
     path = tmp_path / "mine.json"
-    for text in ("{", "{}", '{"materials": {"a": {"density": -1, "thickness": 1}}, "default": "a"}',
-                 '{"materials": {}, "default": "a"}'):  # fmt: skip
+    named = '{{"materials": {}, "default": "a"}}'
+    heavy = '{"a": {"density": -1, "thickness": 1}}'
+    for text in ("{", "{}", named.format(heavy), named.format("{}")):
         path.write_text(text)
         with pytest.raises(InputFileError, match=r"mine\.json"):
             read_materials(path)
