@@ -34,7 +34,7 @@ def test_without_a_gpu_it_is_plain_until_taken_back_and_that_is_kept(
     tab.key("n")
     wait_until(lambda: tab.object not in (first, None) and tab.app.drawing.drawn, "the next object")
     tab.wait_node("/scan")
-    assert lit(True)
+    wait_until(lambda: lit(True), "still lit plainly")
     tab.field("Simple lighting").uncheck()
     wait_until(lambda: lit(False), "lit by its surroundings")
     page.reload()

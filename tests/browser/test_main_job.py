@@ -478,8 +478,8 @@ def test_tools_offer_other_masks(start: Any, open_tab: Any, cabinet: Any) -> Non
     assert second[tab.document.prompts[0].element] == 1
     tab.page.get_by_text("1 on this part, 1 in total").wait_for()
     hint = tab.page.locator("#artiworld-hint")
-    wait_until(lambda: re.match(MASK, hint.inner_text()), "the page says which mask it is")
-    at, total = map(int, re.match(MASK, hint.inner_text()).groups())
+    said = wait_until(lambda: re.match(MASK, hint.inner_text()), "the page says which mask it is")
+    at, total = map(int, said.groups())
     tab.page.keyboard.press("Shift+Tab")
     smaller = f"Mask {(at - 2) % total + 1} of "
     wait_until(lambda: hint.inner_text().startswith(smaller), "Shift+Tab goes back")

@@ -200,8 +200,9 @@ def check_a_confirmation_ends_when_one_leaves(tab: Tab, obj: Any, other: Any) ->
     """It names its object, stands beside the picture, and is asked for anew on the way back."""
     note = tab.page.locator(".mantine-Notification-root", has_text="cupboard: 1 warning")
     note.wait_for()
-    right = note.bounding_box()["x"] + note.bounding_box()["width"]
-    assert right <= tab.page.evaluate("window.__viserMutable.canvas.getBoundingClientRect().left")
+    beside = """(e) => e.getBoundingClientRect().right
+      <= window.__viserMutable.canvas.getBoundingClientRect().left"""
+    wait_until(lambda: note.evaluate(beside), "it came in beside the picture", 60)
     tab.page.evaluate("window.__before = window.__viserSceneTree.getState()['/scan']")
     tab.key("n")
     # No panel tells of the next object while the picture shows the one before.

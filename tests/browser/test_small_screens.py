@@ -46,7 +46,7 @@ def test_controls_keep_apart_and_the_rail_folds(start: Any, open_tab: Any, cabin
     whole = rail.bounding_box()
     assert whole["width"] <= 40, "a slim column"
     tab.page.get_by_role("button", name="Fold the tools").click()
-    assert rail.bounding_box()["height"] < whole["height"] / 2
+    wait_until(lambda: rail.bounding_box()["height"] < whole["height"] / 2, "it is folded")
     tab.key("m")
     tab.page.locator('[data-press="tool"][value="Merge"]').wait_for()  # what is used is seen
     tab.page.reload()
@@ -60,7 +60,7 @@ def test_fingers_find_their_targets_on_tablets(start: Any, open_tab: Any, cabine
     for width, height in ((820, 1180), (1180, 820)):
         tab.page.set_viewport_size({"width": width, "height": height})
         wait_until(lambda: apart(tab), f"nothing overlaps at {width} x {height}")
-        assert not tab.page.evaluate(SMALL)
+        wait_until(lambda: not tab.page.evaluate(SMALL), "targets of 40 pixels", 60)
     tab.app.rail.touch = True
     tab.app.tab.invalidate()
     tab.wait_node("/touch")

@@ -48,9 +48,8 @@ def test_the_preview_follows_the_pointer_and_changes_nothing(
         tab.page.wait_for_timeout(300)  # no state says that the pointer rests: time does
         return tab.app.tab.client.scene.get_handle_by_name("/hover/gained")
 
-    wait_until(moved, "dots under the pointer")
+    shown = wait_until(moved, "dots under the pointer").points
     tab.wait_node("/hover/gained")
-    shown = tab.app.tab.client.scene.get_handle_by_name("/hover/gained").points
     assert len(shown) and tab.document.prompts == ()
     # Off by its key: what was shown goes, and nothing comes any more.
     tab.key("v")

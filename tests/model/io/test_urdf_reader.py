@@ -48,20 +48,11 @@ def problem(path) -> str:
 
 
 def test_origins_and_rotations_are_composed(write):
-    path = write(
-        robot(
-            links("base", "link_0", "link_1")
-            + joint("a", "base", "link_0", inner='<origin xyz="1 2 3" rpy="0.3 -0.2 1.1"/>')
-            + joint(
-                "b",
-                "link_0",
-                "link_1",
-                "revolute",
-                '<origin xyz="0.5 0 -1" rpy="1 2 3"/><axis xyz="0 0 1"/>'
-                '<limit lower="-1" upper="2" effort="1" velocity="1"/>',
-            )
-        )
-    )
+    first = joint("a", "base", "link_0", inner='<origin xyz="1 2 3" rpy="0.3 -0.2 1.1"/>')
+    inner = '<origin xyz="0.5 0 -1" rpy="1 2 3"/><axis xyz="0 0 1"/>'
+    inner += '<limit lower="-1" upper="2" effort="1" velocity="1"/>'
+    second = joint("b", "link_0", "link_1", "revolute", inner)
+    path = write(robot(links("base", "link_0", "link_1") + first + second))
     tree = read_urdf_model(path).tree
     reference = yourdfpy.URDF.load(str(path), load_meshes=False)
     rest = reference.get_transform("link_1", "base")
@@ -80,12 +71,8 @@ def test_rpy_turns_about_fixed_axes():
 
 
 def test_long_axes_are_normalised_and_noted(write):
-    path = write(
-        robot(
-            links("a", "b")
-            + joint("s", "a", "b", "prismatic", '<axis xyz="0 2 0"/><limit lower="0" upper="1"/>')
-        )
-    )
+    slide = joint("s", "a", "b", "prismatic", '<axis xyz="0 2 0"/><limit lower="0" upper="1"/>')
+    path = write(robot(links("a", "b") + slide))
     model = read_urdf_model(path)
     slide = model.tree.by_name["s"]
     assert slide.axis == (0, 1, 0) and slide.upper == 1
@@ -93,27 +80,18 @@ def test_long_axes_are_normalised_and_noted(write):
 
 
 def test_what_is_not_supported_is_noted(write):
-    path = write(
-        robot(
-            links("a", "b", "c", "d", "e", "h")
-            + joint("p", "a", "b", "planar")
-            + joint("f", "a", "c", "floating")
-            + joint("i", "a", "d", "revolute", '<limit lower="-inf" upper="inf"/>')
-            + joint("w", "a", "e", "revolute", '<limit lower="1" upper="-2"/>')
-            + joint("e", "a", "h", "revolute", '<limit lower="-1e300" upper="1e300"/>')
-        )
-    )
-    model = read_urdf_model(path)
+    body = links("a", "b", "c", "d", "e", "h") + joint("p", "a", "b", "planar")
+    body += joint("f", "a", "c", "floating")
+    for name, child, low, high in (
+        ("i", "d", "-inf", "inf"),
+        ("w", "e", 1, -2),
+        ("e", "h", -1e300, 1e300),
+    ):
+        body += joint(name, "a", child, "revolute", f'<limit lower="{low}" upper="{high}"/>')
+    model = read_urdf_model(write(robot(body)))
     types = {j.name: j.type for j in model.tree.joints}
-    assert types == {
-        "joint_helper_b": "prismatic",
-        "joint_helper_b_2": "prismatic",
-        "p": "continuous",
-        "f": "fixed",
-        "i": "continuous",
-        "w": "revolute",
-        "e": "continuous",
-    }
+    kinds = {"p": "continuous", "f": "fixed", "i": "continuous", "w": "revolute", "e": "continuous"}
+    assert types == dict.fromkeys(("joint_helper_b", "joint_helper_b_2"), "prismatic") | kinds
     swapped = model.tree.by_name["w"]
     assert (swapped.lower, swapped.upper) == (-2, 1)
     assert sorted(n.split("'")[1] for n in model.notes) == ["e", "f", "i", "p", "w"]
@@ -121,14 +99,9 @@ def test_what_is_not_supported_is_noted(write):
 
 
 def test_helpers_are_renamed_so_that_they_never_look_like_parts(write):
-    path = write(
-        robot(
-            links("link_0")
-            + '<link name="base"/><link name="link_0_helper"/>'
-            + joint("a", "base", "link_0_helper")
-            + joint("b", "link_0_helper", "link_0")
-        )
-    )
+    empty = '<link name="base"/><link name="link_0_helper"/>'
+    chain = joint("a", "base", "link_0_helper") + joint("b", "link_0_helper", "link_0")
+    path = write(robot(links("link_0") + empty + chain))
     obj = read_urdf(path)
     assert obj.tree.links == ("link_0", "base", "helper_0")
     assert [p.link for p in obj.parts] == ["link_0"]

@@ -41,31 +41,24 @@ def with_other_last_bits(
         x, y, z = bent(value).tolist()
         return x, y, z
 
-    joints = tuple(
-        replace(
-            j,
-            origin=triple(j.origin),
-            axis=triple(np.asarray(j.axis)),
-            lower=j.lower if not j.lower else float(bent(j.lower)),
-            upper=j.upper if not j.upper else float(bent(j.upper)),
+    joints = []
+    for j in obj.tree.joints:
+        low, high = (v and float(bent(v)) for v in (j.lower, j.upper))
+        joints.append(
+            replace(j, origin=triple(j.origin), axis=triple(j.axis), lower=low, upper=high)
         )
-        for j in obj.tree.joints
-    )
     inertials = {
         k: Inertial(float(bent(i.mass)), bent(i.center), bent(i.tensor))
         for k, i in physics.inertials.items()
     }
-    collision = {
-        k: tuple(
-            Primitive(s.kind, bent(s.object_from_shape), tuple(bent(s.sizes).tolist()))
-            if isinstance(s, Primitive)
-            else s
-            for s in held
-        )
-        for k, held in physics.collision.items()
-    }
+
+    def moved(s):
+        sizes = tuple(bent(s.sizes).tolist()) if isinstance(s, Primitive) else ()
+        return Primitive(s.kind, bent(s.object_from_shape), sizes) if sizes else s
+
+    collision = {k: tuple(map(moved, held)) for k, held in physics.collision.items()}
     return (
-        replace(obj, tree=KinematicTree(obj.tree.links, joints)),
+        replace(obj, tree=KinematicTree(obj.tree.links, tuple(joints))),
         replace(physics, inertials=inertials, collision=collision),
     )
 
