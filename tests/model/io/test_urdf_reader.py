@@ -82,11 +82,8 @@ def test_long_axes_are_normalised_and_noted(write):
 def test_what_is_not_supported_is_noted(write):
     body = links("a", "b", "c", "d", "e", "h") + joint("p", "a", "b", "planar")
     body += joint("f", "a", "c", "floating")
-    for name, child, low, high in (
-        ("i", "d", "-inf", "inf"),
-        ("w", "e", 1, -2),
-        ("e", "h", -1e300, 1e300),
-    ):
+    ranges = (("i", "d", "-inf", "inf"), ("w", "e", 1, -2), ("e", "h", -1e300, 1e300))
+    for name, child, low, high in ranges:
         body += joint(name, "a", child, "revolute", f'<limit lower="{low}" upper="{high}"/>')
     model = read_urdf_model(write(robot(body)))
     types = {j.name: j.type for j in model.tree.joints}

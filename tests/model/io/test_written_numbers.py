@@ -44,9 +44,8 @@ def with_other_last_bits(
     joints = []
     for j in obj.tree.joints:
         low, high = (v and float(bent(v)) for v in (j.lower, j.upper))
-        joints.append(
-            replace(j, origin=triple(j.origin), axis=triple(j.axis), lower=low, upper=high)
-        )
+        bare = replace(j, origin=triple(j.origin), axis=triple(j.axis))
+        joints.append(replace(bare, lower=low, upper=high))
     inertials = {
         k: Inertial(float(bent(i.mass)), bent(i.center), bent(i.tensor))
         for k, i in physics.inertials.items()
