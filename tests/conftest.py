@@ -157,6 +157,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item, at in place.items():
         if at < len(SLOW):
             item.add_marker(pytest.mark.slow)
+        if item.nodeid.startswith("tests/browser/"):
+            item.add_marker(pytest.mark.browser)
     # Tests of one file stay together, as they share fixtures.
     first: dict[str, int] = {}
     for item, at in place.items():
