@@ -1,7 +1,5 @@
 """Workspaces with accepted objects, as a person leaves them, without a server."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta

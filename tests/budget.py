@@ -4,8 +4,6 @@ Limits only fall. A feature that was allowed some lines enters what it used unde
 the lines of its tests. Lines may move from package to package.
 """
 
-from __future__ import annotations
-
 import ast
 import re
 import subprocess

@@ -1,7 +1,5 @@
 """Small objects with known parts, and waiting."""
 
-from __future__ import annotations
-
 import io
 import json
 import struct
@@ -62,6 +60,11 @@ def joined(*pieces: trimesh.Trimesh) -> Mesh:
     return Mesh(np.asarray(whole.vertices), np.asarray(whole.faces, np.int32))
 
 
+def spans(text: str) -> list[tuple[Any, Any]]:
+    """Boxes as a table: low and high corner of each, six numbers."""
+    return [(row[:3], row[3:]) for row in np.array(text.split(), float).reshape(-1, 6).tolist()]
+
+
 def boxes(*spans: tuple[Any, Any]) -> Mesh:
     """One mesh of boxes between two corners each."""
     return joined(*(box(low, high) for low, high in spans))
@@ -120,6 +123,15 @@ def write_glb(path: Path, tree: dict[str, Any], binary: bytes = b"") -> Path:
     head = struct.pack("<4sIII4s", b"glTF", 2, size, len(text), b"JSON")
     path.write_bytes(head + text + binary)
     return path
+
+
+def gltf_of(count: int = 3, **more: Any) -> dict[str, Any]:
+    """The JSON of a glTF whose one node has a mesh of so many points, which fill its buffer."""
+    position = {"bufferView": 0, "componentType": 5126, "type": "VEC3", "count": count}
+    tree = {"asset": {"version": "2.0"}, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}]}
+    tree |= {"meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}], "accessors": [position]}
+    view = {"buffer": 0, "byteLength": 12 * count}
+    return tree | {"bufferViews": [view], "buffers": [{"byteLength": 12 * count}], **more}
 
 
 def ply_head(count: int, *fields: str, faces: int = 0, more: str = "", style: str = "ascii") -> str:

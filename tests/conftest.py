@@ -1,15 +1,18 @@
 """What all tests share."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 # Two busy cores: numeric libraries with a thread pool each make tests slower and less even.
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
+
+# A busy machine is no failure.
+settings.register_profile("busy", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("busy")
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -154,6 +157,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item, at in place.items():
         if at < len(SLOW):
             item.add_marker(pytest.mark.slow)
+        if item.nodeid.startswith("tests/browser/"):
+            item.add_marker(pytest.mark.browser)
     # Tests of one file stay together, as they share fixtures.
     first: dict[str, int] = {}
     for item, at in place.items():

@@ -1,7 +1,5 @@
 """Scans as they come from a phone: the bundled ones at any rotation and scale, on a table."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

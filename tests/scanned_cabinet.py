@@ -1,7 +1,5 @@
 """A scanned cabinet with a drawer and a door, of which only the outside in front was seen."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from model.core.articulated_object import ArticulatedObject, Part
@@ -27,7 +25,7 @@ def cabinet(count: int = 1500) -> ArticulatedObject:
     rng = np.random.default_rng(0)
     w, d, h = (WIDTH, 0, 0), (0, DEPTH, 0), (0, 0, HEIGHT)
     sides = [sheet((x, 0, 0), d, h, 2 * count, rng) for x in (0, WIDTH)]
-    body = merged_clouds([*sides, sheet((0, 0, HEIGHT), w, d, count, rng)])
+    body = merged_clouds((*sides, sheet((0, 0, HEIGHT), w, d, count, rng)))
     low = (0, 0, SPLIT - 0.004)
     drawer = sheet((0, 0, 0), w, low, count, rng, (200, 30, 30))
     high = (0, 0, HEIGHT - SPLIT)

@@ -1,7 +1,5 @@
 """The shape of the code: layers, no circles, few hidden imports, no private words."""
 
-from __future__ import annotations
-
 import ast
 import io
 import re
@@ -208,4 +206,5 @@ def test_private_words_do_not_come_back() -> None:
 
 def _is_private(identifier: str) -> bool:
     spaced = re.sub(r"([a-z])([A-Z])", r"\1_\2", identifier).lower()
-    return identifier not in WORD_EXCEPTIONS and not PRIVATE_WORDS.isdisjoint(spaced.split("_"))
+    private = set(PRIVATE_WORDS.split()) & set(spaced.split("_"))
+    return bool(private) and identifier not in WORD_EXCEPTIONS

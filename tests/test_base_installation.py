@@ -1,7 +1,5 @@
 """The main job with what ``make run`` installs: no package that only an extra brings is there."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

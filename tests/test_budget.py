@@ -1,7 +1,5 @@
 """The budget counts what it says, and its limits only fall."""
 
-from __future__ import annotations
-
 import ast
 
 import pytest

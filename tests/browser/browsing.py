@@ -1,12 +1,10 @@
 """Driving the real page: pixels of 3D points, widgets by label, waiting on the server's state."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import time
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -89,6 +87,16 @@ def page_at_rest(page: Any) -> Any:
     return np.array(page.evaluate(_RESTING, 4))
 
 
+def log_in(page: Any, server: Any, name: str, password: str) -> None:
+    """Log in on the page that an unknown visitor gets, and open the application."""
+    page.wait_for_url("**/login")
+    page.get_by_label("Name").fill(name)
+    page.get_by_role("textbox", name="Password").fill(password)
+    page.get_by_role("button", name="Log in").click()
+    page.wait_for_url("**/", wait_until="commit")  # it loads at full size, which nobody waits for
+    page.goto(f"{server.url}{COARSE}")
+
+
 def find_chromium() -> str | None:
     """Where a Chromium is, or None."""
     names = ("chromium", "chromium-browser", "google-chrome")
@@ -119,7 +127,7 @@ class Tab:
     def document(self) -> Any:
         return self.object.document
 
-    def ready(self) -> Tab:
+    def ready(self) -> Self:
         """Wait for the object's picture and for clicks to be heard."""
         wait_until(lambda: self.server.apps, "the server sees the tab")
         wait_until(lambda: self.app.drawing.drawn, "the object's picture is sent")
@@ -287,7 +295,7 @@ class SceneTab(Tab):
     def scene_workspace(self) -> Any:
         return self.server.app_state.scene
 
-    def ready(self) -> SceneTab:
+    def ready(self) -> Self:
         wait_until(lambda: self.server.apps, "the server sees the tab")
         wait_until(lambda: self.scene_workspace.scene is not None, "the scene is read")
         self.wait_node("/world/ground")

@@ -1,7 +1,5 @@
 """A real Chromium and a real server for the browser tests."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -73,20 +71,29 @@ def start(tmp_path: Path, cabinet: tuple[Path, Any]) -> Iterator[Callable[..., A
 
 
 @pytest.fixture
-def open_tab(browser: Any) -> Iterator[Callable[..., Tab]]:
-    """Open the page of a server: ``open_tab(server)``; several tabs are several browsers."""
+def open_page(browser: Any) -> Iterator[Callable[..., Any]]:
+    """Open an address in a browser of its own: ``open_page(url)``."""
     contexts: list[Any] = []
 
-    def begin(
-        server: Any, width: int = 1280, height: int = 800, kind: type[Tab] = Tab, **context: Any
-    ) -> Tab:
-        contexts.append(browser.new_context(viewport={"width": width, "height": height}, **context))
+    def begin(url: str, width: int = 1280, height: int = 800, **settings: Any) -> Any:
+        viewport = {"width": width, "height": height}
+        contexts.append(browser.new_context(viewport=viewport, **settings))
         contexts[-1].set_default_timeout(PAGE_TIMEOUT)
         contexts[-1].add_init_script(FEWER_FRAMES)
         page = contexts[-1].new_page()
-        page.goto(f"{server.url}{COARSE}")
-        return kind(page, server).ready()
+        page.goto(url)
+        return page
 
     yield begin
     for context in contexts:
         context.close()
+
+
+@pytest.fixture
+def open_tab(open_page: Callable[..., Any]) -> Callable[..., Tab]:
+    """Open the page of a server: ``open_tab(server)``; several tabs are several browsers."""
+
+    def begin(server: Any, *size: int, kind: type[Tab] = Tab, **settings: Any) -> Tab:
+        return kind(open_page(f"{server.url}{COARSE}", *size, **settings), server).ready()
+
+    return begin

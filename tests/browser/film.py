@@ -1,7 +1,5 @@
 """Moving pictures of the page: frames by screenshots, with the pointer and a caption drawn in."""
 
-from __future__ import annotations
-
 import io
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -61,7 +59,5 @@ class Film:
     def save(self, path: Path) -> None:
         """Write it as an animated WebP that repeats for ever."""
         first, *others = self.frames
-        first.save(
-            path, save_all=True, append_images=others, duration=self.milliseconds, loop=0,
-            quality=QUALITY, method=6,
-        )  # fmt: skip
+        film = {"save_all": True, "append_images": others, "duration": self.milliseconds}
+        first.save(path, loop=0, quality=QUALITY, method=6, **film)

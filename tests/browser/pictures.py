@@ -4,8 +4,6 @@ Run ``make pictures`` after a change of the screens (``make pictures ARGS="joint
 some of them), and look at what git shows as changed. Data and cameras are the same each time.
 """
 
-from __future__ import annotations
-
 import argparse
 import io
 import re
@@ -312,8 +310,7 @@ def scene(taking: Taking) -> None:
 
 
 FILM_SIZE = (1120, 640)
-FILM_CLICKS = ((-0.42, -0.23, 0.51), (-0.03, -0.24, 0.25), (0.02, -0.24, 0.46),
-               (-0.06, -0.24, 0.67), (0.42, -0.23, 0.46))  # fmt: skip
+FILM_CLICKS = "-.42 -.23 .51  -.03 -.24 .25  .02 -.24 .46  -.06 -.24 .67  .42 -.23 .46"
 """One place on each of the cabinet's doors and drawers."""
 
 
@@ -327,7 +324,7 @@ def demo(taking: Taking) -> None:
     caption = "1. Click on each part that moves"
     film.take(caption, 900)
     names = read_prompts(EXAMPLES / "cabinet.prompts.json").names
-    for part, place in enumerate(FILM_CLICKS, start=1):
+    for part, place in enumerate(np.array(FILM_CLICKS.split(), float).reshape(-1, 3), start=1):
         tab.key(str(part))
         wait_until(lambda part=part: tab.selection.part == part, "the key chooses the part")
         film.take(caption, 300, tab.pixel(place))
@@ -381,8 +378,8 @@ def project(taking: Taking) -> None:
     taking.take(tab, "project", (269, 157, 1171, 743))
 
 
-NAMES = ("demo", "all_parts", "joints", "review", "preview", "rectangle", "same_shape", "annotate",
-         "lasso", "scene", "prepare", "project")  # fmt: skip
+PICTURES = "demo all_parts joints review preview rectangle same_shape annotate lasso scene"
+NAMES = (*PICTURES.split(), "prepare", "project")
 PLAYS: tuple[Callable[[Taking], None], ...] = (demo, cabinet, oven, scene, prepare, project)
 
 

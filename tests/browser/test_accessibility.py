@@ -1,7 +1,5 @@
 """axe's automatic checks of the main views, light and dark: names, roles, contrast."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest
@@ -9,7 +7,6 @@ import pytest
 from sessions import commands as cmd
 from tests.browser.browsing import Tab, wait_until
 
-pytestmark = pytest.mark.browser
 NAMED = """() => [...document.querySelectorAll(
   ".mantine-Flex-root :is(input, textarea), .mantine-Notification-closeButton")].every(
   (e) => e.labels?.length || e.getAttribute("aria-label"))"""

@@ -1,7 +1,5 @@
 """The way of a click: its files, trips to workers and commits, until its labels are drawn."""
 
-from __future__ import annotations
-
 import sys
 import threading
 import tomllib
@@ -15,12 +13,13 @@ from tests.app.job_functions import PathTrace, begin_trace, end_trace
 from tests.budget import FILE, ROOT
 from tests.builders import wait_until
 
-pytestmark = pytest.mark.browser
-
 STATIONS = (
-    "app/viewer/picture/object_nodes.py", "app/server/jobs.py", "sessions/store.py",
-    "model/geometry/picking.py", "model/segmentation/default.py",
-)  # fmt: skip
+    "app/viewer/picture/object_nodes.py",
+    "app/server/jobs.py",
+    "sessions/store.py",
+    "model/geometry/picking.py",
+    "model/segmentation/default.py",
+)
 """Where a click arrives: the worker, the store, the surface, the segmenter, the picture."""
 CARRIERS = r"tab-\d+|job callbacks|.* worker"
 """Threads of the server that a click passes: its tab's, and those that talk to workers."""

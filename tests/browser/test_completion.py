@@ -1,11 +1,7 @@
 """Whether a scan is completed is a choice of the review, with undo."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
-
-import pytest
 
 from model.core.joint import Joint
 from model.core.tree import KinematicTree
@@ -13,8 +9,6 @@ from model.geometry.completion import SURFACE
 from model.io.assets.reader import read_provenance
 from tests.browser.browsing import wait_until
 from tests.browser.objects import write_cloud
-
-pytestmark = pytest.mark.browser
 
 LABEL = "Complete what the scan doesn't show"
 

@@ -1,14 +1,11 @@
 """Downloads, SimReady packages, and accepting many above a confidence, from the browser."""
 
-from __future__ import annotations
-
 import io
 import zipfile
 from pathlib import Path
 from typing import Any
 
 import pytest
-import trimesh
 from pxr import Sdf
 
 from model.core.articulated_object import Prediction
@@ -16,18 +13,12 @@ from model.io.assets.asset_folder import write_asset
 from model.io.assets.reader import load_object
 from sessions import commands as cmd
 from tests.browser.browsing import Tab, wait_until
-from tests.browser.test_urdf import URDF
-
-pytestmark = pytest.mark.browser
+from tests.browser.objects import write_urdf
 
 
 @pytest.fixture
 def cupboard(tmp_path: Path) -> Path:
-    """A URDF file whose door moves freely."""
-    trimesh.creation.box(bounds=[[-0.3, -0.13, 0], [0.3, 0.15, 0.4]]).export(tmp_path / "body.ply")
-    trimesh.creation.box(bounds=[[0, 0, 0], [0.6, 0.02, 0.4]]).export(tmp_path / "door.ply")
-    (tmp_path / "cupboard.urdf").write_text(URDF)
-    return tmp_path / "cupboard.urdf"
+    return write_urdf(tmp_path)
 
 
 def test_an_accepted_object_is_downloaded_and_packaged(

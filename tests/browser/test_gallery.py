@@ -1,34 +1,28 @@
 """The queue as a gallery of hundreds, work on many of them, and the export, in a real browser."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
-import pytest
 import trimesh
 
 from model.io.assets.asset_folder import write_asset
 from model.io.assets.reader import load_object
 from sessions import commands as cmd
 from tests.browser.browsing import Tab, wait_until
-from tests.browser.test_urdf import URDF
+from tests.browser.objects import write_urdf
 
-pytestmark = pytest.mark.browser
 MANY = 150
 
 
 def test_hundreds_are_searched_sorted_changed_and_exported(
     tmp_path: Path, start: Any, open_tab: Any
 ) -> None:
-    trimesh.creation.box(bounds=[[-0.3, -0.13, 0], [0.3, 0.15, 0.4]]).export(tmp_path / "body.ply")
-    trimesh.creation.box(bounds=[[0, 0, 0], [0.6, 0.02, 0.4]]).export(tmp_path / "door.ply")
-    (tmp_path / "cupboard.urdf").write_text(URDF)
+
     box: Any = trimesh.creation.box((0.4, 0.3, 0.2)).export(file_type="ply")
     boxes = [tmp_path / f"box_{k:03}.ply" for k in range(MANY)]
     for path in boxes:
         path.write_bytes(box)
-    tab: Tab = open_tab(start(tmp_path / "cupboard.urdf", *boxes))
+    tab: Tab = open_tab(start(write_urdf(tmp_path), *boxes))
     check_the_gallery(tab)
     check_the_export(tab)
 

@@ -1,7 +1,5 @@
 """The whole path on a real, noisy, one-sided scan of a refrigerator."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -10,8 +8,6 @@ import pytest
 
 from model.validation.report import Severity
 from tests.browser.browsing import Tab, wait_until
-
-pytestmark = pytest.mark.browser
 
 
 def frontmost(tab: Tab, height: float, across: float) -> np.ndarray:

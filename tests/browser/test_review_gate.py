@@ -1,7 +1,5 @@
 """The gate in a real browser: shown, posed by a click, mended, accepted against with a reason."""
 
-from __future__ import annotations
-
 import json
 import re
 import time
@@ -24,11 +22,6 @@ from sessions import commands as cmd
 from tests.browser.browsing import Tab, wait_until
 from tests.builders import CUPBOARD_DOOR as DOOR
 from tests.builders import write_cupboard
-
-pytestmark = [
-    pytest.mark.browser,
-    pytest.mark.timeout(900),
-]
 
 TREE = KinematicTree(("link_0", "link_1"), (replace(DOOR, axis=(0, 0, 1)),))
 
@@ -207,8 +200,9 @@ def check_a_confirmation_ends_when_one_leaves(tab: Tab, obj: Any, other: Any) ->
     """It names its object, stands beside the picture, and is asked for anew on the way back."""
     note = tab.page.locator(".mantine-Notification-root", has_text="cupboard: 1 warning")
     note.wait_for()
-    right = note.bounding_box()["x"] + note.bounding_box()["width"]
-    assert right <= tab.page.evaluate("window.__viserMutable.canvas.getBoundingClientRect().left")
+    beside = """(e) => e.getBoundingClientRect().right
+      <= window.__viserMutable.canvas.getBoundingClientRect().left"""
+    wait_until(lambda: note.evaluate(beside), "it came in beside the picture", 60)
     tab.page.evaluate("window.__before = window.__viserSceneTree.getState()['/scan']")
     tab.key("n")
     # No panel tells of the next object while the picture shows the one before.

@@ -1,31 +1,24 @@
 """A whole scene in a real browser: choose, work on one object in place, decide, go back, save."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 
 from app.viewer.panels.joint_tree import joint_lines
 from app.viewer.picture import palette
 from app.viewer.picture.scene_nodes import Surroundings
 from sessions import commands as cmd
 from tests.browser.browsing import SceneTab, wait_until
-from tests.model.scenes.scenes_made import make_assets, own, write_scene
-
-pytestmark = pytest.mark.browser
+from tests.model.scenes.scenes_made import make_assets, own, own_object, write_scene
 
 
 def entry(id: str, asset: str, x: float, **more: Any) -> dict[str, Any]:
-    return {
-        "id": id, "description": id.rstrip("12 "), "asset": asset, "position": [x, 0.0, 0.4],
-        "quaternion_wxyz": [0.7071067811865476, 0.0, 0.0, -0.7071067811865476],
-        "scale": [1, 1, 1], "anchor": "center", **more,
-    }  # fmt: skip
+    half = 0.7071067811865476
+    more = {"description": id.rstrip("12 "), **more}
+    return own_object(id, asset, [x, 0.0, 0.4], [half, 0.0, 0.0, -half], **more)
 
 
 def check_picture_of_the_chosen(tab: SceneTab) -> None:
@@ -126,10 +119,11 @@ def test_open_choose_work_in_place_accept_and_save(
     )
     tab.button("Stop (Space)").click()
     wait_until(lambda: not tab.scene.motion.playing, "and stop")
-    wait_until(lambda: tab.button("Accept (Y)").first.is_visible() or tab.scene.choice.choose(
-        "cabinet 1"), "the cabinet is chosen")  # fmt: skip
+    choose = tab.scene.choice.choose
+    accept = tab.button("Accept (Y)").first
+    wait_until(lambda: accept.is_visible() or choose("cabinet 1"), "the cabinet is chosen")
     tab.wait_seen()
-    tab.button("Accept (Y)").first.click()
+    accept.click()
     wait_until(lambda: tab.status("cabinet 1") == "accepted", "accepted")
     saved = tab.save()
     assert (Path(saved.folder) / "scene.xml").is_file()

@@ -1,14 +1,9 @@
 """Small windows and tablets: nothing lies on another control, and fingers hit what they mean."""
 
-from __future__ import annotations
-
 from typing import Any
-
-import pytest
 
 from tests.browser.browsing import Tab, wait_until
 
-pytestmark = pytest.mark.browser
 LAID_OUT = """() => {
   const box = (e) => {
     const b = e.getBoundingClientRect();
@@ -51,7 +46,7 @@ def test_controls_keep_apart_and_the_rail_folds(start: Any, open_tab: Any, cabin
     whole = rail.bounding_box()
     assert whole["width"] <= 40, "a slim column"
     tab.page.get_by_role("button", name="Fold the tools").click()
-    assert rail.bounding_box()["height"] < whole["height"] / 2
+    wait_until(lambda: rail.bounding_box()["height"] < whole["height"] / 2, "it is folded")
     tab.key("m")
     tab.page.locator('[data-press="tool"][value="Merge"]').wait_for()  # what is used is seen
     tab.page.reload()
@@ -60,8 +55,19 @@ def test_controls_keep_apart_and_the_rail_folds(start: Any, open_tab: Any, cabin
 
 
 def test_fingers_find_their_targets_on_tablets(start: Any, open_tab: Any, cabinet: Any) -> None:
-    tab = open_tab(start(cabinet[0]), 820, 1180, has_touch=True)
+    path, points = cabinet
+    tab = open_tab(start(path), 820, 1180, has_touch=True)
     for width, height in ((820, 1180), (1180, 820)):
         tab.page.set_viewport_size({"width": width, "height": height})
         wait_until(lambda: apart(tab), f"nothing overlaps at {width} x {height}")
-        assert not tab.page.evaluate(SMALL)
+        wait_until(lambda: not tab.page.evaluate(SMALL), "targets of 40 pixels", 60)
+    tab.app.rail.touch = True
+    tab.app.tab.invalidate()
+    tab.wait_node("/touch")
+    tab.drawn()
+    tab.camera_at_rest()
+    tab.page.touchscreen.tap(*tab.pixel(points["door"]))
+    wait_until(lambda: len(tab.document.prompts) == 1, "a tap is a prompt")
+    tab.settled()
+    labels = tab.object.services.store.get_array(tab.document.segmentation.labels)
+    assert labels[tab.document.prompts[0].element] == 1

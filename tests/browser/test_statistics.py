@@ -1,7 +1,5 @@
 """The time of people as the log tells it, against what a script measured for its own acts."""
 
-from __future__ import annotations
-
 import itertools
 import time
 from collections.abc import Iterable
@@ -14,7 +12,6 @@ from sessions.command_log import read_work
 from sessions.statistics import PAUSE, acts_of, figures_of
 from tests.browser.browsing import Tab, wait_until
 
-pytestmark = pytest.mark.browser
 THINKING = 2.0
 """Seconds before each act."""
 

@@ -1,32 +1,16 @@
 """An articulated object that somebody else made, checked in a real browser."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
-import pytest
-import trimesh
-
 from tests.browser.browsing import Tab, wait_until
-
-pytestmark = pytest.mark.browser
-
-URDF = """<robot name="r"><link name="body"><visual><geometry>
-<mesh filename="body.ply"/></geometry></visual></link>
-<link name="door"><visual><geometry><mesh filename="door.ply"/></geometry></visual></link>
-<joint name="hinge" type="revolute"><origin xyz="-0.3 -0.151 0"/><axis xyz="0 0 -1"/>
-<parent link="body"/><child link="door"/><limit lower="0" upper="1.2"/></joint></robot>"""
+from tests.browser.objects import write_urdf
 
 
 def test_its_joints_move_at_once_and_an_edit_goes_back_to_the_file(
     tmp_path: Path, start: Any, open_tab: Any
 ) -> None:
-    body = trimesh.creation.box(bounds=[[-0.3, -0.13, 0], [0.3, 0.15, 0.4]])
-    body.export(tmp_path / "body.ply")
-    trimesh.creation.box(bounds=[[0, 0, 0], [0.6, 0.02, 0.4]]).export(tmp_path / "door.ply")
-    (tmp_path / "cupboard.urdf").write_text(URDF)
-    tab: Tab = open_tab(start(tmp_path / "cupboard.urdf"))
+    tab: Tab = open_tab(start(write_urdf(tmp_path)))
     app, page = tab.app, tab.page
     wait_until(lambda: tab.selection.step == "Joints", "its joints are shown")
     page.get_by_text("From cupboard.urdf.", exact=True).wait_for()

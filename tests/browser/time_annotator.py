@@ -8,8 +8,6 @@ keystroke-level model (Card, Moran and Newell, 1980): a key 0.28 s, pointing and
 server go on with what they do; as in the model, only what one must wait for beyond it counts.
 """
 
-from __future__ import annotations
-
 import sys
 import tempfile
 import time

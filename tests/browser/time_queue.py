@@ -9,8 +9,6 @@ predicts, checks, and accepts. Joints that come out wrong are counted, and corre
 of the offered motions is right. Person's time is that of :mod:`tests.browser.time_annotator`.
 """
 
-from __future__ import annotations
-
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -356,10 +354,8 @@ def rows(browser: Any, folder: Path, tasks: dict[str, Task]) -> Iterator[dict[st
             if len(done) < len(tasks):
                 wait_until(lambda here=here: tab.object.record.id != here, "the next object")
             times.phase("accept")
-            yield {
-                "name": name, "kind": task.kind, "parts": len(parts), "IoU": iou, "first": first,
-                "right": right, "joints": total, "times": times,
-            }  # fmt: skip
+            about = {"name": name, "kind": task.kind, "parts": len(parts), "IoU": iou}
+            yield about | {"first": first, "right": right, "joints": total, "times": times}
     finally:
         context.close()
         server.close()

@@ -5,8 +5,6 @@ its command-line options; see the README there. Later versions may add fields an
 change texts for people; what was there must stay.
 """
 
-from __future__ import annotations
-
 import contextlib
 import inspect
 import io
@@ -81,18 +79,13 @@ def assert_includes(found: Any, expected: Any, where: str = "") -> None:
 def session_summary(state: SessionState) -> Json:
     """Summarise a session: the present document and what the screens derive from it."""
     doc = state.present
+    same = "key segmentation_current prediction_stale next_part joints_file"
     return {
-        "seq": state.seq,
-        "past": len(state.past),
-        "future": len(state.future),
+        **{name: getattr(doc, name) for name in same.split()},
+        **{"seq": state.seq, "past": len(state.past), "future": len(state.future)},
         "document": codec.write(replace(doc, label=""), "document"),
-        "key": doc.key,
-        "segmentation_current": doc.segmentation_current,
-        "prediction_stale": doc.prediction_stale,
-        "next_part": doc.next_part,
         "edited_joints": list(doc.edited_joints),
         "predicted_confidence": dict(doc.predicted_confidence),
-        "joints_file": doc.joints_file,
         "review_problems": len(review_problems(doc)),
         "acceptance_problems": len(acceptance_problems(doc)),
     }
@@ -185,15 +178,14 @@ def scene_summary(scene: Scene) -> Json:
 
 def prompts_summary(file: PromptFile) -> Json:
     """Summarise a prompt file."""
-    return {
-        "category": file.category,
-        "names": {str(k): v for k, v in file.names.items()},
-        "prompts": [
-            codec.write(p, "click") if isinstance(p, Click)
-            else {"part": p.part, "positive": p.positive, "elements": p.elements.tolist()}
-            for p in file.prompts.items
-        ],
-    }  # fmt: skip
+    prompts = [
+        codec.write(p, "click")
+        if isinstance(p, Click)
+        else {"part": p.part, "positive": p.positive, "elements": p.elements.tolist()}
+        for p in file.prompts.items
+    ]
+    names = {str(k): v for k, v in file.names.items()}
+    return {"category": file.category, "names": names, "prompts": prompts}
 
 
 def opened_summary(obj: Any) -> Json:
@@ -201,14 +193,10 @@ def opened_summary(obj: Any) -> Json:
     asset, labels = obj.asset, obj.labels
     ids, counts = np.unique([] if labels is None else labels, return_counts=True)
     return {
-        "name": asset.name,
-        "kind": asset.element_kind,
-        "elements": asset.element_count,
+        **{name: getattr(asset.source, name) for name in ("up_axis", "unit_scale", "sha256")},
+        **{"name": asset.name, "kind": asset.element_kind, "elements": asset.element_count},
         "bounds": np.asarray(asset.bounds).tolist(),
         "part_names": list(asset.part_names),
-        "up_axis": asset.source.up_axis,
-        "unit_scale": asset.source.unit_scale,
-        "sha256": asset.source.sha256,
         "warnings": len(asset.warnings),
         "labels": {str(int(i)): int(n) for i, n in zip(ids, counts, strict=True)},
     }
@@ -427,11 +415,12 @@ def test_a_scene_finds_its_working_copies_and_decisions(
     app = start_app([], scene=path, predictor="geometric")
     numbers = {r.id for r in app.store.objects()}
     scene = app.open_scene(path, ())
-    wait_until(
-        lambda: scene.problem or InlineWorker.submitted & MUST_NOT_RUN
-        or (scene.scene and not scene.busy),
-        "the scene is read",
-    )  # fmt: skip
+
+    def settled() -> Any:
+        wrong = scene.problem or InlineWorker.submitted & MUST_NOT_RUN
+        return wrong or (scene.scene and not scene.busy)
+
+    wait_until(settled, "the scene is read")
     assert scene.problem is None and not InlineWorker.submitted & MUST_NOT_RUN
     wait_until(
         lambda: all(w.drawn for w in scene.wanted() if w.document.tree), "its parts are drawn"

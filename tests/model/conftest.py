@@ -1,7 +1,5 @@
 """Small objects, and a working folder for each test."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import trimesh

@@ -1,7 +1,5 @@
 """The bundled demo objects with their ground truth."""
 
-from __future__ import annotations
-
 import functools
 import json
 from pathlib import Path

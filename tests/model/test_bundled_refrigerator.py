@@ -1,7 +1,5 @@
 """The first object of ``make run``, a scan: two doors over a drawer, from clicks to joints."""
 
-from __future__ import annotations
-
 import json
 from functools import cache
 

@@ -1,7 +1,5 @@
 """The public API: every name is there, loads late, and is documented with its types."""
 
-from __future__ import annotations
-
 import inspect
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Values that the session tests share."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +9,7 @@ from model.core.articulated_object import Prediction
 from model.core.joint import Joint, Mimic
 from model.core.tree import KinematicTree
 from sessions.store import Store
+from tests.sessions.people import add_people
 
 
 @pytest.fixture
@@ -18,6 +17,12 @@ def store(tmp_path: Path):
     out = Store(tmp_path / "workspace")
     yield out
     out.close()
+
+
+@pytest.fixture
+def people(store: Store):
+    add_people(store)
+    return store.people
 
 
 @pytest.fixture

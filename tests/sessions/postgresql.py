@@ -1,7 +1,5 @@
 """A PostgreSQL server for tests. Needs its programs and the driver pg8000."""
 
-from __future__ import annotations
-
 import os
 import pwd
 import shutil

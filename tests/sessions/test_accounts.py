@@ -1,7 +1,5 @@
 """Accounts, what proves them, and the record of what happened to them."""
 
-from __future__ import annotations
-
 import sqlite3
 from pathlib import Path
 
@@ -16,15 +14,9 @@ from sessions import credentials as credentials_module
 from sessions.commands import AddClick, Reject, Reopen
 from sessions.live import LiveSession
 from sessions.store import Store
-from tests.sessions.people import PASSWORD, add_people
+from tests.sessions.people import PASSWORD
 
 CLICK = AddClick(Click((0.0, 0.0, 0.0), 1))
-
-
-@pytest.fixture
-def people(store: Store):
-    add_people(store)
-    return store.people
 
 
 @pytest.fixture
@@ -231,9 +223,8 @@ def test_the_audit_says_who_did_what_to_whom(people):
     people.accounts.set_role("ann", "reviewer", by="mia")
     people.audit.add("login_failed", "rob", "rob", address="10.0.0.9")
     newest = people.audit.events(count=2)
-    assert [(e.kind, e.who, e.subject) for e in newest] == [
-        ("login_failed", "rob", "rob"), ("role_changed", "mia", "ann"),
-    ]  # fmt: skip
+    found = [(e.kind, e.who, e.subject) for e in newest]
+    assert found == [("login_failed", "rob", "rob"), ("role_changed", "mia", "ann")]
     assert newest[0].address == "10.0.0.9"
     assert newest[1].detail == "annotator → reviewer"
     assert {e.subject for e in people.audit.events(name="ann")} == {"ann"}
@@ -248,9 +239,8 @@ def test_decisions_are_found_by_person_object_and_kind(people, live):
     live.do(CLICK, "ann")
     live.do(Reject("axis"), "rob")
     log = people.audit
-    assert [(d.who, d.kind, d.name) for d in log.decisions()] == [
-        ("rob", "reject", "oven"), ("ann", "add_click", "oven"),
-    ]  # fmt: skip
+    found = [(d.who, d.kind, d.name) for d in log.decisions()]
+    assert found == [("rob", "reject", "oven"), ("ann", "add_click", "oven")]
     assert [d.seq for d in log.decisions(who="ann")] == [1]
     assert [d.seq for d in log.decisions(kind="reject", object_id=live.object_id)] == [2]
     assert [d.seq for d in log.decisions(first=1, count=1)] == [1]

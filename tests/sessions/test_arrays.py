@@ -1,7 +1,5 @@
 """Arrays come back exactly, are small, and damage is noticed."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 
@@ -24,7 +22,7 @@ def files(tmp_path_factory) -> ArrayFiles:
     return ArrayFiles(tmp_path_factory.mktemp("arrays"))
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(array=hnp.arrays(dtypes, hnp.array_shapes(min_dims=0, max_dims=3, min_side=0, max_side=6)))
 def test_any_array_comes_back(files, array):
     again = files.get(files.put(array))

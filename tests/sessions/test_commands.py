@@ -1,9 +1,8 @@
 """Commands as JSON: what version 1 wrote stays readable, and bad input is named."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import fields
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,156 +12,14 @@ from model.core.errors import CommandError
 from model.segmentation.prompts import Click
 from sessions import commands as cmd
 
+DATA = Path(__file__).with_name("data")
 REF = "ab" * 32
-JOINT = {
-    "name": "hinge",
-    "type": "revolute",
-    "parent": "link_0",
-    "child": "link_1",
-    "axis": [0.0, 0.0, 1.0],
-    "origin": [0.5, 0.0, 0.0],
-    "lower": 0.0,
-    "upper": 1.5,
-    "mimic": None,
-    "give_way": False,
-    "dynamics": None,
-}
-SPIN = JOINT | {
-    "name": "spin",
-    "type": "continuous",
-    "child": "link_2",
-    "lower": None,
-    "upper": None,
-    "mimic": {"joint": "hinge", "multiplier": 2.0, "offset": 0.0},
-}
-PREDICTION = {
-    "tree": {"links": ["link_0", "link_1", "link_2"], "joints": [JOINT, SPIN]},
-    "problems": ["small"],
-    "confidence": {"link_1": 0.9},
-    "backend": "geometric 1",
-    "seed": 0,
-    "seconds": 0.5,
-    "raw_text": "",
-    "notes": {"link_1": "contact"},
-}
-VERSION_1 = [
-    {
-        "kind": "add_click",
-        "click": {"position": [0.1, 0.2, 0.3], "part": 1, "positive": False, "element": 7},
-    },
-    {
-        "kind": "add_region",
-        "part": 2,
-        "elements": REF,
-        "positive": True,
-        "count": 12,
-        "tool": "lasso",
-    },
-    {
-        "kind": "apply_tool",
-        "tool": "cut",
-        "regions": [
-            {"part": 3, "elements": REF, "positive": True, "count": 9, "name": "door"},
-            {"part": 1, "elements": REF, "positive": False, "count": 9, "name": None},
-        ],
-        "replaces": 1,
-        "delete": [2],
-    },
-    {
-        "kind": "cut_faces",
-        "tool": "rectangle",
-        "cut": {
-            "elements": REF,
-            "planes": [{"point": [0.5, 0.0, 0.25], "normal": [0.0, 0.0, -1.0]}],
-        },
-        "regions": [{"part": 2, "elements": REF, "positive": True, "count": 5, "name": None}],
-    },
-    {"kind": "leave_out", "elements": REF, "count": 7, "what": "floor and walls"},
-    {"kind": "leave_out", "elements": None, "count": 0, "what": "floor and walls"},
-    {
-        "kind": "crop_out",
-        "name": "fridge",
-        "path": "/w/crops/fridge.ply",
-        "elements": REF,
-        "count": 5,
-        "position": [1.0, 2.0, 0.0],
-        "wxyz": [1.0, 0.0, 0.0, 0.0],
-    },
-    {
-        "kind": "placed",
-        "scene": "/scans/room.ply",
-        "scene_sha256": "e" * 64,
-        "elements": REF,
-        "position": [1.0, 2.0, 0.0],
-        "wxyz": [1.0, 0.0, 0.0, 0.0],
-    },
-    {"kind": "set_articulable", "object": "cabinet-0 (kitchen)", "articulable": False},
-    {"kind": "set_articulable", "object": "table", "articulable": None},
-    {
-        "kind": "pick_out",
-        "object": "room",
-        "id": "oven 1",
-        "name": "oven",
-        "path": "/w/oven.ply",
-        "rest": "/w/without_oven.ply",
-        "count": 70,
-        "position": [1.0, 2.0, 0.5],
-        "wxyz": [1.0, 0.0, 0.0, 0.0],
-        "rest_position": [0.0, 0.0, 0.0],
-        "rest_wxyz": [1.0, 0.0, 0.0, 0.0],
-    },
-    {
-        "kind": "decide_objects",
-        "decision": "accept",
-        "objects": [3, 5],
-        "above": 0.8,
-        "reason": "other",
-    },
-    {"kind": "remove_prompt", "index": 0},
-    {"kind": "clear_prompts", "part": None},
-    {"kind": "clear_prompts", "part": 3},
-    {"kind": "add_part", "part": 4, "name": "door"},
-    {"kind": "name_part", "part": 4, "name": None},
-    {"kind": "delete_part", "part": 4},
-    {"kind": "set_category", "category": "oven"},
-    {"kind": "set_frame", "up_axis": "-y", "unit_scale": 0.001},
-    {"kind": "set_completion", "complete": False},
-    {
-        "kind": "prepare",
-        "unit_scale": 0.001,
-        "frame": {"position": [0.1, 0, 2], "wxyz": [0.6, 0, 0.8, 0], "scale": 1.5},
-        "leave_out": {"elements": REF, "count": 3, "what": "support"},
-        "what": "level by 34°",
-    },
-    {
-        "kind": "record_segmentation",
-        "prompts_key": "k",
-        "labels": REF,
-        "segmenter": "walk",
-        "seconds": 0.1,
-        "counts": {"-1": 3, "0": 4},
-    },
-    {"kind": "record_prediction", "prediction": PREDICTION, "segmentation": REF},
-    {
-        "kind": "record_prediction",
-        "prediction": PREDICTION | {"tree": None},
-        "segmentation": REF,
-    },
-    {"kind": "set_joint", "joint": JOINT},
-    {"kind": "set_composite", "child": "link_1", "motion": {"kind": "screw", "pitch": 0.004}},
-    {"kind": "set_root", "link": "link_1"},
-    {"kind": "reset_joint", "child": "link_1"},
-    {"kind": "lock_joint", "child": "link_1", "locked": True},
-    {"kind": "submit", "comment": "done"},
-    {"kind": "accept", "comment": "fine\nreally", "note_problems": ["touches at 0.2 rad"]},
-    {"kind": "reject", "reason": "not_articulated", "comment": ""},
-    {"kind": "add_comment", "text": "too far", "joint": "link_1", "place": [0.1, 0.2, 0.3]},
-    {"kind": "resolve_comment", "number": 1, "done": False},
-    {"kind": "reopen", "comment": "again"},
-    {"kind": "saved", "folder": "out/oven"},
-    {"kind": "undo"},
-    {"kind": "redo"},
-]
+VERSION_1 = list(map(json.loads, (DATA / "commands_1.jsonl").read_text().splitlines()))
+JOINT = next(d["joint"] for d in VERSION_1 if d["kind"] == "set_joint")
+PREPARED = next(d for d in VERSION_1 if d["kind"] == "prepare")
+ANSWER = next(d for d in VERSION_1 if d["kind"] == "record_segmentation")
+PREDICTED = next(d for d in VERSION_1 if d["kind"] == "record_prediction")
+FLAT = {"kind": "screw", "pitch": 0.0}
 
 
 NEWER_FIELDS = {
@@ -223,34 +80,15 @@ BAD = [
     ({"kind": "set_frame", "up_axis": "w", "unit_scale": 1.0}, "up_axis", "'w'"),
     ({"kind": "set_frame", "up_axis": "z", "unit_scale": 0}, "unit_scale", "0"),
     ({"kind": "set_frame", "up_axis": "z", "unit_scale": 10**400}, "unit_scale", "finite"),
-    (
-        {
-            "kind": "prepare",
-            "unit_scale": 1.0,
-            "frame": {"scale": -1.0},
-            "leave_out": {"elements": None},
-            "what": "",
-        },
-        "scale",
-        "-1",
-    ),
+    (PREPARED | {"frame": {"scale": -1.0}}, "scale", "-1"),
     ({"kind": "delete_part", "part": 0}, "part 0", "base"),
     ({"kind": "reject", "reason": "ugly"}, "reason", "'ugly'"),
     ({"kind": "lock_joint", "child": "link_1", "locked": 1}, "locked", "1"),
     ({"kind": "set_joint", "joint": JOINT | {"axis": [0, 0, 0]}}, "axis", "zero"),
     ({"kind": "set_joint", "joint": JOINT | {"lower": 2.0}}, "lower", "114.6°"),
     ({"kind": "set_joint", "joint": JOINT | {"type": "screw"}}, "type", "'screw'"),
-    (
-        {"kind": "set_composite", "child": "link_1", "motion": {"kind": "screw", "pitch": 0.0}},
-        "screw",
-        "0.0",
-    ),
-    (
-        {"kind": "record_segmentation", "prompts_key": "k", "labels": REF, "segmenter": "s"}
-        | {"seconds": 0.1, "counts": {"one": 3}},
-        "counts",
-        "'one'",
-    ),
+    ({"kind": "set_composite", "child": "link_1", "motion": FLAT}, "screw", "0.0"),
+    (ANSWER | {"counts": {"one": 3}}, "counts", "'one'"),
     ({"kind": "teleport", "to": 3}, "teleport", "newer version"),
     ({"to": 3}, "None", "newer version"),
     ([1, 2], "[1, 2]", "object"),
@@ -268,11 +106,7 @@ def test_bad_input_names_field_and_value(data, field, value):
 
 def test_a_tree_that_is_none_is_refused_with_all_that_is_wrong():
     tree = {"links": ["link_0", "link_1", "link_2"], "joints": [JOINT, JOINT]}
-    data = {
-        "kind": "record_prediction",
-        "prediction": PREDICTION | {"tree": tree},
-        "segmentation": REF,
-    }
+    data = {**PREDICTED, "prediction": PREDICTED["prediction"] | {"tree": tree}}
     with pytest.raises(CommandError, match=r"hinge.*twice.*two parents.*roots"):
         cmd.from_json(data)
 

@@ -1,7 +1,5 @@
 """The session loop: everybody sees the same, in order, whatever threads and processes do."""
 
-from __future__ import annotations
-
 import gc
 import threading
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What older versions wrote opens with this one, whole."""
 
-from __future__ import annotations
-
 import sqlite3
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -121,9 +119,8 @@ def test_format_2_opens_whole(tmp_path):
         ("boss", "nightly", ("read",))
     ]
     assert people.work.assigned() == {2: "ann"}
-    assert [e.kind for e in people.audit.events()][::-1] == [
-        "account_added", "account_added", "token_made", "assigned",
-    ]  # fmt: skip
+    kinds = [e.kind for e in people.audit.events()][::-1]
+    assert kinds == ["account_added", "account_added", "token_made", "assigned"]
     assert (store.object(1).state, len(store.history(1))) == ("accepted", 21)
     store.close()
 

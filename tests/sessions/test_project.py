@@ -1,7 +1,5 @@
 """The project page's figures from a log with known days."""
 
-from __future__ import annotations
-
 from datetime import timedelta
 from pathlib import Path
 
@@ -26,9 +24,8 @@ def test_states_people_days_and_recent_objects(store: Store, tmp_path: Path) -> 
     assert len(found.days) == DAYS and found.days[-1].day == "2026-03-04"
     assert [(d.accepted, d.active) for d in found.days[-3:]] == [(1, 20.0), (0, 0.0), (1, 20.0)]
     assert [r.name for r in found.recent] == ["chest", "chair", "oven"]
-    assert [(r["day"], r["person"]) for r in found.rows] == [
-        ("2026-03-02", "anna"), ("2026-03-04", "anna"), ("2026-03-04", "ben"),
-    ]  # fmt: skip
+    days = [(r["day"].removeprefix("2026-03-"), r["person"]) for r in found.rows]
+    assert days == [("02", "anna"), ("04", "anna"), ("04", "ben")]
     alone = overview(read_work(store.workspace), now, only="anna")
     assert list(alone.people) == ["anna"] and {r["person"] for r in alone.rows} == {"anna"}
     assert [d.accepted for d in alone.days[-3:]] == [1, 0, 0]

@@ -1,7 +1,5 @@
 """An asset tells where it comes from."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Second annotations: chosen by the seed, unmarked, compared, and never released."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from pathlib import Path

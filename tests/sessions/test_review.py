@@ -1,7 +1,5 @@
 """The way of an object through annotation and review."""
 
-from __future__ import annotations
-
 import itertools
 
 import pytest

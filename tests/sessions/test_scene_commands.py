@@ -1,7 +1,5 @@
 """What is decided about a scene as a whole."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 
@@ -15,8 +13,8 @@ from sessions.serialise import state_from_json, state_to_json
 from sessions.state import Context, SessionState, apply
 
 HERE = Context("ann", "2030-01-01T00:00:00Z")
-PICK = PickOut("room", "oven 1", "oven", "/w/oven.ply", "/w/rest.ply", 70, (1, 2, 0), (1, 0, 0, 0),
-               (0, 0, 0), (1, 0, 0, 0))  # fmt: skip
+POSES = ((1, 2, 0), (1, 0, 0, 0), (0, 0, 0), (1, 0, 0, 0))
+PICK = PickOut("room", "oven 1", "oven", "/w/oven.ply", "/w/rest.ply", 70, *POSES)
 
 
 def test_what_a_person_says_of_an_object_stands_until_it_is_taken_back():

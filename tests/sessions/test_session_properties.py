@@ -1,14 +1,12 @@
 """Whatever people do in whatever order: undo inverts, replay equals live, JSON keeps everything."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from unittest.mock import patch
 
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from model.core.articulated_object import Prediction
@@ -37,33 +35,21 @@ axes = st.sampled_from([(1.0, 0.0, 0.0), (0.0, 0.6, 0.8), (0.3, -0.2, 0.7)])
 @st.composite
 def joints(draw, child=links) -> Joint:
     name = draw(child)
-    return Joint(
-        draw(st.sampled_from(["a", "b", f"joint_{name}", f"new_{name}", f"joint_{name}"])),
-        draw(st.sampled_from(["revolute", "continuous", "prismatic", "fixed"])),
-        draw(links.filter(lambda n: n != name)),
-        name,
-        draw(axes),
-        draw(point),
-        -0.1,
-        draw(st.floats(0, 3)),
-    )
+    own = draw(st.sampled_from(["a", "b", f"joint_{name}", f"new_{name}", f"joint_{name}"]))
+    kind = draw(st.sampled_from(["revolute", "continuous", "prismatic", "fixed"]))
+    parent = draw(links.filter(lambda n: n != name))
+    return Joint(own, kind, parent, name, draw(axes), draw(point), -0.1, draw(st.floats(0, 3)))
 
 
 @st.composite
 def predictions(draw) -> Prediction:
     if draw(st.integers(0, 5)) == 0:
         return Prediction(None, ("nothing found",), backend="geometric 1")
-    tree = KinematicTree(
-        tuple(f"link_{i}" for i in range(5)),
-        tuple(
-            replace(
-                draw(joints(st.just(f"link_{i}"))),
-                name=f"joint_link_{i}",
-                parent=f"link_{draw(st.integers(0, i - 1))}",
-            )
-            for i in range(1, 5)
-        ),
-    )
+    chain = []
+    for i in range(1, 5):
+        joint, parent = draw(joints(st.just(f"link_{i}"))), f"link_{draw(st.integers(0, i - 1))}"
+        chain.append(replace(joint, name=f"joint_link_{i}", parent=parent))
+    tree = KinematicTree(tuple(f"link_{i}" for i in range(5)), tuple(chain))
     confidence = draw(st.dictionaries(links, st.floats(0, 1), max_size=3))
     return Prediction(tree, confidence=confidence, seconds=draw(st.floats(0, 9)))
 
@@ -74,31 +60,21 @@ counts = st.just(dict.fromkeys(range(5), 10)) | st.fixed_dictionaries(
     {i: st.integers(0, 3) for i in range(-1, 5)}
 )
 answers = st.builds(cmd.RecordSegmentation, st.just("?"), refs, st.just("walk"), coordinate, counts)
+regions = st.lists(st.builds(cmd.ToolRegion, parts, refs, st.booleans(), parts, texts), max_size=3)
+replaced, deleted = st.integers(0, 2), st.sampled_from([(), (1,), (3,)])
+verdicts = st.sampled_from(["accept", "reject"])
 commands: st.SearchStrategy[cmd.Command] = st.one_of(
     clicks,
     st.builds(cmd.AddClick, places, answers),
     answers,
     answers,
     st.builds(cmd.AddRegion, parts, refs, st.booleans(), parts),
-    st.builds(
-        cmd.ApplyTool,
-        st.just("cut"),
-        st.lists(
-            st.builds(cmd.ToolRegion, parts, refs, st.booleans(), parts, texts), max_size=3
-        ).map(tuple),
-        st.integers(0, 2),
-        st.sampled_from([(), (1,), (3,)]),
-    ),
+    st.builds(cmd.ApplyTool, st.just("cut"), regions.map(tuple), replaced, deleted),
     st.builds(cmd.LeaveOut, st.none() | refs, parts),
     st.builds(cmd.CropOut, st.just("oven"), st.just("/w/oven.ply"), refs, parts, point),
     st.builds(cmd.Placed, st.just("/w/room.ply"), st.just(""), refs, point),
     st.builds(cmd.SetArticulable, texts.filter(bool), st.none() | st.booleans()),
-    st.builds(
-        cmd.DecideObjects,
-        st.sampled_from(["accept", "reject"]),
-        st.tuples(parts),
-        st.none() | shares,
-    ),
+    st.builds(cmd.DecideObjects, verdicts, st.tuples(parts), st.none() | shares),
     st.builds(cmd.RemovePrompt, parts, st.integers(1, 3)),
     st.builds(cmd.ClearPrompts, st.none() | parts),
     st.builds(cmd.AddPart, parts, texts),
@@ -138,7 +114,7 @@ def begun(rest: st.SearchStrategy[list[cmd.Command]]) -> st.SearchStrategy[list[
 
 _NOTED = (cmd.RecordSegmentation, cmd.Saved, cmd.Placed)  # answers and facts, no steps
 sequences = begun(st.lists(commands, min_size=12, max_size=50))
-quick = settings(max_examples=35, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+quick = settings(max_examples=35)
 
 
 def contexts(index: int) -> Context:
@@ -231,7 +207,7 @@ def test_what_must_hold_of_every_document(sequence):
             assert document.segmentation_current
 
 
-@settings(max_examples=6, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=6)
 @given(begun(st.lists(commands, min_size=40, max_size=80)))
 def test_the_store_gives_back_what_was_live(sequence):
     with TemporaryDirectory() as folder, patch("sessions.store.SNAPSHOT_EVERY", 7):

@@ -1,7 +1,5 @@
 """What commands make of a session, as a person meets it."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -194,17 +192,10 @@ def test_prompts_that_belong_together_are_removed_in_one_step():
 
 
 def test_the_key_tells_prompts_and_frames_apart():
-    commands = [
-        [click(1)],
-        [click(1, positive=False)],
-        [click(2)],
-        [click(1), click(1)],
-        [cmd.AddClick(Click((0.0, 0.0, 0.0), 1, element=4))],
-        [cmd.AddRegion(1, REF)],
-        [cmd.AddRegion(1, OTHER_REF)],
-        [cmd.SetFrame("y", 1.0), click(1)],
-        [cmd.SetFrame("y", 0.01), click(1)],
-    ]
+    commands = [[click(1)], [click(1, positive=False)], [click(2)], [click(1), click(1)]]
+    commands.append([cmd.AddClick(Click((0.0, 0.0, 0.0), 1, element=4))])
+    commands += [[cmd.AddRegion(1, ref)] for ref in (REF, OTHER_REF)]
+    commands += [[cmd.SetFrame("y", scale), click(1)] for scale in (1.0, 0.01)]
     keys = [prompts_key(run(*c).present) for c in commands]
     assert len(set(keys)) == len(keys)
     again = run(click(1), click(2), cmd.RemovePrompt(1), cmd.NamePart(1, "door"))
@@ -434,6 +425,6 @@ def test_what_follows_a_part_follows_it_on(predicted):
 
 
 def test_a_locked_part_keeps_its_lock(predicted):
-    locked = run(cmd.LockJoint("link_1", True), cmd.SetComposite("link_1", Composite("ball")),
-                 state=predicted)  # fmt: skip
+    ball = cmd.SetComposite("link_1", Composite("ball"))
+    locked = run(cmd.LockJoint("link_1", True), ball, state=predicted)
     assert locked.present.locked == {"link_1"}

@@ -1,7 +1,5 @@
 """Figures about work: scripted sequences whose times are known."""
 
-from __future__ import annotations
-
 import csv
 import io
 import random
@@ -152,19 +150,23 @@ def test_reopened_objects_are_not_accepted(script: Script, cabinet: KinematicTre
     morning(script, cabinet)
     script.at(230, 0, cmd.Reopen(), "ben")
     log = script.log()
-    assert {w: f.accepted for w, f in grouped(log, acts_of(log), "person").items()} == {
-        "anna": 0, "ben": 0,
-    }  # fmt: skip
+    found = grouped(log, acts_of(log), "person")
+    assert {w: f.accepted for w, f in found.items()} == {"anna": 0, "ben": 0}
     assert set(grouped(log, acts_of(log), "step")) <= set(STEPS)
 
 
 @pytest.mark.parametrize(
     ("kind", "seconds", "kept"),
     [
-        ("pick", 0.01, False), ("pick", 0.3, True), ("segment", 0.04, False),
-        ("open", 0.01, True), ("accept", 0.0, True), ("encode", 9.0, False), ("check", 9.0, False),
+        ("pick", 0.01, False),
+        ("pick", 0.3, True),
+        ("segment", 0.04, False),
+        ("open", 0.01, True),
+        ("accept", 0.0, True),
+        ("encode", 9.0, False),
+        ("check", 9.0, False),
     ],
-)  # fmt: skip
+)
 def test_openings_are_kept_however_short(kind: str, seconds: float, kept: bool) -> None:
     """An opening is an act, and its moment counts."""
     assert counts(kind, seconds) == kept

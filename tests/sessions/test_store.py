@@ -1,7 +1,5 @@
 """The workspace keeps what was decided, and says in plain words what is wrong with it."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import sqlite3

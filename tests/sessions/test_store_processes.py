@@ -1,7 +1,5 @@
 """Processes that die, and processes that write at the same time."""
 
-from __future__ import annotations
-
 import signal
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """What tools did is one step, and stands in the session without any segmenter."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

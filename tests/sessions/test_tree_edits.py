@@ -1,7 +1,5 @@
 """Edits keep a tree a tree, and rooting it elsewhere keeps the mechanism."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -25,19 +23,9 @@ def trees(draw) -> KinematicTree:
         kind = draw(st.sampled_from(["revolute", "continuous", "prismatic", "fixed"]))
         parent = draw(st.integers(0, i - 1))
         leader = draw(st.sampled_from([None, *(j.name for j in joints if j.moves)]))
-        joints.append(
-            Joint(
-                f"j{i}",
-                kind,
-                f"link_{parent}",
-                f"link_{i}",
-                axis,
-                draw(st.tuples(unit, unit, unit)),
-                -0.3,
-                0.9,
-                Mimic(leader, 0.5, 0.1) if leader and kind != "fixed" else None,
-            )
-        )
+        mimic = Mimic(leader, 0.5, 0.1) if leader and kind != "fixed" else None
+        where = axis, draw(st.tuples(unit, unit, unit))
+        joints.append(Joint(f"j{i}", kind, f"link_{parent}", f"link_{i}", *where, -0.3, 0.9, mimic))
     return KinematicTree(tuple(f"link_{i}" for i in range(count)), tuple(joints))
 
 

@@ -1,7 +1,5 @@
 """Assignments, leases and presence, and the way of a submitted object."""
 
-from __future__ import annotations
-
 import threading
 from pathlib import Path
 
@@ -14,15 +12,8 @@ from sessions.commands import AddClick, RecordPrediction, RecordSegmentation, Re
 from sessions.live import LiveSession
 from sessions.review import NotPermittedError
 from sessions.store import Store
-from tests.sessions.people import add_people
 
 CLICK = AddClick(Click((0.0, 0.0, 0.0), 1))
-
-
-@pytest.fixture
-def people(store: Store):
-    add_people(store)
-    return store.people
 
 
 @pytest.fixture
@@ -66,9 +57,7 @@ def test_another_annotator_is_kept_out_while_one_works(store, people, objects):
     with pytest.raises(NotPermittedError, match="ann works on this object now"):
         live.do(CLICK, "bob")
     live.do(CLICK, "rob")  # who reviews may
-    assert [(p.name, p.leased) for p in people.work.present(objects[0])] == [
-        ("ann", True),
-    ]  # fmt: skip
+    assert [(p.name, p.leased) for p in people.work.present(objects[0])] == [("ann", True)]
     people.work.leave(objects[0], account(people, "ann"))
     live.do(CLICK, "bob")
 

@@ -1,7 +1,5 @@
 """Motions of several joints: screw, ball, universal joint, plane, lift and swivel."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -13,18 +11,13 @@ from model.core.composite_joints import with_composite as made
 from model.core.errors import KinematicsError
 from model.core.joint import Joint, Mimic
 from model.core.tree import KinematicTree
+from tests.builders import slide
 
 AXIS = np.array([2.0, -1.0, 2.0]) / 3
 AT = np.array([0.3, -0.1, 0.5])
 HINGE = Joint("own", "revolute", "link_0", "link_1", tuple(AXIS), tuple(AT), -0.2, 1.5)
-TREE = KinematicTree(
-    ("link_0", "link_1", "link_2"),
-    (
-        HINGE,
-        Joint("rider", "prismatic", "link_1", "link_2", (1, 0, 0), (0, 0, 0), 0, 0.1,
-              Mimic("own", 0.05)),
-    ),
-)  # fmt: skip
+RIDER = slide("rider", "link_2", 0.1, parent="link_1", mimic=Mimic("own", 0.05))
+TREE = KinematicTree(("link_0", "link_1", "link_2"), (HINGE, RIDER))
 
 
 def holds(link: str) -> bool:

@@ -1,7 +1,5 @@
 """Names and categories to mechanisms, however people write them."""
 
-from __future__ import annotations
-
 import pytest
 
 from model.core.motion_lexicon import CATEGORY_WORDS, MECHANISMS, SLIDING, TURNING, WORDS

@@ -1,7 +1,5 @@
 """What a pool leaves behind when it is ended in the middle of its work."""
 
-from __future__ import annotations
-
 import threading
 import time
 from multiprocessing.connection import Connection

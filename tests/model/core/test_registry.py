@@ -1,9 +1,6 @@
 """What other packages offer under our entry-point groups, right or wrong."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
-from types import ModuleType
 from typing import Any
 
 import pytest
@@ -41,9 +38,8 @@ class Point:
     ],
 )
 def test_a_plug_in_that_does_not_fit_is_named_with_what_it_needs(
-    module: ModuleType, load: Callable[[str], Any], kind: str, right: type,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:  # fmt: skip
+    module: Any, load: Any, kind: str, right: type, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def offered(made: Any) -> Any:
         monkeypatch.setattr("model.core.packages.entry_points", lambda group: [Point(made)])
         return load("theirs")

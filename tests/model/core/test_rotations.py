@@ -1,7 +1,5 @@
 """Scales and rotations that come out of a matrix as they went in."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

@@ -1,7 +1,5 @@
 """PhysXNet, URDF and MJCF folders, procedural objects, and splits behind one protocol."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

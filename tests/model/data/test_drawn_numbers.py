@@ -5,8 +5,6 @@ faces, a weighted sum of the coordinates, and the generator's next integer: anot
 one more or one less changes the last. ``python -m tests.model.data.test_drawn_numbers`` writes it.
 """
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

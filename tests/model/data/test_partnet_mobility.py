@@ -1,7 +1,5 @@
 """PartNet-Mobility folders: a made one with every quirk, and the real ones where they are."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Faults of procedural objects, one at a time."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Procedural objects: closed solids, sensible sizes, and joints that move without collision."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -122,13 +120,5 @@ def test_a_rest_pose_is_what_the_joints_say() -> None:
         assert np.allclose(a.mesh.vertices, b.mesh.vertices, atol=1e-9)
     again = moved.tree.by_name[joint.name]
     assert np.isclose(again.upper - again.lower, joint.upper - joint.lower)  # type: ignore[operator]
-    assert (
-        replace(
-            back.tree.by_name[joint.name],
-            axis=joint.axis,
-            origin=joint.origin,
-            lower=joint.lower,
-            upper=joint.upper,
-        )
-        == joint
-    )
+    same = {name: getattr(joint, name) for name in ("axis", "origin", "lower", "upper")}
+    assert replace(back.tree.by_name[joint.name], **same) == joint

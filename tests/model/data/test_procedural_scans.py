@@ -1,7 +1,5 @@
 """Simulated scans, corruptions, folders and the demo objects."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Which exports engines and validators accept, as ``artiworld bench assets`` measures it."""
 
-from __future__ import annotations
-
 import json
 import stat
 from pathlib import Path
@@ -93,8 +91,8 @@ def test_programs_on_the_path_judge_too(tmp_path, monkeypatch):
 
 
 def test_khronos_validator_reads_the_issues(monkeypatch):
-    said = {"messages": [{"code": "A", "message": "bad", "severity": 0},
-                         {"code": "B", "message": "odd", "severity": 1}]}  # fmt: skip
+    error = {"code": "A", "message": "bad", "severity": 0}
+    said = {"messages": [error, {"code": "B", "message": "odd", "severity": 1}]}
     answer = readback.subprocess.CompletedProcess([], 0, json.dumps(said), "")
     monkeypatch.setattr(readback.subprocess, "run", lambda *_, **__: answer)
     assert readback.gltf_validator(Path("x.glb")) == ["glTF-Validator: A: bad"]

@@ -1,7 +1,5 @@
 """A whole run on a made data set: failures, crashes, resuming, reports, the command line."""
 
-from __future__ import annotations
-
 import json
 import math
 import os

@@ -1,11 +1,11 @@
 """Other people's files: the oracle loses nothing, and each wrong answer what it should."""
 
-from __future__ import annotations
-
+import itertools
 import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,27 +20,22 @@ from model.evaluation.report import Report
 from model.evaluation.run import EvaluationConfig, evaluate
 from model.evaluation.summary import METRICS
 from model.io.export.urdf import UrdfExporter
-from tests.builders import boxes
+from tests.builders import boxes, spans
 
-LOST_BY_A_TYPE = {"tc", "type_precision", "usable", "usable_joints"}
-RANGE = {"range_right", "range_iou", "ald", "ald_all", "usable", "usable_joints"}
-S2O = {
-    f"{level}_{figure}" for level in ("m", "ma", "mao") for figure in ("precision", "recall", "f1")
-}
-RECALL = {k for k in S2O if not k.endswith("precision")}
-PRECISION = {k for k in S2O if not k.endswith("recall")}
-ORIGIN_LEVEL = {k for k in S2O if k.startswith("mao")}
+LEVELS = itertools.product(("m", "ma", "mao"), ("precision", "recall", "f1"))
+S2O = {f"{level}_{figure}" for level, figure in LEVELS}
+WRONG = {"usable", "usable_joints"}
+LIMITS = {"range_right", "ald", "ald_all"}
+TYPE = WRONG | LIMITS | {"tc", "type_precision"}
+LINE = {"opd_all", "opd_line_all"}
+RANGE = WRONG | LIMITS | {"range_iou"}
 
 
 def cabinet() -> ArticulatedObject:
     """A body, a door on it with a knob, a drawer, and a shelf that is fixed."""
-    body = boxes(
-        ((0, 0, 0), (0.6, 1.0, 0.02)), ((0, 0, 1.18), (0.6, 1.0, 1.2)),
-        ((0, 0, 0), (0.6, 0.02, 1.2)), ((0, 0.98, 0), (0.6, 1.0, 1.2)),
-        ((0.58, 0, 0), (0.6, 1.0, 1.2)),
-    )  # fmt: skip
+    walls = "0 0 0 .6 1 .02  0 0 1.18 .6 1 1.2  0 0 0 .6 .02 1.2 0 .98 0 .6 1 1.2 .58 0 0 .6 1 1.2"
     parts = (
-        Part("link_0", body),
+        Part("link_0", boxes(*spans(walls))),
         Part("link_1", boxes(((-0.02, 0, 0.4), (0, 1.0, 1.2)))),
         Part("link_2", boxes(((-0.06, 0.9, 0.7), (-0.02, 0.94, 0.74)))),
         Part("link_3", boxes(((-0.02, 0, 0), (0, 1.0, 0.38)), ((0, 0.1, 0.1), (0.4, 0.9, 0.12)))),
@@ -78,14 +73,12 @@ def similar(rotation: int, scale: float, shift: tuple[float, ...] = (0, 0, 0)) -
 def renamed() -> ArticulatedObject:
     obj = cabinet()
     names = {p.link: f"link_{9 - i}" for i, p in enumerate(obj.parts)}
-    joints = [
+    joints = tuple(
         replace(j, name=f"j{i}", parent=names[j.parent], child=names[j.child])
-        for i, j in enumerate(obj.tree.joints)
-    ]
-    parts = tuple(replace(p, link=names[p.link]) for p in reversed(obj.parts))
-    return replace(
-        obj, parts=parts, tree=KinematicTree(tuple(names.values()), tuple(reversed(joints)))
+        for i, j in reversed([*enumerate(obj.tree.joints)])
     )
+    parts = tuple(replace(p, link=names[p.link]) for p in reversed(obj.parts))
+    return replace(obj, parts=parts, tree=KinematicTree(tuple(names.values()), joints))
 
 
 @pytest.fixture(scope="module")
@@ -95,16 +88,9 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
-def scored(data: Path, folder: Path, **options: object) -> Report:
-    config = EvaluationConfig(
-        DatasetOptions("urdf", data),
-        predictor="they",
-        predictions=folder,
-        jobs=1,
-        timeout=900.0,
-        **options,
-    )  # type: ignore[arg-type]
-    return evaluate(config)
+def scored(data: Path, folder: Path, **options: Any) -> Report:
+    fixed: Any = {"predictor": "they", "predictions": folder, "jobs": 1, "timeout": 900.0}
+    return evaluate(EvaluationConfig(DatasetOptions("urdf", data), **fixed, **options))
 
 
 def lost(report: Report, tolerance: float = 1e-9) -> set[str]:
@@ -117,60 +103,45 @@ def lost(report: Report, tolerance: float = 1e-9) -> set[str]:
     }
 
 
-SIDEWAYS = replace(cabinet().tree.by_name["shelf"], type="prismatic", axis=(0, 1, 0),
-                   lower=0.0, upper=0.2)  # fmt: skip
-BATTERY: dict[str, tuple[Callable[[], ArticulatedObject], Callable[[str], str], set[str]]] = {
-    "oracle": (cabinet, str, set()),
-    "both flipped, axis and limits": (
-        lambda: changed(door={"axis": (0, 0, 1), "lower": -1.6, "upper": 0.0}), str, set()
-    ),
-    "knob flipped": (lambda: changed(knob={"axis": (-1, 0, 0)}), str, set()),
-    "drawer's origin": (lambda: changed(drawer={"origin": (7, 8, 9)}), str, set()),
+def level(start: str = "m", end: str = "") -> set[str]:
+    """S2O's figures of a level, without those that end so."""
+    return {k for k in S2O if k.startswith(start) and not (end and k.endswith(end))}
+
+
+def answer(lost: set[str], *text: str, **joints: dict[str, object]) -> Any:
+    """The cabinet with some fields of joints changed, a text replaced in its file, what is lost."""
+    return lambda: changed(**joints), lambda old: old.replace(*text) if text else old, lost
+
+
+SIDEWAYS = {"type": "prismatic", "axis": (0, 1, 0), "lower": 0.0, "upper": 0.2}
+MISSING = "tc range_right dld dld_all apd_all parent tree tree_edits part_iou parts_found"
+BATTERY = {
+    "oracle": answer(set()),
+    "both flipped": answer(set(), door={"axis": (0, 0, 1), "lower": -1.6, "upper": 0.0}),
+    "knob flipped": answer(set(), knob={"axis": (-1, 0, 0)}),
+    "drawer's origin": answer(set(), drawer={"origin": (7, 8, 9)}),
     "renamed links": (renamed, str, set()),
-    "flipped axis": (lambda: changed(door={"axis": (0, 0, 1)}), str, RANGE),
-    "swapped limits": (
-        cabinet,
-        lambda text: text.replace('lower="0" upper="1.6"', 'lower="1.6" upper="0"'),
-        RANGE,
+    "flipped axis": answer(RANGE, door={"axis": (0, 0, 1)}),
+    "swapped limits": answer(RANGE, 'lower="0" upper="1.6"', 'lower="1.6" upper="0"'),
+    "shifted origin": answer(
+        WRONG | LINE | {"opd", "opd_line"} | level("mao"), door={"origin": (0, 0.5, 0.8)}
     ),
-    "shifted origin": (
-        lambda: changed(door={"origin": (0, 0.5, 0.8)}),
-        str,
-        {"opd", "opd_all", "opd_line", "opd_line_all", "usable", "usable_joints"} | ORIGIN_LEVEL,
+    "turned axis": answer(WRONG | {"apd", "apd_all"} | level("ma"), drawer={"axis": (-1, 0.4, 0)}),
+    "wrong type": answer(TYPE, door={"type": "continuous"}),
+    "wrong motion": answer(
+        TYPE | LINE | S2O, door={"type": "prismatic", "lower": 0.0, "upper": 0.4}
     ),
-    "turned axis": (
-        lambda: changed(drawer={"axis": (-1, 0.4, 0)}),
-        str,
-        {"apd", "apd_all", "usable", "usable_joints"} | {k for k in S2O if k.startswith("ma")},
+    "missing joint": answer(
+        WRONG | {*MISSING.split()} | level(end="precision"), drawer={"type": "fixed"}
     ),
-    "wrong type": (
-        lambda: changed(door={"type": "continuous"}),
-        str,
-        LOST_BY_A_TYPE | {"range_right", "ald", "ald_all"},
+    "extra joint": answer(
+        {"usable", "type_precision", "tree", "tree_edits", "part_iou"} | level(end="recall"),
+        shelf=SIDEWAYS,
     ),
-    "wrong motion": (
-        lambda: changed(door={"type": "prismatic", "lower": 0.0, "upper": 0.4}),
-        str,
-        LOST_BY_A_TYPE | {"range_right", "ald", "ald_all", "opd_all", "opd_line_all"} | S2O,
+    "unparseable joint": answer(
+        TYPE | LINE | S2O | {"apd_all"}, '<axis xyz="0 0 -1"/>', '<axis xyz="0, 0, -1"/>'
     ),
-    "missing joint": (
-        lambda: changed(drawer={"type": "fixed"}),
-        str,
-        {"tc", "usable", "usable_joints", "range_right", "dld", "dld_all", "apd_all", "parent",
-         "tree", "tree_edits", "part_iou", "parts_found"} | RECALL,
-    ),
-    "extra joint": (
-        lambda: replace(cabinet(), tree=cabinet().tree.with_joint(SIDEWAYS)),
-        str,
-        {"usable", "type_precision", "tree", "tree_edits", "part_iou"} | PRECISION,
-    ),
-    "unparseable joint": (
-        cabinet,
-        lambda text: text.replace('<axis xyz="0 0 -1"/>', '<axis xyz="0, 0, -1"/>'),
-        LOST_BY_A_TYPE | {"range_right", "ald", "ald_all", "apd_all", "opd_all", "opd_line_all"}
-        | S2O,
-    ),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", BATTERY)
@@ -221,15 +192,11 @@ def test_what_cannot_be_read_is_a_failure_and_no_end(what: str, data: Path, tmp_
 
 def test_an_over_segmented_door_is_one_door(data: Path, tmp_path: Path) -> None:
     obj = cabinet()
-    halves = (
-        Part("link_1", boxes(((-0.02, 0, 0.4), (0, 0.5, 1.2)))),
-        Part("link_9", boxes(((-0.02, 0.5, 0.4), (0, 1.0, 1.2)))),
-    )
-    tree = KinematicTree(
-        (*obj.tree.links, "link_9"),
-        (*obj.tree.joints, Joint("glue", "fixed", "link_1", "link_9")),
-    )
-    parts = (*(p for p in obj.parts if p.link != "link_1"), *halves)
+    first = Part("link_1", boxes(((-0.02, 0, 0.4), (0, 0.5, 1.2))))
+    second = Part("link_9", boxes(((-0.02, 0.5, 0.4), (0, 1.0, 1.2))))
+    glue = Joint("glue", "fixed", "link_1", "link_9")
+    tree = KinematicTree((*obj.tree.links, "link_9"), (*obj.tree.joints, glue))
+    parts = (*(p for p in obj.parts if p.link != "link_1"), first, second)
     write(replace(obj, parts=parts, tree=tree), tmp_path / "they" / "a")
     report = scored(data, tmp_path / "they")
     assert report.scores[0].usable and report.summary["part_iou"] > 0.9
@@ -243,11 +210,10 @@ def test_real_objects_through_our_exporter_and_back(shared_data: Path, tmp_path:
     chosen = [i for i in dataset.ids() if dataset.category(i) in ("Scissors", "Bottle")][:3]
     for object_id in chosen:
         write(dataset.load(object_id).object, tmp_path / "they" / object_id)
-    config = EvaluationConfig(
-        DatasetOptions("partnet-mobility", dataset.root), predictor="oracle",
-        split="category:Scissors,Bottle", predictions=tmp_path / "they", jobs=1, timeout=900.0,
-    )  # fmt: skip
-    report = evaluate(config)
+    options: Any = {"predictor": "oracle", "predictions": tmp_path / "they", "jobs": 1}
+    options |= {"split": "category:Scissors,Bottle", "timeout": 900.0}
+    source = DatasetOptions("partnet-mobility", dataset.root)
+    report = evaluate(EvaluationConfig(source, **options))
     own = [s for s in report.scores if s.object_id in chosen]
     assert len(own) == 3 and all(s.usable and s.part_iou == pytest.approx(1.0) for s in own)
     assert report.frame == "as it is"

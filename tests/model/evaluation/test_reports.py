@@ -1,7 +1,5 @@
 """Figures with intervals, calibration, comparisons, and pages that hostile names can't break."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace
@@ -24,10 +22,8 @@ HOSTILE = '<script>alert("x")</script> | [a](javascript:b) `c`\n# d'
 
 
 def joint(usable: bool, confidence: float | None = None, apd: float = 0.0) -> JointScore:
-    return JointScore(
-        "link_1", "revolute", "revolute", True, apd, 0.0, 0.0, 0.0, 0.0, None, 1.0, 1.0,
-        usable, usable, confidence,
-    )  # fmt: skip
+    figures = (apd, *[0.0] * 4, None, 1.0, 1.0, usable, usable, confidence)
+    return JointScore("link_1", "revolute", "revolute", True, *figures)
 
 
 def score(name: str, usable: bool = True, **values: object) -> ObjectScore:

@@ -1,11 +1,10 @@
 """URDFs of other systems, made as their public code writes them: scored, and opened."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,6 +16,7 @@ from model.data.registry import DatasetOptions
 from model.evaluation.report import Report
 from model.evaluation.run import EvaluationConfig, evaluate
 from model.io.open_asset import open_asset
+from tests.builders import box, spans
 from tests.model.evaluation.test_predictions import cabinet, write
 
 PARTS = {p.link: p.mesh for p in cabinet().parts}
@@ -45,7 +45,7 @@ def mesh_file(path: Path, mesh: Mesh | None, move: Callable = lambda v: v) -> No
 
 
 def joint(
-    kind: str, parent: str, child: str, xyz: object, axis: object, low: float, high: float
+    kind: str, parent: str, child: str, xyz: Any = (0, 0, 0), axis: Any = (1, 0, 0), low=0, high=0.0
 ) -> str:
     x, a = (" ".join(f"{v:.6f}" for v in np.asarray(w, float)) for w in (xyz, axis))
     return (
@@ -84,12 +84,11 @@ def particulate(folder: Path) -> Path:
         mesh_file(
             home / f"meshes/part_{i}.obj", PARTS[f"link_{i}"], lambda v, o=origin: unit(v) - o
         )
-    return urdf(
-        home / "model.urdf", *(link(f"link_{i}", f"./meshes/part_{i}.obj") for i in range(5)),
-        joint("revolute", "link_0", "link_1", at[1], (0, 0, -1), 0, 1.6),
-        joint("revolute", "link_1", "link_2", at[2] - at[1], (1, 0, 0), -3.14, 3.14),
-        joint("prismatic", "link_0", "link_3", at[3], (-1, 0, 0), 0, 0.4 / 1.2),
-    )  # fmt: skip
+    links = [link(f"link_{i}", f"./meshes/part_{i}.obj") for i in range(5)]
+    door = joint("revolute", "link_0", "link_1", at[1], (0, 0, -1), 0, 1.6)
+    knob = joint("revolute", "link_1", "link_2", at[2] - at[1], (1, 0, 0), -3.14, 3.14)
+    drawer = joint("prismatic", "link_0", "link_3", at[3], (-1, 0, 0), 0, 0.4 / 1.2)
+    return urdf(home / "model.urdf", *links, door, knob, drawer)
 
 
 def articulate_anything(folder: Path) -> Path:
@@ -99,14 +98,14 @@ def articulate_anything(folder: Path) -> Path:
     turn = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]])
     names = ("body", "door", "knob", "drawer", "shelf")
     for i in range(5):
-        mesh_file(folder / f"cab/textured_objs/original-{i}.obj", PARTS[f"link_{i}"],
-                  lambda v: v @ turn.T)  # fmt: skip
+        path = folder / f"cab/textured_objs/original-{i}.obj"
+        mesh_file(path, PARTS[f"link_{i}"], lambda v: v @ turn.T)
+    bolts = (("base", "base_helper", 0), ("base_helper", "body", math.pi / 2), ("body", "shelf", 0))
     fixed = "".join(
         f'<joint type="fixed" name="{a}_to_{b}"><parent link="{a}"/><child link="{b}"/>'
         f'<origin xyz="0 0 0" rpy="{r} 0 0"/></joint>'
-        for a, b, r in (("base", "base_helper", 0), ("base_helper", "body", math.pi / 2),
-                        ("body", "shelf", 0))
-    )  # fmt: skip
+        for a, b, r in bolts
+    )
     moving = [
         joint("revolute", "body", "door", (0, 0, 0), turn @ [0, 0, -1], 0, 1.6),
         joint("continuous", "door", "knob", turn @ KNOB, turn @ [1, 0, 0], -3, 3),
@@ -115,8 +114,8 @@ def articulate_anything(folder: Path) -> Path:
     moved = ' <visual ><origin xyz="{}"/>'.format(" ".join(map(str, (-(turn @ KNOB)).tolist())))
     links = [link(n, f"{far}/original-{i}.obj") for i, n in enumerate(names)]
     links[2] = links[2].replace('<visual><origin xyz="0 0 0" rpy="0 0 0"/>', moved)
-    return urdf(folder / "cab/mobility.urdf", '<link name="base"/><link name="base_helper"/>',
-                *links, fixed, *moving)  # fmt: skip
+    bases = '<link name="base"/><link name="base_helper"/>'
+    return urdf(folder / "cab/mobility.urdf", bases, *links, fixed, *moving)
 
 
 def urdf_anything(folder: Path) -> Path:
@@ -133,27 +132,19 @@ def urdf_anything(folder: Path) -> Path:
         (home / "meshes").mkdir(parents=True, exist_ok=True)
         trimesh.points.PointCloud(points).export(home / f"meshes/link_{i}.obj")
     urdf(folder / "cab/gt/mobility.urdf", '<link name="base"/>')
-    return urdf(
-        home / "mobility.urdf", '<link name="base"/>',
-        *(link(f"link_{i}", f"meshes/link_{i}.obj") for i in range(5)),
-        joint("fixed", "base", "link_0", (0, 0, 0), (1, 0, 0), 0, 0),
-        joint("revolute", "link_0", "link_1", HINGE, (0, 0, -1), 0, 1.6),
-        joint("continuous", "link_1", "link_2", KNOB - HINGE, (1, 0, 0), 0, 0),
-        joint("prismatic", "link_0", "link_3", (0, 0, 0), (-1, 0, 0), 0, 0.4),
-        joint("fixed", "base", "link_4", (0, 0, 0), (1, 0, 0), 0, 0),
-    )  # fmt: skip
+    links = [link(f"link_{i}", f"meshes/link_{i}.obj") for i in range(5)]
+    fixed = [joint("fixed", "base", f"link_{i}") for i in (0, 4)]
+    door = joint("revolute", "link_0", "link_1", HINGE, (0, 0, -1), 0, 1.6)
+    knob = joint("continuous", "link_1", "link_2", KNOB - HINGE)
+    drawer = joint("prismatic", "link_0", "link_3", axis=(-1, 0, 0), high=0.4)
+    return urdf(home / "mobility.urdf", '<link name="base"/>', *links, *fixed, door, knob, drawer)
 
 
 def urdformer(folder: Path) -> Path:
     """``utils.py``: write_urdfs, unit meshes of its own that are stretched, in ``../meshes``."""
-    unit = trimesh.creation.box(bounds=[[0, 0, 0], [1, 1, 1]])
-    open_box = trimesh.util.concatenate([
-        trimesh.creation.box(bounds=[[0, 0, 0], [1, 1, 0.02]]),
-        trimesh.creation.box(bounds=[[0, 0, 0.98], [1, 1, 1]]),
-        trimesh.creation.box(bounds=[[0, 0, 0], [1, 0.02, 1]]),
-        trimesh.creation.box(bounds=[[0, 0.98, 0], [1, 1, 1]]),
-        trimesh.creation.box(bounds=[[0.97, 0, 0], [1, 1, 1]]),
-    ])  # fmt: skip
+    unit = box([0, 0, 0], [1, 1, 1])
+    walls = spans("0 0 0 1 1 .02  0 0 .98 1 1 1  0 0 0 1 .02 1  0 .98 0 1 1 1  .97 0 0 1 1 1")
+    open_box = trimesh.util.concatenate([box(*corners) for corners in walls])
     home = folder.parent / "meshes"
     (home / "parts").mkdir(parents=True, exist_ok=True)
     open_box.export(home / "cabinet.obj")
@@ -161,14 +152,15 @@ def urdformer(folder: Path) -> Path:
         unit.export(home / f"parts/{name}.obj")
     (folder.parent / "package.xml").write_text("<package/>")
     return urdf(
-        folder / "cab.urdf", link("base_link", "../meshes/cabinet.obj", ' scale="0.6 1.0 1.2"'),
+        folder / "cab.urdf",
+        link("base_link", "../meshes/cabinet.obj", ' scale="0.6 1.0 1.2"'),
         link("doorL0", "../meshes/parts/doorL.obj", ' scale="0.02 1.0 0.8"'),
         link("drawer1", "../meshes/parts/drawer.obj", ' scale="0.02 1.0 0.38"'),
         link("knob2", "../meshes/parts/knob.obj", ' scale="0.04 0.04 0.04"'),
         joint("revolute", "base_link", "doorL0", (-0.02, 0, 0.4), (0, 0, -1), 0, 1.57),
         joint("prismatic", "base_link", "drawer1", (-0.02, 0, 0), (-1, 0, 0), 0, 0.4),
         joint("fixed", "doorL0", "knob2", (-0.04, 0.9, 0.3), (0, 0, 1), 0, 1.57),
-    )  # fmt: skip
+    )
 
 
 def anymesh(folder: Path) -> Path:
@@ -178,17 +170,16 @@ def anymesh(folder: Path) -> Path:
     for i, name in enumerate(names):
         mesh_file(home / f"mesh_parts/{name}.glb", PARTS[f"link_{i}"])
     mesh_file(home / "mesh_normalized.glb", PARTS["link_0"])
-    axes = [
-        {"axis": {"origin": HINGE.tolist(), "direction": [0, 0, -2.0]}},
-        {"axis": {"origin": KNOB.tolist(), "direction": [1, 0, 0]}},
-        {"axis": {"origin": [0, 0, 0], "direction": [-1, 0, 0]}},
-    ]
-    kinds, parents = ("revolute", "continuous", "prismatic"), ("base", "door@0", "base")
-    parts = [
-        {"id": i, "parent": parents[i], "joint": kinds[i], "name": names[i + 1],
-         "jointData": axes[i]} for i in range(3)
-    ]  # fmt: skip
-    parts.append({"id": 3, "parent": None, "joint": "fixed", "name": "base", "jointData": {}})
+    joints = (
+        ("base", "revolute", HINGE.tolist(), [0, 0, -2.0]),
+        ("door@0", "continuous", KNOB.tolist(), [1, 0, 0]),
+        ("base", "prismatic", [0, 0, 0], [-1, 0, 0]),
+    )
+    parts = [{"id": 3, "parent": None, "joint": "fixed", "name": "base", "jointData": {}}]
+    for i, (parent, kind, origin, direction) in enumerate(joints):
+        axis = {"axis": {"origin": origin, "direction": direction}}
+        said = {"parent": parent, "joint": kind, "name": names[i + 1], "jointData": axis}
+        parts.insert(i, {"id": i, **said})
     (home / "mobility.json").write_text(json.dumps(parts))
     return home
 
@@ -205,16 +196,16 @@ def simart(folder: Path) -> Path:
     links = [link(f"part_{i}", f"part_{i}.obj") for i in range(5)]
     links[2] = knob
     return urdf(
-        folder / "cab/object.urdf", *links,
+        folder / "cab/object.urdf",
+        *links,
         joint("revolute", "part_0", "part_1", (0, 0, 0), turn @ [0, 0, -1], 0, 1.6),
-        joint("continuous", "part_1", "part_2", shift, turn @ [1, 0, 0], 0, 0),
-        joint("prismatic", "part_0", "part_3", (0, 0, 0), turn @ [-1, 0, 0], 0, 0.4),
-        joint("fixed", "part_0", "part_4", (0, 0, 0), (1, 0, 0), 0, 0),
-    )  # fmt: skip
+        joint("continuous", "part_1", "part_2", shift, turn @ [1, 0, 0]),
+        joint("prismatic", "part_0", "part_3", axis=turn @ [-1, 0, 0], high=0.4),
+        joint("fixed", "part_0", "part_4"),
+    )
 
 
-WHOLE = {"particulate": particulate, "articulate-anything": articulate_anything,
-         "urdf-anything": urdf_anything, "simart": simart}  # fmt: skip
+WHOLE = {f.__name__: f for f in (particulate, articulate_anything, urdf_anything, simart)}
 """These tell all of the cabinet, so nothing may be lost."""
 
 
@@ -259,14 +250,13 @@ def test_the_same_files_open_with_their_parts_and_joints(name: str, tmp_path: Pa
         text = made.read_text()
         with pytest.raises(InputFileError, match=r"2 roots.*join what stands apart"):
             open_asset(made)
-        made.write_text(text.replace(
-            "</robot>", joint("fixed", "link_0", "link_4", (0, 0, 0), (1, 0, 0), 0, 0) + "</robot>"
-        ))  # fmt: skip
+        bolt = joint("fixed", "link_0", "link_4")
+        made.write_text(text.replace("</robot>", f"{bolt}</robot>"))
     asset = open_asset(made)
     assert asset.tree is not None and asset.element_part is not None
     moving = [j.type for j in asset.tree.joints if j.moves]
     assert len(moving) == (2 if name == "urdformer" else 3)
-    if name == "articulate-anything":
+    if name == "articulate_anything":
         assert any("another machine" in w for w in asset.warnings)
     if name == "anymesh":
         assert asset.name == "cab" and set(asset.part_names) >= {"door@0"}

@@ -1,7 +1,5 @@
 """The page of all methods side by side."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """A gripper that opens exports in MuJoCo, by contact alone."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree as ET
@@ -82,10 +80,9 @@ def test_an_affordance_on_the_wrong_side_fails(made):
     bench = GripperBench(made[2])
     right = first(bench, "door")
     # A push from the front, beside the hinge: it shuts the door.
-    wrong = replace(
-        right, kind="push", center=(0.05, right.center[1] + 0.05, 0.0), normal=(0, -1, 0),
-        closing=(0, 0, 1), width=0.0,
-    )  # fmt: skip
+    at = (0.05, right.center[1] + 0.05, 0.0)
+    wrong = replace(right, kind="push", center=at, width=0.0)
+    wrong = replace(wrong, normal=(0, -1, 0), closing=(0, 0, 1))
     found = bench.open(wrong)
     assert found.why and found.moved < 0.1
 
@@ -141,9 +138,8 @@ def test_bundled_objects_are_measured():
 
 
 def test_what_fails_is_counted():
-    assert [kind_of(j) for j in (DOOR, DRAWER, replace(DRAWER, upper=0.004))] == [
-        "hinge", "slide", "button",
-    ]  # fmt: skip
+    joints = (DOOR, DRAWER, replace(DRAWER, upper=0.004))
+    assert [kind_of(j) for j in joints] == ["hinge", "slide", "button"]
     lost = RobotScore("a", (JointScore("door", "hinge"),), problem="ValueError: no")
     jammed = replace(lost, joints=(replace(lost.joints[0], jams=True),))
     opened = JointScore("door", "hinge", (Try("grasp", REACHED, 0.0, 1.0),))

@@ -1,7 +1,5 @@
 """The bench of reconstructed scans also measures what preparing removes of clean ones."""
 
-from __future__ import annotations
-
 from model.data.registry import DatasetOptions
 from model.evaluation.scans import CLEAN, ScansConfig, run, table
 

@@ -1,7 +1,5 @@
 """Clicks on what is seen."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -119,10 +117,8 @@ def test_a_person_gets_the_doors_of_a_scan(make_cabinet_cloud) -> None:
 
 @pytest.mark.parametrize("data", ["partnet-mesh", "partnet-one-sided"])
 def test_the_benchmark_says_it(shared_data, data) -> None:
-    config = BenchConfig(
-        data=shared_data, sets=(data,), segmenters=("nearest",), limit=1, points=20_000, parts=1,
-        cap=1,
-    )  # fmt: skip
+    few = {"limit": 1, "points": 20_000, "parts": 1, "cap": 1}
+    config = BenchConfig(data=shared_data, sets=(data,), segmenters=("nearest",), **few)
     report = run(config)
     summary = report.rows[0].summary()
     assert 0 < summary["seen all@1, hidden too"] <= 1

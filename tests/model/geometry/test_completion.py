@@ -1,7 +1,5 @@
 """What scans don't show is made up: closed parts, thick doors, trays, openings for them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Noise comes off surfaces; clean clouds are known as such."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from model.geometry.cleaning import NOISY, denoised, noise_level

@@ -1,7 +1,5 @@
 """Light copies stand for the whole; samples are spread by area and coloured as the surface is."""
 
-from __future__ import annotations
-
 import time
 
 import numpy as np

@@ -1,7 +1,5 @@
 """An object is matched with one that is done: turned, mirrored, of other proportions, noisy."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -19,7 +17,7 @@ from model.geometry.like_object import (
     example_of,
     surface_points,
 )
-from tests.builders import box, part
+from tests.builders import box, linked, part
 
 DOOR = Joint(
     "hinge", "revolute", "base", "door", (0, 0, 1), (-0.4, -0.25, 0.5), lower=0.0, upper=1.7
@@ -69,9 +67,8 @@ def test_parts_and_joints_are_carried_over(linear: np.ndarray) -> None:
     parts = moved(done.parts, linear)
     match = best_match([example_of(done)], surface_points(parts))
     assert match is not None and match.fit > 0.97
-    assert counterparts(match, parts) == {
-        "link_0": "base", "link_1": "door", "link_2": "drawer", "link_3": "knob"
-    }  # fmt: skip
+    found = counterparts(match, parts)
+    assert found == {f"link_{i}": k for i, k in enumerate(["base", "door", "drawer", "knob"])}
     before = {p.link: p.bounds for p in done.parts}
     after = {p.link: p.bounds for p in parts}
     door = carried_joint(match, DOOR, before["door"], after["link_1"], "link_1", "link_0")
@@ -88,14 +85,9 @@ def test_parts_and_joints_are_carried_over(linear: np.ndarray) -> None:
 
 def test_the_example_of_its_shape_is_chosen_and_nothing_of_another_size() -> None:
     done = example_of(cabinet())
-    chest = ArticulatedObject(
-        "chest",
-        (
-            part("base", box((-0.4, -0.25, 0), (0.4, 0.25, 0.8))),
-            part("lid", box((-0.4, -0.25, 0.9), (0.4, 0.25, 1.0))),
-        ),
-        KinematicTree(("base", "lid"), (replace(DOOR, child="lid"),)),
-    )  # fmt: skip
+    base = part("base", box((-0.4, -0.25, 0), (0.4, 0.25, 0.8)))
+    lid = part("lid", box((-0.4, -0.25, 0.9), (0.4, 0.25, 1.0)))
+    chest = linked((replace(DOOR, child="lid"),), base, lid, name="chest")
     points = surface_points(moved(cabinet().parts, turn(20)))
     match = best_match([example_of(chest), done], points)
     assert match is not None and match.example is done

@@ -1,7 +1,5 @@
 """Points that float alone are found, sparse surfaces stay, and no click lands on them by chance."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial import KDTree

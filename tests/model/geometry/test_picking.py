@@ -1,7 +1,5 @@
 """Rays, boxes and brushes find what a person means."""
 
-from __future__ import annotations
-
 import time
 
 import numpy as np

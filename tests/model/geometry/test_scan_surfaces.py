@@ -1,7 +1,5 @@
 """Normals and surfaces of clouds."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import trimesh

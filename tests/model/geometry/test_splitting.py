@@ -1,7 +1,5 @@
 """Faces split along planes: the surface stays what it was."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import trimesh
@@ -11,6 +9,7 @@ from hypothesis import strategies as st
 from model.core.errors import GeometryError
 from model.core.geometry import Mesh
 from model.geometry.splitting import Plane, share_crossed, split_faces
+from tests.builders import spans
 
 
 def _box(scale: float = 1.0) -> Mesh:
@@ -22,10 +21,8 @@ def _textured() -> Mesh:
     """A unit square of two triangles with a seam along the diagonal: six vertices, u = x, v = y."""
     corners = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 0, 0], [1, 1, 0], [0, 1, 0]], float)
     colors = np.concatenate([255 * corners[:, :2], np.full((6, 2), 255)], 1).astype(np.uint8)
-    return Mesh(
-        corners, np.arange(6).reshape(2, 3), uv=corners[:, :2].astype(np.float32),
-        vertex_colors=colors,
-    )  # fmt: skip
+    uv = corners[:, :2].astype(np.float32)
+    return Mesh(corners, np.arange(6).reshape(2, 3), uv=uv, vertex_colors=colors)
 
 
 def _unit(vector: np.ndarray) -> tuple[float, float, float]:
@@ -39,9 +36,8 @@ def _solid(mesh: Mesh) -> trimesh.Trimesh:
     return out
 
 
-@settings(max_examples=60, deadline=None)
-@given(st.lists(st.floats(-1, 1), min_size=3, max_size=3), st.floats(-0.6, 0.6),
-       st.integers(0, 2**12 - 1))  # fmt: skip
+@settings(max_examples=60)
+@given(st.tuples(*[st.floats(-1, 1)] * 3), st.floats(-0.6, 0.6), st.integers(0, 2**12 - 1))
 def test_a_closed_box_stays_closed_whatever_is_cut(normal, offset, chosen):
     normal = np.array(normal)
     if np.linalg.norm(normal) < 0.1:
@@ -69,8 +65,7 @@ def test_a_closed_box_stays_closed_whatever_is_cut(normal, offset, chosen):
 def test_a_rectangle_is_cut_out_exactly():
     mesh = _box(2.0)
     front = np.asarray(mesh.face_normals)[:, 1] < -0.5
-    sides = [((-0.5, -1, 0), (1, 0, 0)), ((0.25, -1, 0), (-1, 0, 0)),
-             ((0, -1, -0.75), (0, 0, 1)), ((0, -1, 0.5), (0, 0, -1))]  # fmt: skip
+    sides = spans("-.5 -1 0 1 0 0  .25 -1 0 -1 0 0  0 -1 -.75 0 0 1  0 -1 .5 0 0 -1")
     split = split_faces(mesh, front, [Plane(p, n) for p, n in sides])  # type: ignore[arg-type]
     assert split.mesh.face_areas[split.inside].sum() == pytest.approx(0.75 * 1.25)
     cut = split.mesh.triangles[split.inside].reshape(-1, 3)
@@ -80,10 +75,8 @@ def test_a_rectangle_is_cut_out_exactly():
 
 
 def test_texture_and_colours_are_interpolated_over_a_seam():
-    split = split_faces(
-        _textured(), np.array([True, False]), [Plane((0.3, 0, 0), (1, 0, 0)),
-                                               Plane((0, 0.5, 0), (0, 1, 0))],
-    )  # fmt: skip
+    planes = [Plane((0.3, 0, 0), (1, 0, 0)), Plane((0, 0.5, 0), (0, 1, 0))]
+    split = split_faces(_textured(), np.array([True, False]), planes)
     mesh = split.mesh
     assert mesh.uv is not None and mesh.vertex_colors is not None
     np.testing.assert_allclose(mesh.uv, mesh.vertices[:, :2], atol=1e-6)

@@ -1,7 +1,5 @@
 """Maps of materials: which are read, how they lie, and what is said of those that can't be used."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -75,10 +73,8 @@ def glb_maps(path: Path, checker: Image.Image, change: Callable[[dict], None]) -
 
     box = trimesh.creation.box((1, 1, 1))
     turned = checker.rotate(90)
-    material = PBRMaterial(
-        baseColorTexture=checker, normalTexture=turned, occlusionTexture=turned,
-        emissiveTexture=turned, emissiveFactor=[1, 1, 1],
-    )  # fmt: skip
+    maps = dict.fromkeys(("normalTexture", "occlusionTexture", "emissiveTexture"), turned)
+    material = PBRMaterial(baseColorTexture=checker, emissiveFactor=[1, 1, 1], **maps)
     box.visual = TextureVisuals(np.asarray(box.vertices[:, :2]), material=material)
     box.export(path, tree_postprocessor=lambda tree: (change(tree), tree)[1], unitize_normals=False)
     return open_asset(path)

@@ -1,7 +1,5 @@
 """Welding, adjacency and shells hold on meshes whose vertices are doubled."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import trimesh

@@ -1,7 +1,5 @@
 """Sizes that no object has are asked about, others aren't."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Saved assets come back the same, shared and whole."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

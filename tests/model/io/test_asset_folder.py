@@ -1,7 +1,5 @@
 """A saved asset: complete, loadable elsewhere, never half written."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from dataclasses import replace
@@ -26,27 +24,16 @@ from model.io.export.part_files import file_stems
 from model.io.file_names import FileNames
 from model.io.urdf.writer import read_urdf
 from model.physics.simulation_values import physics_of
+from tests.builders import joined, slide
 
 PROVENANCE = {"who": "ana", "source": {"path": "scan.ply", "sha256": "00"}, "prompts": []}
-TREE = KinematicTree(
-    ("base", "link_0", "link_1", "helper", "link_2"),
-    (
-        Joint("fix", "fixed", "base", "link_0"),
-        Joint("hinge", "revolute", "link_0", "link_1", (0, 0.6, 0.8), (0.5, 0.1, 0.2), 0, 1.5),
-        Joint("turn", "continuous", "link_1", "helper", (0, 1, 0), (0.3, 0.2, 0.1)),
-        Joint(
-            "slide",
-            "prismatic",
-            "helper",
-            "link_2",
-            (1, 0, 0),
-            (1, 0, 0),
-            0,
-            0.3,
-            Mimic("hinge", 0.2),
-        ),
-    ),
+JOINTS = (
+    Joint("fix", "fixed", "base", "link_0"),
+    Joint("hinge", "revolute", "link_0", "link_1", (0, 0.6, 0.8), (0.5, 0.1, 0.2), 0, 1.5),
+    Joint("turn", "continuous", "link_1", "helper", (0, 1, 0), (0.3, 0.2, 0.1)),
+    slide("slide", "link_2", 0.3, parent="helper", origin=(1, 0, 0), mimic=Mimic("hinge", 0.2)),
 )
+TREE = KinematicTree(("base", "link_0", "link_1", "helper", "link_2"), JOINTS)
 
 
 def textured_asset() -> Asset:
@@ -198,8 +185,7 @@ def test_a_part_of_few_points_still_loads_everywhere(tmp_path, points):
 
 
 def test_shapes_that_were_to_give_way_are_known_when_the_asset_is_read(tmp_path):
-    boxes = [Part(f"link_{i}", Mesh(np.asarray(b.vertices), np.asarray(b.faces))) for i, b in
-             enumerate([trimesh.creation.box(), trimesh.creation.box()])]  # fmt: skip
+    boxes = [Part(f"link_{i}", joined(trimesh.creation.box())) for i in range(2)]
     boxes[0] = replace(boxes[0], link="base")
     joints = (Joint("slide", "prismatic", "base", "link_1", lower=0, upper=1, give_way=True),)
     obj = ArticulatedObject("x", tuple(boxes), KinematicTree(("base", "link_1"), joints))

@@ -4,8 +4,6 @@ The files in ``awkward/`` are of our own making. Sources: glTFast 107, glTF-Blen
 39, PCL 1069, urdfdom 195, sdformat 252, assimp 6296, tinyobjloader 112, numpy-stl 154.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What costs more than an object may is refused from its header, or in time that grows linearly."""
 
-from __future__ import annotations
-
 import io
 import json
 import os
@@ -18,7 +16,7 @@ from PIL import Image
 from model.core import textures
 from model.core.errors import InputFileError
 from model.io.open_asset import open_asset
-from tests.builders import ply_head
+from tests.builders import gltf_of, ply_head
 
 BOX = "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\n"
 
@@ -27,8 +25,8 @@ def png_header(side: int) -> bytes:
     """The beginning of a PNG of so many pixels, without them."""
     head = struct.pack(">2I5B", side, side, 8, 2, 0, 0, 0)
     chunk = b"IHDR" + head
-    return b"\x89PNG\r\n\x1a\n" + struct.pack(">I", 13) + chunk + struct.pack(
-        ">I", zlib.crc32(chunk)) + struct.pack(">I", 0) + b"IDAT"  # fmt: skip
+    head = b"\x89PNG\r\n\x1a\n" + struct.pack(">I", 13) + chunk
+    return head + struct.pack(">II", zlib.crc32(chunk), 0) + b"IDAT"
 
 
 def textured(folder: Path, images: int) -> Path:
@@ -91,14 +89,8 @@ def test_lines_of_an_old_macintosh_are_lines(tmp_path: Path) -> None:
 def gltf(path: Path, nodes: list[dict]) -> Path:
     points = struct.pack("<9f", 0, 0, 0, 1, 0, 0, 0, 1, 0)
     (path.parent / "b.bin").write_bytes(points)
-    tree = {
-        "asset": {"version": "2.0"}, "scenes": [{"nodes": [0]}], "nodes": nodes,
-        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
-        "accessors": [{"bufferView": 0, "componentType": 5126, "type": "VEC3", "count": 3}],
-        "bufferViews": [{"buffer": 0, "byteLength": 36}],
-        "buffers": [{"byteLength": 36, "uri": "b.bin"}],
-    }  # fmt: skip
-    path.write_text(json.dumps(tree))
+    buffers = [{"byteLength": 36, "uri": "b.bin"}]
+    path.write_text(json.dumps(gltf_of(nodes=nodes, buffers=buffers)))
     return path
 
 
@@ -137,10 +129,8 @@ def test_a_process_with_a_limit_gets_a_clear_error_and_lives(tmp_path: Path) -> 
         "try: open_asset(sys.argv[1])\n"
         "except InputFileError as error: print(error)\n"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code, str(tmp_path / "a.obj")],
-        capture_output=True, text=True, timeout=60, check=False,
-    )  # fmt: skip
+    command = [sys.executable, "-c", code, str(tmp_path / "a.obj")]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
     assert "doesn't fit into memory" in done.stdout, done.stderr
 
 

@@ -1,7 +1,5 @@
 """Bad input: a clear error that names the file, or a warning; never anything else."""
 
-from __future__ import annotations
-
 import json
 import os
 import re
@@ -20,7 +18,7 @@ from model.io.geometry_files import SUFFIXES
 from model.io.model_files import find_assets
 from model.io.open_asset import open_asset, read_part_files
 from model.io.write import write_cloud, write_mesh
-from tests.builders import ply_head
+from tests.builders import gltf_of, ply_head
 
 TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
 
@@ -133,11 +131,7 @@ def test_references_may_not_leave_the_folder(tmp_path: Path, name: str) -> None:
     asset = open_asset(folder / "a.obj")
     assert asset.mesh is not None and asset.mesh.materials[0].base_color != (255, 0, 0, 255)
     assert "not used" in asset.warnings[0]
-    tree = {"asset": {"version": "2.0"}, "buffers": [{"uri": name, "byteLength": 4}],
-            "bufferViews": [{"buffer": 0, "byteLength": 4}],
-            "accessors": [{"bufferView": 0, "componentType": 5126, "type": "VEC3", "count": 1}],
-            "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
-            "nodes": [{"mesh": 0}], "scenes": [{"nodes": [0]}]}  # fmt: skip
+    tree = gltf_of(1, buffers=[{"uri": name, "byteLength": 12}])
     (folder / "a.gltf").write_text(json.dumps(tree))
     refused(folder / "a.gltf", "outside|absolute|address")
     (folder / "object.json").write_text(json.dumps({"parts": [{"file": name}]}))
@@ -177,9 +171,7 @@ def test_absurd_counts_are_not_believed(tmp_path: Path) -> None:
         "FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH 999999999999\nHEIGHT 1\nDATA binary\n1234"
     )
     refused(tmp_path / "a.pcd", "promises 999999999999 points")
-    tree = {"asset": {"version": "2.0"}, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}],
-            "accessors": [{"componentType": 5126, "type": "VEC3", "count": 10**13}],
-            "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}]}  # fmt: skip
+    tree = gltf_of(accessors=[{"componentType": 5126, "type": "VEC3", "count": 10**13}])
     (tmp_path / "a.gltf").write_text(json.dumps(tree))
     refused(tmp_path / "a.gltf", "counts")
 
@@ -193,8 +185,7 @@ def test_indices_out_of_range(tmp_path: Path) -> None:
 
 
 def test_gltf_cycles_and_compression(tmp_path: Path) -> None:
-    tree = {"asset": {"version": "2.0"}, "scenes": [{"nodes": [0]}],
-            "nodes": [{"children": [1]}, {"children": [0]}]}  # fmt: skip
+    tree = gltf_of(nodes=[{"children": [1]}, {"children": [0]}])
     (tmp_path / "a.gltf").write_text(json.dumps(tree))
     refused(tmp_path / "a.gltf", "cycle")
     tree = {"asset": {"version": "2.0"}, "extensionsRequired": ["KHR_draco_mesh_compression"]}
@@ -207,9 +198,8 @@ def test_broken_part_folders(tmp_path: Path, ball: Mesh) -> None:
     (tmp_path / "link_1.ply").write_text(ply_head(0))
     with pytest.raises(InputFileError, match=r"link_1\.ply.*neither points nor faces"):
         read_part_files(tmp_path)
-    for text in ("{", "[]", "{}", '{"parts": []}', '{"parts": [3]}',
-                 '{"parts": [{"file": "no.obj"}]}',
-                 '{"parts": ["link_0.ply", "link_0.ply"]}'):  # fmt: skip
+    bad = ("[]", "[3]", '[{"file": "no.obj"}]', '["link_0.ply", "link_0.ply"]')
+    for text in ("{", "[]", "{}", *(f'{{"parts": {parts}}}' for parts in bad)):
         (tmp_path / "object.json").write_text(text)
         with pytest.raises(InputFileError, match=r"object\.json"):
             read_part_files(tmp_path)
@@ -280,18 +270,8 @@ def test_points_of_an_archive_keep_their_precision(tmp_path) -> None:
         assert (read == points.astype(kind)[:, :3]).all()
 
 
-TOKENS = [
-    b"-1",
-    b"99999999999999999999",
-    b"nan",
-    b"1e400",
-    b"null",
-    b"[]",
-    b"{}",
-    b"/",
-    b"\n",
-    b"\0",
-]
+WORDS = b"-1 99999999999999999999 nan 1e400 null [] {} /"
+TOKENS = [*WORDS.split(), b"\n", b"\0"]
 
 
 def damaged(data: bytes, rng: np.random.Generator) -> bytes:

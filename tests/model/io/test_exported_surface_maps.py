@@ -1,8 +1,6 @@
 """Normal, emissive and occlusion maps: from a GLB through cutting and the saved asset into every
 format, read back by other programs."""
 
-from __future__ import annotations
-
 import io
 import re
 import shutil
@@ -74,11 +72,10 @@ def tree_of(path: Path) -> dict:
 def source(tmp_path_factory) -> Path:
     """A box with all maps."""
     box = trimesh.creation.box((0.4, 0.3, 0.6))
-    material = PBRMaterial(
-        name="all", baseColorTexture=PICTURES["base"], normalTexture=PICTURES["normal"],
-        emissiveTexture=PICTURES["emissive"], emissiveFactor=GLOW,
-        occlusionTexture=PICTURES["occlusion"], metallicFactor=0.25, roughnessFactor=0.5,
-    )  # fmt: skip
+    fields = {"base": "baseColorTexture"} | {k: f"{k}Texture" for k in PICTURES if k != "base"}
+    maps = {fields[k]: picture for k, picture in PICTURES.items()}
+    plain = {"metallicFactor": 0.25, "roughnessFactor": 0.5, "emissiveFactor": GLOW}
+    material = PBRMaterial(name="all", **maps, **plain)
     uv = np.asarray(box.vertices[:, :2] + 0.5 * box.vertices[:, 2:])
     box.visual = TextureVisuals(uv, material=material)
     path = tmp_path_factory.mktemp("source") / "all.glb"
@@ -173,8 +170,8 @@ def test_glb(exported):
 def test_usd(exported):
     stage = Usd.Stage.Open(str(exported["usd"]))
     visuals = [p for p in stage.Traverse() if p.GetName() == "visual"]
-    bound = {str(UsdShade.MaterialBindingAPI(v).ComputeBoundMaterial()[0].GetPath())
-             for v in visuals}  # fmt: skip
+    materials = [UsdShade.MaterialBindingAPI(v).ComputeBoundMaterial()[0] for v in visuals]
+    bound = {str(m.GetPath()) for m in materials}
     assert len(visuals) == 2 and len(bound) == 1
     surface = UsdShade.Material(stage.GetPrimAtPath(bound.pop())).ComputeSurfaceSource()[0]
     want = {
@@ -218,10 +215,8 @@ def test_mtl(exported, name):
 def test_mjcf(exported):
     model = mujoco.MjModel.from_xml_path(str(exported["mjcf"]))
     roles = mujoco.mjtTextureRole
-    want = {
-        roles.mjTEXROLE_RGB: "base", roles.mjTEXROLE_NORMAL: "normal",
-        roles.mjTEXROLE_EMISSIVE: "emissive", roles.mjTEXROLE_OCCLUSION: "occlusion",
-    }  # fmt: skip
+    want = {roles.mjTEXROLE_RGB: "base", roles.mjTEXROLE_NORMAL: "normal"}
+    want |= {roles.mjTEXROLE_EMISSIVE: "emissive", roles.mjTEXROLE_OCCLUSION: "occlusion"}
     assert model.nmat == 2 and model.ntex == 4
     for material in range(model.nmat):
         for role in range(roles.mjNTEXROLE):

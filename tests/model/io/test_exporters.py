@@ -1,7 +1,5 @@
 """One contract for all export formats, and what each format must keep."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -32,21 +30,17 @@ from model.io.open_asset import open_asset
 from model.io.readback import read_back
 from model.io.urdf.writer import read_urdf
 from model.physics.simulation_values import Physics, PhysicsSettings, physics_of, whose_shapes
-from tests.builders import read_glb
+from tests.builders import box, read_glb, two
 
-TREE = KinematicTree(
-    ("base", "door", "link_2", "helper", "link_3", "link_4"),
-    (
-        Joint("hinge", "revolute", "base", "door", (0, 0.6, 0.8), (0.5, 0.1, 0.2), -0.2, 2.5),
-        Joint("turn <&>", "continuous", "door", "link_2", (0, 1, 0), (0.3, 0.2, 0.1)),
-        Joint("slide", "prismatic", "base", "helper", (1, 0, 0), (1, 0, 0), 0, 0.3),
-        Joint(
-            "follow", "revolute", "helper", "link_3", (0, 0, 1), (0, 1, 0), -1, 1,
-            Mimic("hinge", -0.5, 0.1),
-        ),
-        Joint("fix", "fixed", "link_3", "link_4"),
-    ),
-)  # fmt: skip
+FOLLOW = Mimic("hinge", -0.5, 0.1)
+JOINTS = (
+    Joint("hinge", "revolute", "base", "door", (0, 0.6, 0.8), (0.5, 0.1, 0.2), -0.2, 2.5),
+    Joint("turn <&>", "continuous", "door", "link_2", (0, 1, 0), (0.3, 0.2, 0.1)),
+    Joint("slide", "prismatic", "base", "helper", (1, 0, 0), (1, 0, 0), 0, 0.3),
+    Joint("follow", "revolute", "helper", "link_3", (0, 0, 1), (0, 1, 0), -1, 1, FOLLOW),
+    Joint("fix", "fixed", "link_3", "link_4"),
+)
+TREE = KinematicTree(("base", "door", "link_2", "helper", "link_3", "link_4"), JOINTS)
 
 
 def box_mesh(shift: float, *materials: Material, uv: bool = False) -> Mesh:
@@ -75,7 +69,7 @@ def make_object() -> ArticulatedObject:
         Part("link_2", cloud=PointCloud(rng.random((200, 3), np.float32) * 0.1)),
         Part("link_3", Mesh(np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0.0]]), np.array([[0, 1, 2]]))),
         Part("link_4", Mesh(colored.vertices, colored.faces, vertex_colors=colors)),
-    )  # fmt: skip
+    )
     return ArticulatedObject("my <object>", parts, TREE, category="Cabinet")
 
 
@@ -112,9 +106,8 @@ def whole(obj, physics, tmp_path_factory):
 
 def test_what_mujoco_leaves_out_of_a_urdf_is_told(obj):
     assert losses_of(obj)[0].startswith("link_3 is flat, which MuJoCo refuses in a URDF")
-    whole = replace(obj, parts=(*obj.parts[:3], replace(obj.parts[3], mesh=obj.parts[4].mesh),
-                                obj.parts[4]))  # fmt: skip
-    assert losses_of(whole) == ()
+    *others, flat, solid = obj.parts
+    assert losses_of(replace(obj, parts=(*others, replace(flat, mesh=solid.mesh), solid))) == ()
 
 
 def test_the_built_in_formats_are_there():
@@ -193,18 +186,14 @@ def test_collision_shapes_are_in_every_format_that_has_them(whole, physics):
 def test_shapes_of_the_source_are_what_they_were_in_every_format(tmp_path):
     pose = np.eye(4)
     pose[:3, :3] = Rotation.from_euler("xyz", (0.3, 0.2, 0.1)).as_matrix()
-    kinds = {"box": (0.1, 0.2, 0.3), "cylinder": (0.1, 0.3), "sphere": (0.1,),
-             "capsule": (0.1, 0.2)}  # fmt: skip
-    stairs = trimesh.boolean.union(
-        [trimesh.creation.box(bounds=[[0, 0, 0], high]) for high in ((2, 1, 1), (1, 1, 2))]
-    )
+    kinds = {"box": (0.1, 0.2, 0.3), "cylinder": (0.1, 0.3)}
+    kinds |= {"sphere": (0.1,), "capsule": (0.1, 0.2)}
+    stairs = trimesh.boolean.union([box((0, 0, 0), high) for high in ((2, 1, 1), (1, 1, 2))])
     solid = Solid(np.asarray(stairs.vertices), np.asarray(stairs.faces, np.int32))
     held = (*(Primitive(kind, pose, sizes) for kind, sizes in kinds.items()), solid)
-    tree = KinematicTree(
-        ("link_0", "door"), (Joint("hinge", "revolute", "link_0", "door", lower=0, upper=1),)
-    )
-    parts = (Part("link_0", box_mesh(0)), Part("door", box_mesh(0.5)))
-    obj = ArticulatedObject("o", parts, tree, shapes={"door": held})
+    hinge = Joint("hinge", "revolute", "link_0", "door", lower=0, upper=1)
+    bare = two(hinge, Part("link_0", box_mesh(0)), Part("door", box_mesh(0.5)))
+    obj = replace(bare, name="o", shapes={"door": held})
     made = physics_of(obj)
     assert made.declared_shapes == ("door",) and made.collision["link_0"]
     assert whose_shapes(obj, made) == (
@@ -215,9 +204,8 @@ def test_shapes_of_the_source_are_what_they_were_in_every_format(tmp_path):
         files[name] = write_object(obj, load_exporter(name), tmp_path / name, physics=made)[0]
         assert not read_back(name, files[name], obj).problems
     again = load_object(files["urdf"]).shapes["door"]
-    assert [getattr(s, "kind", "mesh") for s in again] == [
-        "box", "cylinder", "sphere", "mesh", "mesh",
-    ]  # fmt: skip
+    found = [getattr(s, "kind", "mesh") for s in again]
+    assert found == ["box", "cylinder", "sphere", "mesh", "mesh"]
     assert again[1].object_from_shape == pytest.approx(pose) and again[1].sizes == (0.1, 0.3)
     kept = again[4]
     assert isinstance(kept, Solid) and trimesh.Trimesh(
@@ -235,10 +223,8 @@ def test_shapes_of_the_source_are_what_they_were_in_every_format(tmp_path):
     hull = next((tmp_path / "mjcf" / "meshes" / "collision").glob("door_*.obj"))
     assert trimesh.load(hull).volume == pytest.approx(volume)
     stage = Usd.Stage.Open(str(files["usd"]))
-    types = [
-        p.GetTypeName() for p in stage.Traverse()
-        if p.HasAPI(UsdPhysics.CollisionAPI) and "door" in str(p.GetPath())
-    ]  # fmt: skip
+    solids = [p for p in stage.Traverse() if p.HasAPI(UsdPhysics.CollisionAPI)]
+    types = [p.GetTypeName() for p in solids if "door" in str(p.GetPath())]
     assert types == ["Cube", "Cylinder", "Sphere", "Capsule", "Mesh"]
     ours = physics_of(obj, PhysicsSettings(declared_shapes=False))
     assert not ours.declared_shapes and whose_shapes(obj, ours) == ""

@@ -1,7 +1,5 @@
 """Part names in files: the rule, and that all formats and re-opening follow it."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace
@@ -41,15 +39,15 @@ def two_parts(name: str | None, number: int = 1) -> ArticulatedObject:
 
 def chair() -> ArticulatedObject:
     """A seat that turns and rises (a helper between), a knob, two doors, one without a name."""
+    door = Joint("joint_link_3", "revolute", "link_0", "link_3", AXIS, lower=0, upper=1)
     joints = (
         Joint("joint_helper_1", "prismatic", "link_0", "helper_1", AXIS, lower=0, upper=0.1),
         Joint("joint_link_1", "continuous", "helper_1", "link_1", AXIS),
         Joint("joint_link_2", "revolute", "link_1", "link_2", AXIS, lower=0, upper=1),
-        Joint("joint_link_3", "revolute", "link_0", "link_3", AXIS, lower=0, upper=1,
-              mimic=Mimic("joint_link_2")),
-        Joint("shoulder_pan", "revolute", "link_0", "link_4", AXIS, lower=0, upper=1),
+        replace(door, mimic=Mimic("joint_link_2")),
+        replace(door, name="shoulder_pan", child="link_4"),
         Joint("joint_link_7", "prismatic", "link_0", "link_7", AXIS, lower=0, upper=0.1),
-    )  # fmt: skip
+    )
     links = ("link_0", "helper_1", "link_1", "link_2", "link_3", "link_4", "link_7")
     names = {1: "Seat", 2: "knob", 3: "door", 4: "door", 7: None}
     parts = [box("link_0", None), *(box(f"link_{i}", n, 0.3 * i) for i, n in names.items())]
@@ -82,15 +80,11 @@ def test_a_part_is_called_as_on_the_screen(name: str | None, written: str) -> No
 
 def test_joints_and_helpers_are_called_after_the_part_that_they_move() -> None:
     names = FileNames.of(chair())
-    assert names.links == {
-        "link_0": "base", "helper_1": "helper_seat_1", "link_1": "seat_1", "link_2": "knob_2",
-        "link_3": "door_3", "link_4": "door_4", "link_7": "link_7",
-    }  # fmt: skip
-    assert names.joints == {
-        "joint_helper_1": "seat_1_slide", "joint_link_1": "seat_1_spin",
-        "joint_link_2": "knob_2_turn", "joint_link_3": "door_3_hinge",
-        "joint_link_7": "link_7_slide",
-    }  # fmt: skip
+    links = "base helper_seat_1 seat_1 knob_2 door_3 door_4 link_7"
+    assert names.links == dict(zip(chair().tree.links, links.split(), strict=True))
+    joints = "seat_1_slide seat_1_spin knob_2_turn door_3_hinge link_7_slide"
+    old = [f"joint_{k}" for k in ("helper_1", "link_1", "link_2", "link_3", "link_7")]
+    assert names.joints == dict(zip(old, joints.split(), strict=True))
     named = names.object(chair())
     assert named.tree.by_name["door_3_hinge"].mimic == Mimic("knob_2_turn")
     assert "shoulder_pan" in named.tree.by_name, "a file's own joint keeps its name"

@@ -1,7 +1,5 @@
 """Pickles given as weights, shards or scans are never unpickled."""
 
-from __future__ import annotations
-
 import os
 import pickle
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Masks of other systems, on files made as their public code writes them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -140,13 +138,11 @@ def test_particulate_results_for_evaluation(scan: Path, tmp_path: Path) -> None:
     """``infer.py --eval``: pred.npz beside pred.obj, the input mesh."""
     (tmp_path / "eval").mkdir()
     y_up(trimesh_of(1)).export(tmp_path / "eval/pred.obj")
-    np.savez(
-        tmp_path / "eval/pred.npz", face_part_ids=cabinet_mesh(1).labels,
-        motion_hierarchy=[(0, 1), (0, 2)], is_part_revolute=np.array([False, True, True]),
-        is_part_prismatic=np.zeros(3, bool), revolute_plucker=np.zeros((3, 6)),
-        revolute_range=np.zeros((3, 2)), prismatic_axis=np.zeros((3, 3)),
-        prismatic_range=np.zeros((3, 2)),
-    )  # fmt: skip
+    widths = {"revolute_plucker": 6, "revolute_range": 2, "prismatic_axis": 3, "prismatic_range": 2}
+    held: dict[str, Any] = {name: np.zeros((3, width)) for name, width in widths.items()}
+    held |= {"is_part_revolute": np.arange(3) > 0, "is_part_prismatic": np.zeros(3, bool)}
+    held |= {"face_part_ids": cabinet_mesh(1).labels, "motion_hierarchy": [(0, 1), (0, 2)]}
+    np.savez(tmp_path / "eval/pred.npz", **held)
     asset, _ = parts_of(scan, tmp_path / "eval/pred.npz")
     assert agrees(asset, CABINET.labels, 0.95)
 
@@ -156,11 +152,9 @@ def test_particulate_results_for_evaluation(scan: Path, tmp_path: Path) -> None:
 
 def test_an_archive_with_instances_kinds_and_names(scan: Path, tmp_path: Path) -> None:
     cloud = cabinet_cloud(5000)
-    np.savez(
-        tmp_path / "m.npz", points=cloud.asset.cloud.points,  # type: ignore[union-attr]
-        instance=np.where(cloud.labels == 0, -1, cloud.labels + 10),
-        semantic=np.where(cloud.labels == 0, -1, 1), names=np.array(["drawer", "door"]),
-    )  # fmt: skip
+    kinds = {"semantic": np.where(cloud.labels == 0, -1, 1), "names": np.array(["drawer", "door"])}
+    instance = np.where(cloud.labels == 0, -1, cloud.labels + 10)
+    np.savez(tmp_path / "m.npz", points=cloud.asset.cloud.points, instance=instance, **kinds)
     asset, names = parts_of(scan, tmp_path / "m.npz")
     assert names == ["", "door", "door"] and agrees(asset, CABINET.labels, 0.9)
 
@@ -187,8 +181,8 @@ def test_a_property_of_a_ply(element: str, scan: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize("form", ["folder", "glb"])
 def test_a_mesh_for_each_part(form: str, scan: Path, tmp_path: Path) -> None:
     whole = trimesh_of()
-    pieces = {KINDS[p] or "mesh_0": whole.submesh([np.flatnonzero(CABINET.labels == p)])[0]
-              for p in range(3)}  # fmt: skip
+    faces = {KINDS[p] or "mesh_0": np.flatnonzero(CABINET.labels == p) for p in range(3)}
+    pieces = {name: whole.submesh([chosen])[0] for name, chosen in faces.items()}
     if form == "folder":
         masks = tmp_path / "pieces"
         masks.mkdir()

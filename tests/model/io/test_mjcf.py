@@ -1,7 +1,5 @@
 """What MuJoCo is particular about."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 import trimesh

@@ -1,7 +1,5 @@
 """MJCF read into what a URDF is read into: exports of ours come back, and other people's open."""
 
-from __future__ import annotations
-
 import math
 import sys
 from pathlib import Path
@@ -89,13 +87,14 @@ def test_meshes_lie_where_mujoco_has_them(tmp_path: Path) -> None:
     """Scaled, mirrored, moved within their asset, and by MuJoCo to their centre of mass."""
     box = trimesh.creation.box(extents=(0.3, 0.4, 0.5)).apply_translation((0.2, 0.3, 0.1))
     box.export(tmp_path / "a.stl")
-    path = written(tmp_path, """<asset>
+    text = """<asset>
       <mesh name="m" file="a.stl" scale="2 3 -4" refpos="1 2 3" refquat="0.7 0.1 0.2 0.5"/>
       <mesh name="inline" vertex="0 0 0  1 0 0  0 1 0  0 0 2"/></asset><worldbody>
       <body name="b" pos="1 1 1" euler="0.3 0.2 0.1"><joint name="j" ref="0.2" range="0 1"/>
       <geom type="mesh" mesh="m" pos="0.1 0.2 0.3" euler="1 0 0"/>
       <geom type="mesh" mesh="inline" euler="0 1 0"/><geom type="capsule" size="0.1 0.4"/>
-      <geom type="ellipsoid" size="0.1 0.2 0.3" pos="1 0 0"/></body></worldbody>""")  # fmt: skip
+      <geom type="ellipsoid" size="0.1 0.2 0.3" pos="1 0 0"/></body></worldbody>"""
+    path = written(tmp_path, text)
     asset = open_asset(path)
     assert asset.mesh is not None
     model = mujoco.MjModel.from_xml_path(str(path))
@@ -114,7 +113,7 @@ def test_meshes_lie_where_mujoco_has_them(tmp_path: Path) -> None:
 
 
 def test_joints_masses_and_shapes_are_told(tmp_path: Path) -> None:
-    asset = opened(tmp_path, """<worldbody><geom type="plane" size="9 9 1"/>
+    text = """<worldbody><geom type="plane" size="9 9 1"/>
       <body name="case" pos="0 0 1"><inertial pos="0 0 0.1" mass="7" diaginertia="1 1 1"/>
         <geom type="box" size="0.5 0.5 0.5" contype="0" conaffinity="0" group="2"/>
         <geom type="cylinder" size="0.4 0.5" group="3"/>
@@ -128,7 +127,8 @@ def test_joints_masses_and_shapes_are_told(tmp_path: Path) -> None:
         <body name="flap"><joint name="flap" axis="1 0 0" range="0 1"/>
           <geom type="sphere" size="0.1"/></body></body></worldbody>
       <equality><joint joint1="flap" joint2="pull" polycoef="0.1 2 0 0 0"/></equality>
-      <actuator><motor joint="turn"/></actuator>""")  # fmt: skip
+      <actuator><motor joint="turn"/></actuator>"""
+    asset = opened(tmp_path, text)
     tree = tree_of(asset)
     assert asset.part_names == ("case", "drawer", "dial", "flap")
     pull, turn, flap = (tree.joint_of[f"link_{i}"] for i in (1, 2, 3))
@@ -150,11 +150,11 @@ def test_joints_masses_and_shapes_are_told(tmp_path: Path) -> None:
 
 def test_what_is_seen_goes_by_groups(tmp_path: Path) -> None:
     """What shares its group with geoms made for looking at is seen as well; what doesn't isn't."""
-    asset = opened(tmp_path, """<worldbody><body name="a">
-      <geom type="box" size="1 1 1"/>
+    text = """<worldbody><body name="a"><geom type="box" size="1 1 1"/>
       <geom type="box" size="0.1 0.1 0.1" pos="0 0 3" contype="0" conaffinity="0" group="1"/>
       <geom type="box" size="0.1 0.1 0.1" pos="0 0 4" group="1"/>
-      <geom type="box" size="5 5 5" rgba="1 1 1 0"/></body></worldbody>""")  # fmt: skip
+      <geom type="box" size="5 5 5" rgba="1 1 1 0"/></body></worldbody>"""
+    asset = opened(tmp_path, text)
     assert asset.mesh is not None
     assert asset.mesh.vertices[:, 2].min() == pytest.approx(2.9) and len(asset.mesh.faces) == 24
 
@@ -165,13 +165,14 @@ def test_looks(tmp_path: Path) -> None:
     uv = np.asarray(square.vertices[:, :2]) + 0.5
     square.visual = trimesh.visual.TextureVisuals(uv=uv)
     square.export(tmp_path / "b.obj")
-    asset = opened(tmp_path, f"""<asset><texture name="t" type="2d" file="t.png"/>
+    text = f"""<asset><texture name="t" type="2d" file="t.png"/>
       <texture name="gone" type="2d" file="gone.png"/>
       <material name="wood" texture="t" metallic="0.5"/><material name="no" texture="gone"/>
       <mesh name="b" file="b.obj"/></asset><worldbody>
       <geom type="mesh" mesh="b" material="wood"/><geom size="0.1" material="wood"/>
       <geom size="0.1" material="no"/><geom size="0.1" rgba="0 0 1 1"/>
-      {BOX}</worldbody>""")  # fmt: skip
+      {BOX}</worldbody>"""
+    asset = opened(tmp_path, text)
     assert asset.mesh is not None
     pictured, mean, gone, blue, plain = asset.mesh.materials
     assert pictured.texture is not None and pictured.metallic == 0.5
@@ -182,10 +183,11 @@ def test_looks(tmp_path: Path) -> None:
 
 
 def test_balls_free_bodies_and_endless_slides(tmp_path: Path) -> None:
-    asset = opened(tmp_path, f"""<worldbody><body name="a"><freejoint name="f"/>{BOX}
+    text = f"""<worldbody><body name="a"><freejoint name="f"/>{BOX}
       <body name="b"><joint name="s" type="ball"/>{BOX}</body>
       <body name="c"><joint name="l" type="slide" stiffness="3"/>{BOX}</body></body>
-      <body name="z"><freejoint/>{BOX}</body></worldbody>""")  # fmt: skip
+      <body name="z"><freejoint/>{BOX}</body></worldbody>"""
+    asset = opened(tmp_path, text)
     tree = tree_of(asset)
     chain = [tree.joint_of["link_1"]]
     while chain[-1].parent != "link_0":
@@ -238,9 +240,10 @@ HOSTILE = {
     "nothing seen": ('<worldbody><geom type="plane" size="1 1 1"/></worldbody>', "can be seen"),
     "limits of none": (
         f'<worldbody><body><joint name="a"/>{BOX}</body></worldbody><equality>'
-        '<joint joint1="a" joint2="b" polycoef="x"/></equality>', "polycoef",
+        '<joint joint1="a" joint2="b" polycoef="x"/></equality>',
+        "polycoef",
     ),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize(("body", "words"), HOSTILE.values(), ids=HOSTILE.keys())
@@ -254,8 +257,8 @@ def test_bad_files_are_refused_by_name(tmp_path: Path, body: str, words: str) ->
 
 def test_large_files_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     trimesh.creation.box((1, 1, 1)).export(tmp_path / "b.stl")
-    path = written(tmp_path, '<asset><mesh file="b.stl"/></asset><worldbody>'
-                   '<geom type="mesh" mesh="b"/></worldbody>')  # fmt: skip
+    shown = '<worldbody><geom type="mesh" mesh="b"/></worldbody>'
+    path = written(tmp_path, f'<asset><mesh file="b.stl"/></asset>{shown}')
     with pytest.raises(InputFileError, match=r"b\.stl"):
         open_asset(path, max_bytes=100)
     monkeypatch.setattr("model.io.robot_xml.MAX_BYTES", 10)

@@ -1,7 +1,5 @@
 """glTF files whose meshes are called after parts open with these parts."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

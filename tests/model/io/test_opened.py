@@ -1,9 +1,8 @@
 """Articulated objects of other people, opened with their parts, names and joints."""
 
-from __future__ import annotations
-
 import json
 import math
+import operator
 from pathlib import Path
 
 import numpy as np
@@ -31,9 +30,10 @@ def mesh_of(file: str) -> str:
     return f'<visual><geometry><mesh filename="{file}"/></geometry></visual>'
 
 
-def link(
-    name: str, inner: str = '<visual><geometry><box size="1 1 1"/></geometry></visual>'
-) -> str:
+BOX = '<visual><geometry><box size="1 1 1"/></geometry></visual>'
+
+
+def link(name: str, inner: str = BOX) -> str:
     return f'<link name="{name}">{inner}</link>'
 
 
@@ -42,6 +42,15 @@ def joint(name: str, parent: str, child: str, kind: str = "revolute", inner: str
         f'<joint name="{name}" type="{kind}"><origin xyz="1 0 0"/><axis xyz="0 0 1"/>'
         f'<parent link="{parent}"/><child link="{child}"/>{inner}</joint>'
     )
+
+
+def linked(**links: str) -> str:
+    """Several links, each with what is in it."""
+    return "".join(link(name, inner) for name, inner in links.items())
+
+
+def bolt(parent: str, child: str) -> str:
+    return joint("bolt", parent, child, "fixed", "")
 
 
 def robot(folder: Path, *body: str, name: str = "robot") -> Path:
@@ -61,17 +70,11 @@ def weighing(kilograms: float, moments: str = 'ixx="1" iyy="1" izz="1"', at: str
     )
 
 
-BOX = '<visual><geometry><box size="1 1 1"/></geometry></visual>'
-
-
 def test_what_is_fixed_together_weighs_together_in_the_frame_that_is_asked_for(
     tmp_path: Path,
 ) -> None:
-    path = robot(
-        tmp_path, link("base", BOX), link("arm", BOX + weighing(3, at="0 2 0")),
-        link("tool", weighing(1)), joint("turn", "base", "arm"),
-        joint("bolt", "arm", "tool", "fixed", ""),
-    )  # fmt: skip
+    links = linked(base=BOX, arm=BOX + weighing(3, at="0 2 0"), tool=weighing(1))
+    path = robot(tmp_path, links, joint("turn", "base", "arm"), bolt("arm", "tool"))
     got = open_asset(path, up_axis="y", unit_scale=0.5)
     assert set(got.inertials) == {"link_1"}, "of the base nothing is told"
     found = got.inertials["link_1"]
@@ -83,10 +86,8 @@ def test_what_is_fixed_together_weighs_together_in_the_frame_that_is_asked_for(
 
 
 def test_the_mass_of_a_handle_alone_is_not_its_doors(tmp_path: Path) -> None:
-    path = robot(
-        tmp_path, link("base"), link("door"), link("handle", BOX + weighing(10)),
-        joint("turn", "base", "door"), joint("bolt", "door", "handle", "fixed", ""),
-    )  # fmt: skip
+    links = linked(base=BOX, door=BOX, handle=BOX + weighing(10))
+    path = robot(tmp_path, links, joint("turn", "base", "door"), bolt("door", "handle"))
     assert not open_asset(path).inertials
 
 
@@ -114,10 +115,8 @@ def test_a_mass_that_no_body_has_is_left_out_and_told(tmp_path: Path, wrong: str
 
 def test_rounded_moments_and_frames_without_mass_are_no_mistake(tmp_path: Path) -> None:
     arm = BOX + weighing(1, 'ixx="0.1" iyy="0.1" izz="0.201"')
-    path = robot(
-        tmp_path, link("base"), link("arm", arm), link("tip", weighing(0)),
-        joint("turn", "base", "arm"), joint("bolt", "arm", "tip", "fixed", ""),
-    )  # fmt: skip
+    links = linked(base=BOX, arm=arm, tip=weighing(0))
+    path = robot(tmp_path, links, joint("turn", "base", "arm"), bolt("arm", "tip"))
     got = open_asset(path)
     assert got.inertials["link_1"].tensor[2, 2] == pytest.approx(0.2) and not got.warnings
 
@@ -130,11 +129,8 @@ def test_effort_and_velocity_of_zero_tell_nothing(tmp_path: Path) -> None:
 
 
 def test_links_are_parts_and_joints_the_tree(tmp_path: Path) -> None:
-    path = robot(
-        tmp_path, link("handle"), link("cabinet"), link("door"), link("tcp", ""),
-        joint("hinge", "cabinet", "door"), joint("tip", "door", "tcp"),
-        joint("screw", "door", "handle", "fixed", ""),
-    )  # fmt: skip
+    links = linked(handle=BOX, cabinet=BOX, door=BOX, tcp="") + bolt("door", "handle")
+    path = robot(tmp_path, links, joint("hinge", "cabinet", "door"), joint("tip", "door", "tcp"))
     asset = open_asset(path)
     assert (asset.name, asset.part_names) == ("robot", ("cabinet", "door"))
     assert numbers(asset) == [1, 0]  # elements come as in the file, the handle with its door
@@ -149,10 +145,8 @@ def test_links_are_parts_and_joints_the_tree(tmp_path: Path) -> None:
 
 def test_joints_turn_and_grow_with_the_source(tmp_path: Path) -> None:
     follows = '<limit lower="0" upper="1"/><mimic joint="slide" multiplier="2" offset="1"/>'
-    path = robot(
-        tmp_path, link("a"), link("b"), link("c"),
-        joint("slide", "a", "b", "prismatic"), joint("turn", "a", "c", inner=follows),
-    )  # fmt: skip
+    joints = joint("slide", "a", "b", "prismatic") + joint("turn", "a", "c", inner=follows)
+    path = robot(tmp_path, linked(a=BOX, b=BOX, c=BOX), joints)
     asset = open_asset(path, up_axis="y", unit_scale=0.01)
     assert asset.tree is not None
     slide, turn = asset.tree.joints
@@ -165,9 +159,7 @@ def test_joints_turn_and_grow_with_the_source(tmp_path: Path) -> None:
 
 
 def test_an_empty_root_keeps_its_joints_and_no_part_is_the_base(tmp_path: Path) -> None:
-    asset = open_asset(
-        robot(tmp_path, link("world", ""), link("door"), joint("j", "world", "door"))
-    )
+    asset = open_asset(robot(tmp_path, linked(world="", door=BOX), joint("j", "world", "door")))
     assert asset.tree is not None and asset.tree.root == "world"
     assert (numbers(asset), asset.part_names) == ([1], ("", "door"))
 
@@ -192,8 +184,8 @@ def box_part(name: str, at: float, what: str | None) -> Part:
 
 @pytest.fixture
 def cabinet() -> ArticulatedObject:
-    parts = (box_part("link_0", 0, "body"), box_part("link_3", 0.21, "door"),
-             box_part("link_2", 0.42, None))  # fmt: skip
+    body, door = box_part("link_0", 0, "body"), box_part("link_3", 0.21, "door")
+    parts = (body, door, box_part("link_2", 0.42, None))
     hinge = Joint("a", "revolute", "link_0", "link_3", (0, 0, 1), (0.1, 0, 0), lower=0, upper=1.2)
     slide = Joint("b", "prismatic", "link_0", "link_2", (1, 0, 0), lower=0, upper=0.1)
     tree = KinematicTree(("link_0", "link_2", "link_3"), (hinge, slide))
@@ -206,9 +198,8 @@ def check_cabinet(asset: Asset, cabinet: ArticulatedObject, *, category: str | N
     assert numbers(asset) == [0, 3, 2]
     for declared in cabinet.tree.joints:
         got = asset.tree.joint_of[declared.child]
-        assert (got.type, got.parent, got.lower, got.upper) == (
-            declared.type, declared.parent, declared.lower, declared.upper,
-        )  # fmt: skip
+        fields = operator.attrgetter("type", "parent", "lower", "upper")
+        assert fields(got) == fields(declared)
         np.testing.assert_allclose(got.axis, declared.axis, atol=1e-9)
 
 
@@ -244,10 +235,9 @@ def test_meshes_of_a_urdf_are_no_objects_of_their_own(tmp_path: Path) -> None:
     (package / "package.xml").write_text("<package/>")
     for place in ("meshes/link_0.ply", "meshes/link_1.ply", "scans/chair.ply"):
         trimesh.creation.box().export(package / place)
-    path = robot(
-        package / "urdf", link("a", mesh_of("package://robot/meshes/link_0.ply")),
-        link("b", mesh_of("../meshes/link_1.ply")), joint("j", "a", "b"),
-    )  # fmt: skip
+    named = mesh_of("package://robot/meshes/link_0.ply")
+    links = linked(a=named, b=mesh_of("../meshes/link_1.ply"))
+    path = robot(package / "urdf", links, joint("j", "a", "b"))
     assert find_assets([tmp_path]) == [package, package / "scans" / "chair.ply"]
     for source in (package, package / "urdf", path):
         asset = open_asset(source)
@@ -258,23 +248,25 @@ def test_meshes_of_a_urdf_are_no_objects_of_their_own(tmp_path: Path) -> None:
 
 
 OUTSIDE = "leads outside"
+AB = linked(a=BOX, b=BOX)
 BAD = {
     "missing mesh": (link("a", mesh_of("no.obj")), "no.obj: the mesh of link 'a' isn't there"),
-    "cycle": (link("r") + link("a") + link("b") + joint("1", "a", "b") + joint("2", "b", "a"),
-              "cycle: .* hangs on another"),
-    "two roots": (link("a") + link("b"), "2 roots .* by fixed joints"),
+    "cycle": (AB + link("r") + joint("1", "a", "b") + joint("2", "b", "a"), "cycle: .* hangs on"),
+    "two roots": (AB, "2 roots .* by fixed joints"),
     "no links": ("", "at least one link.*xacro"),
     "traversal": (link("a", mesh_of("../../etc/passwd")), OUTSIDE),
     "package traversal": (link("a", mesh_of("package://../../etc/passwd")), OUTSIDE),
     "absolute": (link("a", mesh_of("/etc/passwd")), "absolute path"),
     "address": (link("a", mesh_of("http://example.org/a.obj")), "is an address"),
-    "no limits": (link("a") + link("b") + joint("j", "a", "b", inner=""), "needs <limit"),
-    "nan": (link("a") + link("b") + joint("j", "a", "b", inner='<limit upper="nan"/>'), "finite"),
-    "too many parts": ("".join(link(f"l{i}") for i in range(1001))
-                       + "".join(joint(f"j{i}", "l0", f"l{i}") for i in range(1, 1001)), "parts"),
+    "no limits": (AB + joint("j", "a", "b", inner=""), "needs <limit"),
+    "nan": (AB + joint("j", "a", "b", inner='<limit upper="nan"/>'), "finite"),
+    "too many parts": (
+        link("l0") + "".join(link(f"l{i}") + joint(f"j{i}", "l0", f"l{i}") for i in range(1, 1001)),
+        "parts",
+    ),
     "too many links": ("<link name='a'/>" * (MOST_LINKS + 1), "at most"),
     "nothing seen": ("<link name='a'/>", "no link has a visual"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize(("body", "words"), BAD.values(), ids=BAD.keys())
@@ -296,8 +288,6 @@ def test_entities_are_refused(tmp_path: Path) -> None:
 def test_a_real_cabinet_opens_with_its_joints(shared_data: Path) -> None:
     asset = open_asset(shared_data / "partnet_mobility" / "41083")
     assert asset.tree is not None and asset.category == "StorageFurniture"
-    assert asset.part_names == (
-        "furniture_body", "rotation_door", "rotation_door", "drawer", "drawer",
-    )  # fmt: skip
+    assert asset.part_names == ("furniture_body", *["rotation_door"] * 2, *["drawer"] * 2)
     door = asset.tree.joint_of["link_1"]
     assert (door.type, door.upper) == ("revolute", pytest.approx(math.pi / 2))

@@ -1,7 +1,5 @@
 """Cutting loses nothing; what is written is what was meant, to the byte."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,7 +21,7 @@ from model.io.write import face_order, mesh_to_glb, write_cloud, write_mesh
 from tests.builders import read_glb
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.lists(st.integers(-1, 5), min_size=80, max_size=80), st.integers(0, 3))
 def test_every_face_is_in_exactly_one_part(labels: list[int], seed: int) -> None:
     sphere = trimesh.creation.icosphere(1)

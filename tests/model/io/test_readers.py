@@ -1,7 +1,5 @@
 """What the formats hold arrives: places, colours, textures, frames, parts."""
 
-from __future__ import annotations
-
 import json
 import time
 from pathlib import Path
@@ -122,10 +120,8 @@ def test_what_materials_have_beside_colour(tmp_path: Path, checker: Image.Image)
 
     box = trimesh.creation.box((1, 1, 1))
     shine = Image.new("RGB", (2, 2), (0, 128, 51))  # green is roughness, blue metallic
-    material = PBRMaterial(
-        metallicFactor=0.5, roughnessFactor=1.0, metallicRoughnessTexture=shine,
-        normalTexture=checker, emissiveFactor=[1, 1, 0],
-    )  # fmt: skip
+    metal = {"metallicFactor": 0.5, "roughnessFactor": 1.0, "metallicRoughnessTexture": shine}
+    material = PBRMaterial(normalTexture=checker, emissiveFactor=[1, 1, 0], **metal)
     box.visual = TextureVisuals(np.zeros((len(box.vertices), 2)), material=material)
     box.export(tmp_path / "a.glb")
     asset = open_asset(tmp_path / "a.glb")
@@ -228,13 +224,16 @@ def test_pcd(tmp_path: Path, cloud: PointCloud, style: str) -> None:
 @pytest.mark.parametrize(
     ("name", "head", "columns", "separator"),
     [
-        ("a.xyz", "", "p", " "), ("a.txt", "", "pc", "\t"),
+        ("a.xyz", "", "p", " "),
+        ("a.txt", "", "pc", "\t"),
         ("a.csv", "x,y,z,red,green,blue\n", "pc", ","),
-        ("b.csv", "nx;ny;nz;x;y;z\n", "np", ";"), ("a.asc", "# a comment\n", "pn", " "),
-        ("a.pts", "200\n", "pic", " "), ("c.txt", "//X Y Z R G B Nx Ny Nz\n", "pcn", " "),
+        ("b.csv", "nx;ny;nz;x;y;z\n", "np", ";"),
+        ("a.asc", "# a comment\n", "pn", " "),
+        ("a.pts", "200\n", "pic", " "),
+        ("c.txt", "//X Y Z R G B Nx Ny Nz\n", "pcn", " "),
         ("d.xyz", "", "pnc", " "),
     ],
-)  # fmt: skip
+)
 def test_text_columns(
     tmp_path: Path, cloud: PointCloud, name: str, head: str, columns: str, separator: str
 ) -> None:

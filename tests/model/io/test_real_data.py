@@ -1,7 +1,5 @@
 """Real scans and objects open: a spread of them, as all take longer."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

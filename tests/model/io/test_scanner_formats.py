@@ -1,7 +1,5 @@
 """Formats of scanners, from files that their own libraries write, and broken ones of each."""
 
-from __future__ import annotations
-
 import struct
 from pathlib import Path
 
@@ -94,9 +92,7 @@ def test_meshes_are_turned_and_scaled_as_they_state(name: str, tmp_path: Path) -
     asset = open_asset(MESHES[name](tmp_path / name))
     assert asset.mesh is not None and len(asset.mesh.faces) == 4
     # y up and centimetres: (x, y, z) stands at (x, -z, y) metres.
-    assert asset.mesh.bounds.tolist() == [
-        pytest.approx([0, -3, 0], abs=1e-6), pytest.approx([1, 0, 2], abs=1e-6),
-    ]  # fmt: skip
+    assert asset.mesh.bounds == pytest.approx(np.array([[0, -3, 0], [1, 0, 2]]), abs=1e-6)
     if name.endswith(".dae"):
         assert asset.mesh.materials[0].base_color[:3] == (255, 0, 0)
 

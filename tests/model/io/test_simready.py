@@ -1,7 +1,5 @@
 """USD as a SimReady package."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

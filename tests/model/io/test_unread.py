@@ -1,7 +1,5 @@
 """What a reader doesn't know it counts in a remark, or refuses; nothing passes silently."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable
 from pathlib import Path
@@ -19,7 +17,7 @@ from model.io.robot_xml import MJCF, URDF, XmlSchema
 from model.io.urdf.reader import read_urdf_model
 from model.scenes.readers.lisdf import SDF
 from model.scenes.registry import read_scene
-from tests.builders import ply_head, write_glb
+from tests.builders import gltf_of, ply_head, write_glb
 
 URDF_TEXT = """<robot name="r"><material name="red"><color rgba="1 0 0 1"/></material>
 <link name="a"><inertial><origin xyz="0 0 0"/><mass value="1"/>
@@ -68,16 +66,14 @@ def test_a_file_of_known_items_has_no_remark(name: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", FORMATS)
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(data=st.data())
 def test_an_unknown_item_anywhere_is_named_or_refused(name: str, data: st.DataObject) -> None:
     file, text, schema, notes_of = FORMATS[name]
     root = ET.fromstring(text)
     within = {child: element for element in root.iter() for child in element}
-    known = [
-        e for e in root.iter() if e.tag in schema.elements
-        and all(a.tag not in schema.passed_over for a in above(e, within))
-    ]  # fmt: skip
+    known = [e for e in root.iter() if e.tag in schema.elements]
+    known = [e for e in known if all(a.tag not in schema.passed_over for a in above(e, within))]
     element = data.draw(st.sampled_from(known))
     # Another element's name is as unknown where it doesn't belong.
     names = st.from_regex(r"[a-z_]{1,12}", fullmatch=True) | st.sampled_from([*schema.elements])
@@ -125,13 +121,7 @@ def test_what_an_sdf_world_has_beside_is_told(tmp_path: Path) -> None:
 
 def glb(tree: dict, path: Path) -> Path:
     points = struct.pack("<9f", 0, 0, 0, 1, 0, 0, 0, 1, 0)
-    whole = {
-        "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}],
-        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
-        "accessors": [{"bufferView": 0, "componentType": 5126, "type": "VEC3", "count": 3}],
-        "bufferViews": [{"buffer": 0, "byteLength": 36}], "buffers": [{"byteLength": 36}],
-    }  # fmt: skip
-    return write_glb(path, whole | tree, points)
+    return write_glb(path, gltf_of(**tree), points)
 
 
 def test_unknown_extensions_of_gltf_are_named_and_required_ones_refused(tmp_path: Path) -> None:
@@ -146,8 +136,8 @@ def test_unknown_extensions_of_gltf_are_named_and_required_ones_refused(tmp_path
 def test_built_in_textures_and_huge_height_fields_of_mjcf(tmp_path: Path) -> None:
     path = tmp_path / "a.xml"
     texture = '<texture name="t" builtin="checker" width="90000" height="90000"/>'
-    path.write_text(MJCF_TEXT.replace("<asset>", f"<asset>{texture}").replace(
-        'name="x"', 'name="x" texture="t"'))  # fmt: skip
+    with_texture = MJCF_TEXT.replace("<asset>", f"<asset>{texture}")
+    path.write_text(with_texture.replace('name="x"', 'name="x" texture="t"'))
     assert "not kept: the built-in texture 't'" in mjcf_notes(path)
     field = '<asset><hfield name="h" size="1 1 1 1" {}/>'
     for said in ('nrow="50000" ncol="50000"', 'file="h.bin"'):

@@ -1,7 +1,5 @@
 """Collision shapes that a URDF tells: what is taken of them, and what is told of bad ones."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -39,23 +37,19 @@ def urdf(tmp_path: Path):
 
 
 def test_primitives_stay_primitives_in_the_objects_frame(urdf) -> None:
-    door = "".join(
-        collision(g, "0.5 0 0")
-        for g in (
-            '<box size="1 0.1 1"/>', '<cylinder radius="0.1" length="0.4"/>',
-            '<sphere radius="0.2"/>', '<capsule radius="0.1" length="0.3"/>',
-        )
-    )  # fmt: skip
-    obj = load_object(urdf(door=door))
+    kinds = {
+        'box size="1 0.1 1"': (1, 0.1, 1),
+        'cylinder radius="0.1" length="0.4"': (0.1, 0.4),
+        'sphere radius="0.2"': (0.2,),
+        'capsule radius="0.1" length="0.3"': (0.1, 0.3),
+    }
+    obj = load_object(urdf(door="".join(collision(f"<{kind}/>", "0.5 0 0") for kind in kinds)))
     assert set(obj.shapes) == {"door"}, "of the body nothing is told"
-    box, cylinder, sphere, capsule = obj.shapes["door"]
-    for shape, kind, sizes in (
-        (box, "box", (1, 0.1, 1)), (cylinder, "cylinder", (0.1, 0.4)), (sphere, "sphere", (0.2,)),
-        (capsule, "capsule", (0.1, 0.3)),
-    ):  # fmt: skip
-        assert isinstance(shape, Primitive) and (shape.kind, shape.sizes) == (kind, sizes)
+    for shape, (kind, sizes) in zip(obj.shapes["door"], kinds.items(), strict=True):
+        assert isinstance(shape, Primitive)
+        assert (shape.kind, shape.sizes) == (kind.split()[0], sizes)
         assert shape.object_from_shape[:3, 3] == pytest.approx([1, 0.5, 0])
-    assert np.ptp(hull_of_shape(box).bounds, axis=0) == pytest.approx([0.1, 1, 1])
+    assert np.ptp(hull_of_shape(obj.shapes["door"][0]).bounds, axis=0) == pytest.approx([0.1, 1, 1])
 
 
 def test_a_mesh_is_kept_with_its_scale_and_convex_pieces_apart(urdf, tmp_path: Path) -> None:

@@ -1,14 +1,12 @@
 """Other readers move the links of a URDF that we wrote as ``pose`` does."""
 
-from __future__ import annotations
-
 import logging
 
 import mujoco
 import numpy as np
 import pytest
 import yourdfpy
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from model.core.articulated_object import ArticulatedObject, Inertial, Part
@@ -67,7 +65,7 @@ def random_q(obj: ArticulatedObject, rng: np.random.Generator) -> dict[str, floa
     return {j.name: float(rng.uniform(-3, 3)) for j in free}
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=60)
 @given(obj=objects(), seed=st.integers(0, 2**16))
 def test_yourdfpy_and_mujoco_agree_with_pose(tmp_path_factory, obj, seed):
     logging.getLogger("yourdfpy.urdf").setLevel(logging.ERROR)
@@ -94,7 +92,7 @@ def test_yourdfpy_and_mujoco_agree_with_pose(tmp_path_factory, obj, seed):
             np.testing.assert_allclose(body.xmat.reshape(3, 3), object_from_link[:3, :3], atol=1e-6)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(obj=objects())
 def test_reading_back_gives_the_same_tree(tmp_path_factory, obj):
     path = tmp_path_factory.mktemp("urdf") / "object.urdf"

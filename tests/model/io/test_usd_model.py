@@ -1,7 +1,5 @@
 """USD stages with joints are opened as articulated objects."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -57,22 +55,25 @@ def joined(stage: Usd.Stage, kind: str, zero: str, one: str, **values: object) -
         joint.CreateBody0Rel().SetTargets([f"/thing/{zero}"])
     joint.CreateBody1Rel().SetTargets([f"/thing/{one}"])
     for name, value in values.items():
-        getattr(joint, f"Create{name}Attr")(value)
+        set_value = getattr(joint, f"Create{name}Attr")
+        set_value(Gf.Vec3f(*value) if isinstance(value, tuple) else value)
     return joint
 
 
 def hinge(stage: Usd.Stage) -> None:
-    joined(stage, "RevoluteJoint", "cabinet", "door", Axis="Y", LowerLimit=-10.0, UpperLimit=90.0,
-           LocalPos0=Gf.Vec3f(-30, 0, 21), LocalPos1=Gf.Vec3f(0, 0, 0))  # fmt: skip
+    limits = {"LowerLimit": -10.0, "UpperLimit": 90.0}
+    at = {"LocalPos0": (-30, 0, 21), "LocalPos1": (0, 0, 0)}
+    joined(stage, "RevoluteJoint", "cabinet", "door", Axis="Y", **limits, **at)
 
 
 def test_units_up_axis_and_an_open_door(tmp_path) -> None:
     stage = stage_of(tmp_path / "a.usda")
     hinge(stage)
     # Written the other way round: the cabinet moves against the drawer.
-    joined(stage, "PrismaticJoint", "drawer", "cabinet", Axis="Z", LowerLimit=-20.0, UpperLimit=0.0,
-           LocalPos0=Gf.Vec3f(0, 0, 0), LocalPos1=Gf.Vec3f(15, 0, 10))  # fmt: skip
-    joined(stage, "FixedJoint", "", "cabinet", LocalPos0=Gf.Vec3f(0, 50, 0))
+    limits = {"LowerLimit": -20.0, "UpperLimit": 0.0}
+    at = {"LocalPos0": (0, 0, 0), "LocalPos1": (15, 0, 10)}
+    joined(stage, "PrismaticJoint", "drawer", "cabinet", Axis="Z", **limits, **at)
+    joined(stage, "FixedJoint", "", "cabinet", LocalPos0=(0, 50, 0))
     stage.Save()
     model = read_usd_model(tmp_path / "a.usda")
     assert model is not None and model.notes == () and model.tree.root == "cabinet"
@@ -95,7 +96,7 @@ def test_loops_other_joints_and_loose_bodies_are_told(tmp_path) -> None:
     stage = stage_of(tmp_path / "a.usda")
     hinge(stage)
     joined(stage, "DistanceJoint", "door", "drawer")
-    joined(stage, "PrismaticJoint", "cabinet", "drawer", Axis="X", LocalPos1=Gf.Vec3f(1, 0, 0))
+    joined(stage, "PrismaticJoint", "cabinet", "drawer", Axis="X", LocalPos1=(1, 0, 0))
     stage.Save()
     model = read_usd_model(tmp_path / "a.usda")
     assert model is not None and len(model.tree.joints) == 2
@@ -107,8 +108,8 @@ def test_loops_other_joints_and_loose_bodies_are_told(tmp_path) -> None:
 @pytest.mark.parametrize(("cone", "swing"), [(30.0, 30), (-1.0, 90)])
 def test_a_spherical_joint_becomes_three_turns(tmp_path, cone, swing) -> None:
     stage = stage_of(tmp_path / "a.usda")
-    joined(stage, "SphericalJoint", "cabinet", "drawer", Axis="Z", ConeAngle0Limit=cone,
-           LocalPos0=Gf.Vec3f(15, 0, 10))  # fmt: skip
+    where = {"Axis": "Z", "LocalPos0": (15, 0, 10)}
+    joined(stage, "SphericalJoint", "cabinet", "drawer", ConeAngle0Limit=cone, **where)
     stage.Save()
     model = read_usd_model(tmp_path / "a.usda")
     assert model is not None and not any("read as fixed" in note for note in model.notes)

@@ -1,7 +1,5 @@
 """Numbers in files: as short as they may be, and without what differs between processors."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,9 +17,8 @@ from tests.model.io.test_exporters import make_object
 
 
 def test_numbers_are_short_and_keep_a_billionth() -> None:
-    assert [number(v) for v in (0.030000000000000002 * 1.5, -0.0, 2.0, 1e-5, 1e20)] == [
-        "0.045", "0", "2", "1e-05", "1e+20",
-    ]  # fmt: skip
+    some = (0.030000000000000002 * 1.5, -0.0, 2.0, 1e-5, 1e20)
+    assert [number(v) for v in some] == ["0.045", "0", "2", "1e-05", "1e+20"]
     assert vector((1.0, 6.1e-17, -3e-16)) == "1 0 0"
     rng = np.random.default_rng(0)
     values = rng.normal(size=1000) * 10.0 ** rng.uniform(-8, 8, 1000)
@@ -44,30 +41,23 @@ def with_other_last_bits(
         x, y, z = bent(value).tolist()
         return x, y, z
 
-    joints = tuple(
-        replace(
-            j, origin=triple(j.origin),
-            axis=triple(np.asarray(j.axis)),
-            lower=j.lower if not j.lower else float(bent(j.lower)),
-            upper=j.upper if not j.upper else float(bent(j.upper)),
-        )
-        for j in obj.tree.joints
-    )  # fmt: skip
+    joints = []
+    for j in obj.tree.joints:
+        low, high = (v and float(bent(v)) for v in (j.lower, j.upper))
+        bare = replace(j, origin=triple(j.origin), axis=triple(j.axis))
+        joints.append(replace(bare, lower=low, upper=high))
     inertials = {
         k: Inertial(float(bent(i.mass)), bent(i.center), bent(i.tensor))
         for k, i in physics.inertials.items()
     }
-    collision = {
-        k: tuple(
-            Primitive(s.kind, bent(s.object_from_shape), tuple(bent(s.sizes).tolist()))
-            if isinstance(s, Primitive)
-            else s
-            for s in held
-        )
-        for k, held in physics.collision.items()
-    }
+
+    def moved(s):
+        sizes = tuple(bent(s.sizes).tolist()) if isinstance(s, Primitive) else ()
+        return Primitive(s.kind, bent(s.object_from_shape), sizes) if sizes else s
+
+    collision = {k: tuple(map(moved, held)) for k, held in physics.collision.items()}
     return (
-        replace(obj, tree=KinematicTree(obj.tree.links, joints)),
+        replace(obj, tree=KinematicTree(obj.tree.links, tuple(joints))),
         replace(physics, inertials=inertials, collision=collision),
     )
 

@@ -1,7 +1,5 @@
 """Hinge barrels tell where a hinge is; other round things near it don't."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import trimesh

@@ -1,7 +1,5 @@
 """Scenes whose collisions are known, as closed meshes, badly wound ones, and clouds."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

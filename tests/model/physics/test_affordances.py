@@ -1,7 +1,5 @@
 """Places where a robot takes hold: found from geometry, written, and read again."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Collision shapes: hollows stay open, everything is covered, neighbours don't touch."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -114,8 +112,8 @@ def test_the_budget_is_kept_and_the_surface_is_covered(budget):
 
 def test_a_mesh_that_crosses_itself_and_one_turned_inside_out():
     cross = boxes(((0, 0.1, 0), (0.3, 0.15, 0.3)), ((0.1, 0, 0), (0.15, 0.3, 0.3)))
-    turned = Mesh(cross.vertices, np.where(np.arange(24)[:, None] % 3 == 0, cross.faces[:, ::-1],
-                                           cross.faces))  # fmt: skip
+    third = np.arange(24)[:, None] % 3 == 0
+    turned = Mesh(cross.vertices, np.where(third, cross.faces[:, ::-1], cross.faces))
     for mesh in (cross, turned):
         shapes = shapes_of(mesh)
         assert inside(shapes, [[0.02, 0.12, 0.1], [0.12, 0.02, 0.1]]).all()
@@ -123,8 +121,8 @@ def test_a_mesh_that_crosses_itself_and_one_turned_inside_out():
 
 
 def test_a_part_without_volume_gets_some():
-    square = Mesh(np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0.0]]),
-                  np.array([[0, 1, 2], [0, 2, 3]]))  # fmt: skip
+    corners = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0.0]])
+    square = Mesh(corners, np.array([[0, 1, 2], [0, 2, 3]]))
     line = Mesh(np.array([[0, 0, 0], [1, 0, 0], [0.5, 0, 0.0]]), np.array([[0, 1, 2]]))
     for mesh in (square, line):
         (shape,) = shapes_of(mesh)
@@ -262,8 +260,8 @@ def drawer_in_a_chest(told: str, give_way: bool = False) -> ArticulatedObject:
     """A box in a tray, which is lifted out; ``told`` has a box that is too long and so sticks 5 mm
     deep in the tray's end."""
     tray_mesh, box = tray(), boxes(((0.02, 0.02, 0.012), (0.3, 0.28, 0.09)))
-    joint = Joint("out", "prismatic", "link_0", "link_1", (0, 0, 1), lower=0, upper=0.2,
-                  give_way=give_way)  # fmt: skip
+    way = {"lower": 0, "upper": 0.2, "give_way": give_way}
+    joint = Joint("out", "prismatic", "link_0", "link_1", (0, 0, 1), **way)
     pose = np.eye(4)
     pose[:3, 3] = 0.2075, 0.15, 0.051
     parts = (Part("link_0", tray_mesh), Part("link_1", box))
@@ -401,13 +399,13 @@ def test_coacd_answers_or_is_stopped():
     assert coacd_hulls(mesh, 0.01) is None
 
 
+NUMBERS = st.floats(-1, 1, allow_subnormal=False)
 DUST = np.full((9, 3), 5.8e-112)
 DUST[[0, 1, 2], [0, 1, 2]] = 0
 
 
-@settings(max_examples=20, deadline=None)
-@given(hnp.arrays(np.float64, (9, 3), elements=st.floats(-1, 1, allow_subnormal=False)),
-       st.sampled_from([1.0, 1e-3, 1e3]))  # fmt: skip
+@settings(max_examples=20)
+@given(hnp.arrays(np.float64, (9, 3), elements=NUMBERS), st.sampled_from([1.0, 1e-3, 1e3]))
 @example(DUST, 1.0)
 @example(DUST * 1e100, 1.0)
 @example(DUST * 1e105, 1.0)

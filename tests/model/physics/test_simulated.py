@@ -1,7 +1,5 @@
 """Saved demos in MuJoCo: handles can be pulled, doors swing, nothing jams."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -54,8 +52,8 @@ def behind_handle(physics: Physics, joint: Joint) -> tuple[np.ndarray, float]:
     hulls = [hull_of_shape(s) for s in physics.collision[joint.child]]
     way = np.asarray(joint.axis)
     ends = np.array([(h.vertices @ way).max() for h in hulls])
-    grip = np.concatenate([h.vertices for h, e in zip(hulls, ends, strict=True)
-                           if e > ends.max() - 0.01])  # fmt: skip
+    foremost = np.flatnonzero(ends > ends.max() - 0.01)
+    grip = np.concatenate([hulls[i].vertices for i in foremost])
     low, high = grip.min(axis=0), grip.max(axis=0)
     rng = np.random.default_rng(0)
     points = low + rng.random((4000, 3)) * (high - low)
@@ -86,10 +84,9 @@ def with_finger(path: Path, at: np.ndarray, radius: float) -> mujoco.MjModel:
     finger = spec.worldbody.add_body(name="finger", pos=at, gravcomp=1)
     finger.add_freejoint()
     finger.add_geom(type=ball, size=[radius, 0, 0], mass=0.02)
-    spec.add_equality(
-        type=mujoco.mjtEq.mjEQ_WELD, objtype=mujoco.mjtObj.mjOBJ_BODY, name1="hand",
-        name2="finger", solref=[0.01, 1], data=[0] * 10 + [1, 0],
-    )  # fmt: skip
+    kind = {"type": mujoco.mjtEq.mjEQ_WELD, "objtype": mujoco.mjtObj.mjOBJ_BODY}
+    stiff = {"solref": [0.01, 1], "data": [0] * 10 + [1, 0]}
+    spec.add_equality(name1="hand", name2="finger", **kind, **stiff)
     return spec.compile()
 
 
@@ -129,8 +126,8 @@ def test_doors_swing_and_drawers_slide_under_a_small_force(saved: Saved):
             axis = np.asarray(joint.axis)
             way = np.cross(axis, point - data.xpos[body]) if joint.rotates else axis
             data.qfrc_applied[:] = 0
-            mujoco.mj_applyFT(model, data, FORCE * way / np.linalg.norm(way), np.zeros(3), point,
-                              body, data.qfrc_applied)  # fmt: skip
+            push, out = FORCE * way / np.linalg.norm(way), data.qfrc_applied
+            mujoco.mj_applyFT(model, data, push, np.zeros(3), point, body, out)
             mujoco.mj_step(model, data)
             if data.joint(joint.name).qpos[0] > reach:
                 break
@@ -144,9 +141,8 @@ def test_nothing_moves_by_itself(saved: Saved):
     model.opt.gravity[:] = 0
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
-    pushing = [(model.geom_bodyid[c.geom1], model.geom_bodyid[c.geom2])
-               for c in data.contact if c.dist < -1e-5]  # fmt: skip
-    assert pushing == []
+    deep = [(c.geom1, c.geom2) for c in data.contact if c.dist < -1e-5]
+    assert [model.geom_bodyid[list(pair)] for pair in deep] == []
     mujoco.mj_step(model, data, nstep=500)
     for joint in (j for j in obj.tree.joints if j.moves):
         assert abs(data.joint(joint.name).qpos[0]) < 1e-3

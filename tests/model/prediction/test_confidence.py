@@ -1,7 +1,5 @@
 """A confidence says how often such joints are right."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A server on this machine that speaks OpenAI's chat protocol, well or badly."""
 
-from __future__ import annotations
-
 import json
 import threading
 from collections.abc import Callable, Iterator
@@ -14,12 +12,12 @@ MOVES = ("cabinet", "fridge", "oven")
 
 def decisions(objects: list[dict[str, Any]]) -> str:
     """What a sensible model says."""
-    return json.dumps({"objects": [
-        {"id": o["id"], "reason": f"{o['description']} seen", "kind": o["description"].split()[-1],
-         "articulable": any(w in o["description"] for w in MOVES), "parts": ["door"],
-         "base": "fixed"}
-        for o in objects
-    ]})  # fmt: skip
+    said = []
+    for id, text in ((o["id"], o["description"]) for o in objects):
+        found = {"id": id, "reason": f"{text} seen", "kind": text.split()[-1]}
+        moves = any(w in text for w in MOVES)
+        said.append({**found, "articulable": moves, "parts": ["door"], "base": "fixed"})
+    return json.dumps({"objects": said})
 
 
 Reply = tuple[int, dict[str, str], bytes]
@@ -27,12 +25,10 @@ Reply = tuple[int, dict[str, str], bytes]
 
 
 def said(text: str, **more: Any) -> Reply:
-    body = {
-        "id": "x", "object": "chat.completion", "created": 0, "model": "m",
-        "choices": [{"index": 0, "finish_reason": "stop",
-                     "message": {"role": "assistant", "content": text}}],
-        "usage": {"prompt_tokens": 100, "completion_tokens": 10, "total_tokens": 110}, **more,
-    }  # fmt: skip
+    message = {"role": "assistant", "content": text}
+    body = {"id": "x", "object": "chat.completion", "created": 0, "model": "m"}
+    body |= {"choices": [{"index": 0, "finish_reason": "stop", "message": message}]}
+    body |= {"usage": {"prompt_tokens": 100, "completion_tokens": 10, "total_tokens": 110}, **more}
     return 200, {"content-type": "application/json"}, json.dumps(body).encode()
 
 

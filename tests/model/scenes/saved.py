@@ -1,7 +1,5 @@
 """What a written scene holds."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

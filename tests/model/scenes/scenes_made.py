@@ -1,7 +1,5 @@
 """Small assets and the same scene in every format."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path
@@ -11,22 +9,21 @@ import numpy as np
 
 from model.core.geometry import Mesh
 from model.io.write import write_mesh
-from tests.builders import boxes
+from tests.builders import boxes, spans
 
 
 def cabinet_parts() -> dict[str, Mesh]:
     """0.6 x 0.5 x 0.8 m about its own middle, open to +x, one door and one drawer."""
-    walls = (
-        ((-0.3, -0.25, -0.4), (0.28, -0.23, 0.4)), ((-0.3, 0.23, -0.4), (0.28, 0.25, 0.4)),
-        ((-0.3, -0.23, -0.4), (0.28, 0.23, -0.38)), ((-0.3, -0.23, 0.38), (0.28, 0.23, 0.4)),
-        ((-0.3, -0.23, -0.38), (-0.28, 0.23, 0.38)), ((-0.28, -0.23, 0.09), (0.28, 0.23, 0.11)),
-    )  # fmt: skip
-    door = (((0.281, -0.25, -0.4), (0.3, 0.25, 0.1)), ((0.3, 0.2, -0.2), (0.32, 0.22, -0.1)))
-    drawer = (
-        ((0.281, -0.25, 0.105), (0.3, 0.25, 0.4)), ((-0.2, -0.2, 0.13), (0.281, 0.2, 0.15)),
-        ((-0.2, -0.2, 0.15), (0.281, -0.19, 0.3)), ((-0.2, 0.19, 0.15), (0.281, 0.2, 0.3)),
-    )  # fmt: skip
-    return {"body": boxes(*walls), "door": boxes(*door), "drawer": boxes(*drawer)}
+    body = """
+        -0.3 -0.25 -0.4  0.28 -0.23 0.4     -0.3 0.23 -0.4  0.28 0.25 0.4
+        -0.3 -0.23 -0.4  0.28 0.23 -0.38    -0.3 -0.23 0.38  0.28 0.23 0.4
+        -0.3 -0.23 -0.38  -0.28 0.23 0.38   -0.28 -0.23 0.09  0.28 0.23 0.11"""
+    door = "0.281 -0.25 -0.4  0.3 0.25 0.1   0.3 0.2 -0.2  0.32 0.22 -0.1"
+    drawer = """
+        0.281 -0.25 0.105  0.3 0.25 0.4     -0.2 -0.2 0.13  0.281 0.2 0.15
+        -0.2 -0.2 0.15  0.281 -0.19 0.3     -0.2 0.19 0.15  0.281 0.2 0.3"""
+    tables = {"body": body, "door": door, "drawer": drawer}
+    return {name: boxes(*spans(table)) for name, table in tables.items()}
 
 
 def make_cabinet(folder: Path) -> Path:
@@ -35,10 +32,8 @@ def make_cabinet(folder: Path) -> Path:
     parts = cabinet_parts()
     for i, mesh in enumerate(parts.values()):
         write_mesh(mesh, folder / f"link_{i}.obj")
-    described = {
-        "format": 1, "name": folder.name, "category": "cabinet",
-        "parts": [{"file": f"link_{i}.obj", "name": n} for i, n in enumerate(parts)],
-    }  # fmt: skip
+    files = [{"file": f"link_{i}.obj", "name": n} for i, n in enumerate(parts)]
+    described = {"format": 1, "name": folder.name, "category": "cabinet", "parts": files}
     (folder / "object.json").write_text(json.dumps(described))
     return folder
 
@@ -55,35 +50,24 @@ POSITION, YAW = (1.0, 2.0, 0.5), 0.7
 
 
 def holodeck(objects: list[dict] | None = None) -> dict:
-    cabinet = {
-        "assetId": "cab", "id": "cabinet-0 (kitchen)", "kinematic": True, "roomId": "r1",
-        "position": {"x": 1.0, "y": 0.5, "z": 2.0},
-        "rotation": {"x": 0, "y": -math.degrees(YAW), "z": 0},
-    }  # fmt: skip
-    return {
-        "proceduralParameters": {}, "rooms": [{"id": "r1", "roomType": "kitchen"}], "walls": [],
-        "objects": [cabinet] if objects is None else objects,
-    }  # fmt: skip
+    turn = {"x": 0, "y": -math.degrees(YAW), "z": 0}
+    pose = {"position": {"x": 1.0, "y": 0.5, "z": 2.0}, "rotation": turn}
+    said = {"assetId": "cab", "id": "cabinet-0 (kitchen)", "kinematic": True, "roomId": "r1"}
+    house = {"proceduralParameters": {}, "rooms": [{"id": "r1", "roomType": "kitchen"}]}
+    return {**house, "walls": [], "objects": [said | pose] if objects is None else objects}
 
 
 def mesatask(objects: list[dict] | None = None) -> dict:
-    cabinet = {
-        "instance": "cabinet_1", "retrieved_uid": "cab", "position": list(POSITION),
-        "rotation": [0, 0, math.sin(YAW / 2), math.cos(YAW / 2)], "size": [0.6, 0.5, 0.8],
-        "scale_factor": [1, 1, 1],
-    }  # fmt: skip
-    return {
-        "item_placement_zone": [0, 1, 0, 1],
-        "objects": [cabinet] if objects is None else objects,
-    }
+    turn = [0, 0, math.sin(YAW / 2), math.cos(YAW / 2)]
+    pose = {"position": list(POSITION), "rotation": turn, "scale_factor": [1, 1, 1]}
+    said = {"instance": "cabinet_1", "retrieved_uid": "cab", "size": [0.6, 0.5, 0.8], **pose}
+    return {"item_placement_zone": [0, 1, 0, 1], "objects": [said] if objects is None else objects}
 
 
 def internscenes(objects: list[dict] | None = None) -> list:
     # The asset fills the box, handle included: 0.62 m deep.
-    cabinet = {
-        "id": 7, "category": "cabinet", "model_uid": "set/cab",
-        "bbox": [*POSITION, 0.62, 0.5, 0.8, 0, 0, YAW],
-    }  # fmt: skip
+    bounds = [*POSITION, 0.62, 0.5, 0.8, 0, 0, YAW]
+    cabinet = {"id": 7, "category": "cabinet", "model_uid": "set/cab", "bbox": bounds}
     return [cabinet] if objects is None else objects
 
 
@@ -97,22 +81,23 @@ def lisdf(includes: str | None = None) -> str:
     return f'<?xml version="1.0" ?>\n<sdf version="1.9"><world name="w">{body}</world></sdf>'
 
 
+def own_object(id: str, asset: str, position: Any, turn: Any, **more: Any) -> dict[str, Any]:
+    """An entry of our own scene format; ``turn`` is a quaternion, w first."""
+    pose = {"position": position, "quaternion_wxyz": turn, "scale": [1, 1, 1], "anchor": "center"}
+    return {"id": id, "asset": asset, **pose, **more}
+
+
 def own(objects: list[dict] | None = None) -> dict:
-    cabinet = {
-        "id": "c", "description": "cabinet", "asset": "cab", "position": list(POSITION),
-        "quaternion_wxyz": [math.cos(YAW / 2), 0, 0, math.sin(YAW / 2)], "scale": [1, 1, 1],
-        "anchor": "center",
-    }  # fmt: skip
+    turn = [math.cos(YAW / 2), 0, 0, math.sin(YAW / 2)]
+    cabinet = own_object("c", "cab", list(POSITION), turn, description="cabinet")
     return {"artiworld_scene": 1, "name": "w", "objects": [cabinet] if objects is None else objects}
 
 
 def optiscene(objects: list[dict] | None = None) -> str:
     asked = {"object": "cabinet", "bounding box": [{"h": 0.8, "w": 0.62, "d": 0.5}]}
     x, y, z = POSITION
-    cabinet = {
-        "object": "cabinet", "asset": "cab", "rotate": [{"angle": YAW}],
-        "coordinates": [{"x": x, "y": y, "z": z - 0.4}],
-    }  # fmt: skip
+    pose = {"rotate": [{"angle": YAW}], "coordinates": [{"x": x, "y": y, "z": z - 0.4}]}
+    cabinet = {"object": "cabinet", "asset": "cab", **pose}
     answer = {"room type": "kitchen", "objects": [cabinet] if objects is None else objects}
     design = "[Design] It stands {by} the wall."
     return f"Place {json.dumps([asked])}.\n{design}\n{json.dumps(answer)}\nDone."
@@ -120,11 +105,10 @@ def optiscene(objects: list[dict] | None = None) -> str:
 
 def physcene(entries: list[dict] | None = None) -> dict:
     x, y, z = POSITION
-    cabinet = {
-        "path": "3D-FUTURE-model/cab/raw_model.obj", "scale": 1.0, "size": [0.62, 0.8, 0.5],
-        "label": "Cabinet", "query_label": "cabinet", "query_size": [0.31, 0.4, 0.25],
-        "theta": YAW, "position": [x, z, -y], "centroid": [0.0, 0.0, 0.0],
-    }  # fmt: skip
+    at = {"theta": YAW, "position": [x, z, -y], "centroid": [0.0, 0.0, 0.0], "scale": 1.0}
+    query = {"query_label": "cabinet", "query_size": [0.31, 0.4, 0.25]}
+    file = {"path": "3D-FUTURE-model/cab/raw_model.obj", "size": [0.62, 0.8, 0.5]}
+    cabinet = {"label": "Cabinet", **file, **query, **at}
     return {"ThreedFront": {"cab": [cabinet] if entries is None else entries}, "GPN": {}}
 
 
@@ -236,13 +220,11 @@ def write_scan(path: Path, labels: bool = True, seed: int = 0) -> Path:
     colors = np.full((len(points), 3), 150, np.uint8)
     write_cloud(PointCloud(points, colors=colors), path)
     if labels:
-        np.savez(
-            path.with_name(f"{path.stem}_labels.npz"),
-            instance=np.concatenate(instance), segment20=np.concatenate(classes),
-        )  # fmt: skip
+        held = {"instance": np.concatenate(instance), "segment20": np.concatenate(classes)}
+        np.savez(path.with_name(f"{path.stem}_labels.npz"), **held)
     else:
-        box = {"id": "my cabinet", "category": "cabinet", "center": list(POSITION), "yaw": YAW,
-               "size": [0.7, 0.6, 0.9]}  # fmt: skip
+        box = {"id": "my cabinet", "category": "cabinet", "size": [0.7, 0.6, 0.9]}
+        box |= {"center": list(POSITION), "yaw": YAW}
         path.with_name(f"{path.stem}_boxes.json").write_text(json.dumps({"objects": [box]}))
     return path
 

@@ -1,7 +1,5 @@
 """Which parts an asset tells by itself."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from xml.etree import ElementTree as ET
@@ -26,10 +24,8 @@ def gltf(path: Path, names: tuple[str, ...]) -> Path:
     scene.graph.update(frame_to="wrapper", frame_from="world", matrix=lift)
     for name, mesh in zip(names, made.cabinet_parts().values(), strict=True):
         solid = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
-        scene.add_geometry(
-            solid, node_name=name, geom_name=f"m {name}", parent_node_name="wrapper",
-            transform=np.diag([1.0, -2.0, 1.0, 1.0]),
-        )  # fmt: skip
+        names = {"node_name": name, "geom_name": f"m {name}", "parent_node_name": "wrapper"}
+        scene.add_geometry(solid, transform=np.diag([1.0, -2.0, 1.0, 1.0]), **names)
     path.write_bytes(scene.export(file_type="glb"))
     return path
 
@@ -37,9 +33,8 @@ def gltf(path: Path, names: tuple[str, ...]) -> Path:
 def test_meshes_that_are_called_after_parts_are_parts(tmp_path: Path) -> None:
     path = gltf(tmp_path / "cab.glb", ("Body", "door_left", "Drawer.001"))
     found = known_parts(path)
-    assert {p.name: len(p.mesh.faces) for p in found.parts if p.mesh is not None} == {
-        "Body": 72, "door_left": 24, "Drawer.001": 48,
-    }  # fmt: skip
+    faces = {p.name: len(p.mesh.faces) for p in found.parts if p.mesh is not None}
+    assert faces == {"Body": 72, "door_left": 24, "Drawer.001": 48}
     assert found.parts[0].link == "link_0" and found.how == "its named meshes"
     whole = open_asset(path).bounds
     assert np.allclose(np.min([p.bounds[0] for p in found.parts], axis=0), whole[0], atol=1e-6)
@@ -115,9 +110,8 @@ def test_a_urdf_tells_collision_shapes_at_every_size_that_is_no_stretch(
     shape = "<collision><geometry><sphere radius='0.03'/></geometry></collision>"
     text = (cupboard / "object.urdf").read_text()
     (cupboard / "object.urdf").write_text(text.replace("<visual>", shape + "<visual>"))
-    assert {k: len(held) for k, held in known_parts(cupboard).shapes.items()} == {
-        "link_body": 1, "link_door": 2,
-    }  # fmt: skip
+    counts = {k: len(held) for k, held in known_parts(cupboard).shapes.items()}
+    assert counts == {"link_body": 1, "link_door": 2}
     for size in ((1.5, 1.5, 1.5), (1.0, 1.0, 1.5)):
         job = AssetJob("k", cupboard, size, None, True, "Cabinet", "geometric", 0, True, 120.0)
         out = tmp_path / str(size)

@@ -1,7 +1,5 @@
 """Scenes that hold their geometry: GLB, USD and scanned rooms."""
 
-from __future__ import annotations
-
 import base64
 import json
 from pathlib import Path
@@ -17,7 +15,7 @@ from model.scenes.asset_parts import known_parts
 from model.scenes.registry import read_scene, recognised
 from model.scenes.scene import Scene, SceneObjectError
 from model.scenes.unpacking import Unpacked, placed_frame, unpack
-from tests.builders import ply_head, read_glb
+from tests.builders import gltf_of, ply_head, read_glb
 from tests.model.scenes import scenes_made as made
 
 
@@ -152,15 +150,11 @@ def test_a_mesh_whose_faces_have_no_area_becomes_points(tmp_path: Path) -> None:
         place = {"attributes": {"POSITION": 0}, "indices": len(tree["accessors"]) - 1}
         return {"primitives": [place]}
 
-    tree: dict[str, Any] = {
-        "asset": {"version": "2.0"}, "scenes": [{"nodes": [0, 1]}],
-        "nodes": [{"mesh": 0, "name": "solid"}, {"mesh": 1, "name": "line"}],
-        "accessors": [{"bufferView": 0, "componentType": 5126, "type": "VEC3", "count": 7}],
-        "bufferViews": [{"buffer": 0, "byteLength": 84},
-                        {"buffer": 0, "byteOffset": 84, "byteLength": 18}],
-        "buffers": [{"byteLength": len(data), "uri": "data:application/octet-stream;base64,"
-                     + base64.b64encode(data).decode()}],
-    }  # fmt: skip
+    nodes = [{"mesh": 0, "name": "solid"}, {"mesh": 1, "name": "line"}]
+    uri = "data:application/octet-stream;base64," + base64.b64encode(data).decode()
+    tree = gltf_of(7, nodes=nodes, scenes=[{"nodes": [0, 1]}])
+    tree["buffers"] = [{"byteLength": len(data), "uri": uri}]
+    tree["bufferViews"].append({"buffer": 0, "byteOffset": 84, "byteLength": 18})
     tree["meshes"] = [mesh(0, 3), mesh(3, 6)]
     (tmp_path / "a.gltf").write_text(json.dumps(tree))
     _, found = unpacked(tmp_path / "a.gltf", tmp_path / "out")
@@ -257,10 +251,14 @@ def test_labels_that_dont_fit_are_told(tmp_path: Path) -> None:
     bare = read_scene(path, "scan")
     assert [o.id for o in bare.objects] == ["room"] and bare.objects[0].static
     assert "pick objects out" in bare.problems[0].reason
-    boxes = [{"id": "a"}, {"id": "b", "center": [9, 9, 9], "size": [1, 1, 1]}, 7,
-             {"id": "c", "center": [1, 2, 0.5], "size": [1, float("nan"), 1]},
-             {"id": "d", "center": [1, 2, 0.5], "size": [2, 2, 2]},
-             {"id": "d", "center": [2.6, 0.1, 0.2], "size": [1, 1, 1]}]  # fmt: skip
+    rows = (
+        ("b", [9, 9, 9], [1, 1, 1]),
+        ("c", [1, 2, 0.5], [1, float("nan"), 1]),
+        ("d", [1, 2, 0.5], [2, 2, 2]),
+        ("d", [2.6, 0.1, 0.2], [1, 1, 1]),
+    )
+    boxes: list[Any] = [{"id": id, "center": center, "size": size} for id, center, size in rows]
+    boxes = [{"id": "a"}, boxes[0], 7, *boxes[1:]]
     (tmp_path / "room_boxes.json").write_text(json.dumps({"objects": boxes}))
     scene = read_scene(path)
     assert [o.id for o in scene.objects] == ["d", "background"]

@@ -1,7 +1,5 @@
 """Sim-Id and Sim-Us: objects found, and objects that work."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
@@ -89,18 +87,16 @@ def test_the_summary_tells_both(tmp_path: Path) -> None:
     rock = boxes(((0, 0, 0), (0.2, 0.2, 0.2)))
     stone = ArticulatedObject("stone", (Part("link_0", rock),), KinematicTree(("link_0",)))
     write_asset(stone, assets / "stone", provenance={})
+    pose = {"rotation": [0, 0, 0, 1], "scale_factor": [1, 1, 1]}
+    named = {"cabinet_1": "moving", "vase_1": "moving", "oven_1": "stone", "pot": "rock"}
     objects = [
-        {"instance": name, "retrieved_uid": uid, "position": [3 * i, 0, 0],
-         "rotation": [0, 0, 0, 1], "scale_factor": [1, 1, 1]}
-        for i, (name, uid) in enumerate(
-            [("cabinet_1", "moving"), ("vase_1", "moving"), ("oven_1", "stone"), ("pot", "rock")]
-        )
-    ]  # fmt: skip
+        {"instance": name, "retrieved_uid": uid, "position": [3 * i, 0, 0], **pose}
+        for i, (name, uid) in enumerate(named.items())
+    ]
     scene = made.write_scene(tmp_path / "layout.json", made.mesatask(objects))
     summary = convert(scene, assets, tmp_path / "out", "--predictor", "geometric")
-    assert summary["sim_id"] == {
-        "articulable": 2, "found": 1, "wrongly_found": 1, "unknown": 1, "share": 0.5,
-    }  # fmt: skip
+    right = {"articulable": 2, "found": 1, "wrongly_found": 1, "unknown": 1, "share": 0.5}
+    assert summary["sim_id"] == right
     # The cabinet's drawer and door are found by geometry; the vase was never tried.
     assert summary["sim_us"]["articulable"] == 2 and summary["sim_us"]["usable"] <= 1
     notes = {r["id"]: r["notes"] for r in summary["results"]}

@@ -1,7 +1,5 @@
 """What a scene tilts doesn't open under gravity in the written scene."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 
@@ -22,6 +20,7 @@ from model.scenes.jobs import ASSETS, MJCF, PREDICTED
 from model.scenes.results import Outcome, frictions, standing_urdf
 from model.scenes.scene import Decision, SceneObject
 from model.scenes.scene_xml import Stand, write_scene_mjcf, write_scene_sdf
+from tests.builders import slide
 from tests.model.scenes.scenes_made import cabinet_parts
 
 DRAWER = Joint("slide", "prismatic", "link_0", "drawer", (1, 0, 0), (0.3, 0, -0.2), 0.0, 0.4)
@@ -111,10 +110,7 @@ def test_a_tilted_cabinet_stays_shut_in_mujoco(written: tuple[ArticulatedObject,
 
 
 def test_what_follows_another_joint_is_read_too(tmp_path: Path) -> None:
-    follows = Joint(
-        "slide", "prismatic", "link_0", "drawer", (1, 0, 0), (0.3, 0, -0.2), 0.0, 0.4,
-        Mimic("swing", 0.25),
-    )  # fmt: skip
+    follows = slide("slide", "drawer", 0.4, origin=(0.3, 0, -0.2), mimic=Mimic("swing", 0.25))
     obj = cabinet(DOOR, follows)
     physics = physics_of(obj, PhysicsSettings(collision=None))
     UrdfExporter().export(obj, tmp_path, physics=physics)

@@ -1,7 +1,5 @@
 """Finders that ask a language model, against a real server that behaves well and badly."""
 
-from __future__ import annotations
-
 import json
 import threading
 from collections.abc import Iterator
@@ -165,9 +163,9 @@ def test_what_is_missing_is_asked_again_and_wrong_ids_are_nobodys(server: ChatSe
 
 
 def test_hostile_text_stays_text() -> None:
-    entry = {"id": 0, "articulable": True, "reason": "\u202e\x1b[31m" + "x" * 9999 + "\ud800",
-             "parts": ["door\n", 3, "y" * 999] * 50, "kind": "\x00", "base": "moon",
-             "confidence": 1e400}  # fmt: skip
+    entry = {"id": 0, "articulable": True, "reason": "\u202e\x1b[31m" + "x" * 9999 + "\ud800"}
+    entry |= {"parts": ["door\n", 3, "y" * 999] * 50, "kind": "\x00"}
+    entry |= {"base": "moon", "confidence": 1e400}
     decision = parse_answer(json.dumps({"objects": [entry, {**entry, "id": True}]}), 2)[0]
     assert len(decision.reason) <= 300 and decision.reason.isprintable()
     assert len(decision.parts) == 24 and decision.kind is None and decision.base is None
@@ -202,8 +200,8 @@ def test_from_the_command_line_with_its_cost(
     server: ChatServer, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     scene = made.write_scene(tmp_path / "layout.json", made.mesatask())
-    words = ["scene", "inspect", str(scene), "--finder", "openai:tiny", "--finder-url", server.url,
-             "--finder-cache", str(tmp_path / "cache"), "--price", "2,8"]  # fmt: skip
+    asked = f"--finder openai:tiny --finder-url {server.url} --finder-cache {tmp_path / 'cache'}"
+    words = ["scene", "inspect", str(scene), *asked.split(), "--price", "2,8"]
     assert main([*words, "--dry-run", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)["estimate"]
     assert told["requests"] == 1 and told["asked"] == 1 and not server.requests
@@ -225,8 +223,8 @@ def test_counting_the_questions_needs_no_key(
     for name in ("OPENAI_API_KEY", "OPENAI_BASE_URL"):
         monkeypatch.delenv(name, raising=False)
     scene = made.write_scene(tmp_path / "layout.json", made.mesatask())
-    words = ["scene", "convert", str(scene), "--finder", "openai:tiny", "--assets", str(tmp_path),
-             "--out", str(tmp_path / "out"), "--finder-cache", str(tmp_path / "cache")]  # fmt: skip
+    places = f"--assets {tmp_path} --out {tmp_path / 'out'} --finder-cache {tmp_path / 'cache'}"
+    words = ["scene", "convert", str(scene), "--finder", "openai:tiny", *places.split()]
     assert main([*words, "--dry-run", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["estimate"]["requests"] == 1 and told["finder"] == "openai:tiny"

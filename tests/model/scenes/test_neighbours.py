@@ -1,7 +1,5 @@
 """Limits that end at what stands around."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

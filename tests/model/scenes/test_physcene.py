@@ -1,7 +1,5 @@
 """PhyScene rooms made after its public code: read, converted in place, written back, refused."""
 
-from __future__ import annotations
-
 import json
 import math
 import re
@@ -51,11 +49,10 @@ def standing(v: np.ndarray, entry: dict[str, Any]) -> np.ndarray:
 def entry(scale: Any, theta: float, label: str, **more: Any) -> dict[str, Any]:
     centroid = np.array([0.11, 0.45, -0.07])
     position = np.array([1.5, 0.6, -2.25]) - centroid
-    return {
-        "path": "/data/models/raw_model.obj", "scale": scale, "size": [1, 1, 1], "label": label,
-        "query_label": label.lower(), "query_size": [1, 1, 1], "theta": theta,
-        "position": position.tolist(), "centroid": centroid.tolist(), **more,
-    }  # fmt: skip
+    pose = {"position": position.tolist(), "centroid": centroid.tolist(), "theta": theta}
+    file = {"path": "/data/models/raw_model.obj", "scale": scale, "size": [1, 1, 1]}
+    query = {"query_label": label.lower(), "query_size": [1, 1, 1]}
+    return {"label": label, **file, **query, **pose, **more}
 
 
 @pytest.fixture
@@ -144,16 +141,16 @@ def test_a_missing_model_is_told_and_no_other_stands_for_it(tmp_path: Path, asse
     assert index_assets([assets]).find("raw_model.obj") is None
 
 
+WARDROBE = {"label": "wardrobe", "position": [1.0, 0.9, -0.5], "scale": [0.6, 0.9, 0.3]}
+SOFA = {"label": "sofa", "position": [-1.0, 0.4, 0.5], "scale": [0.9, 0.4, 0.45]}
 BOXES = {
     "objects": [
-        {"label": "wardrobe", "position": [1.0, 0.9, -0.5], "scale": [0.6, 0.9, 0.3],
-         "theta": math.radians(30), "rot_degree": 30.0},
-        {"label": "sofa", "position": [-1.0, 0.4, 0.5], "scale": [0.9, 0.4, 0.45],
-         "theta": 0.0, "rot_degree": 0.0},
+        {**WARDROBE, "theta": math.radians(30), "rot_degree": 30.0},
+        {**SOFA, "theta": 0.0, "rot_degree": 0.0},
     ],
     "floor_center": [3.0, 0.0, 4.0],
     "door_box": [[2.0, 0.25, 1.0, 0.9, 0.9, 2.0, 0.0]],
-}  # fmt: skip
+}
 FLOOR = np.array([[1.0, 0, 2.5], [5.0, 0, 2.5], [5.0, 0, 5.5], [1.0, 0, 5.5]])
 """4 x 3 m about its middle (3, 0, 4)."""
 

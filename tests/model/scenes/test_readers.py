@@ -1,7 +1,5 @@
 """Every scene reader: one contract, and what broken scenes get told."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path
@@ -143,8 +141,8 @@ def test_ids_that_are_there_twice_stay_apart(tmp_path: Path) -> None:
 
 
 def test_what_a_scene_file_says_in_vain_is_told(tmp_path: Path) -> None:
-    objects = [{**made.own()["objects"][0], "id": f"c{i}", "position": [1000 * i, 400, 0],
-                "rotation": [0, 0, 90]} for i in range(4)]  # fmt: skip
+    first = {**made.own()["objects"][0], "rotation": [0, 0, 90]}
+    objects = [{**first, "id": f"c{i}", "position": [1000 * i, 400, 0]} for i in range(4)]
     path = made.write_scene(tmp_path / "s.json", {**made.own(objects), "units": "mm"})
     scene = read_scene(path)
     told = " ".join(p.text for p in scene.problems)
@@ -153,8 +151,8 @@ def test_what_a_scene_file_says_in_vain_is_told(tmp_path: Path) -> None:
     good = made.write_scene(tmp_path / "good.json", made.own())
     assert read_scene(good).problems == ()
     again = scene_to_json(scene, {"c0": {"state": "static", "base": "free", "held": "x"}})
-    assert not [p for p in read_scene(made.write_scene(tmp_path / "again.json", again)).problems
-                if "means nothing" in p.reason]  # fmt: skip
+    problems = read_scene(made.write_scene(tmp_path / "again.json", again)).problems
+    assert not [p for p in problems if "means nothing" in p.reason]
 
 
 @pytest.mark.parametrize("mirror", [[-1, -2, 1], [-1, 1, 1], [3, -1, 1], [1, 1, -2], [-1, -1, -1]])
@@ -182,8 +180,8 @@ def test_mirrors_are_kept_along_x_alone(mirror: list[float], tmp_path: Path) -> 
 
 
 def test_words_of_mesatask_are_centimetres(tmp_path: Path) -> None:
-    said = {"instance": "pot_1", "description": "a pot with a lid", "z_rotation": 90,
-            "size": [20, 30, 10], "position": [50, 60, 5]}  # fmt: skip
+    said = {"instance": "pot_1", "description": "a pot with a lid", "z_rotation": 90}
+    said |= {"size": [20, 30, 10], "position": [50, 60, 5]}
     layout = {"item_placement_zone": [0, 100, 0, 100], "objects": [said]}
     (obj,) = read_scene(made.write_scene(tmp_path / "out.json", layout)).objects
     assert np.allclose(obj.world_from_object[:3, 3], [0.5, 0.6, 0.05])
@@ -211,13 +209,12 @@ def test_floors_and_walls_of_a_house_are_solids_with_openings(tmp_path: Path) ->
         (0, 0, 0), (0, 0, 4), (2, 0, 4), (2, 0, 2), (5, 0, 2), (5, 0, 0)
     )
     wall = corners((0, 0, 0), (0, 2.5, 0), (0, 2.5, 4), (0, 0, 4))
-    house["walls"] = [
-        {"id": "a", "polygon": wall}, {"id": "a|exterior", "polygon": wall},
-        {"id": "b", "polygon": corners((0, 0, 4), (0, 2.5, 4), (2, 2.5, 4), (2, 0, 4))},
-        {"id": "open", "polygon": wall, "empty": True}, {"id": "bad", "polygon": wall[:3]},
-    ]  # fmt: skip
-    house["doors"] = [{"id": "d", "wall0": "a", "wall1": "b",
-                       "holePolygon": corners((0.5, 0, 0), (1.4, 2.1, 0))}]  # fmt: skip
+    other = corners((0, 0, 4), (0, 2.5, 4), (2, 2.5, 4), (2, 0, 4))
+    walls = {"a": wall, "a|exterior": wall, "b": other, "bad": wall[:3]}
+    house["walls"] = [{"id": id, "polygon": polygon} for id, polygon in walls.items()]
+    house["walls"].append({"id": "open", "polygon": wall, "empty": True})
+    hole = corners((0.5, 0, 0), (1.4, 2.1, 0))
+    house["doors"] = [{"id": "d", "wall0": "a", "wall1": "b", "holePolygon": hole}]
     scene = read_scene(made.write_scene(tmp_path / "house.json", house))
     assert [o.id for o in scene.objects] == ["cabinet-0 (kitchen)", "building"]
     assert [p.object for p in scene.problems] == ["bad"] and scene.objects[1].static

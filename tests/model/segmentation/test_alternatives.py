@@ -1,7 +1,5 @@
 """Which masks Tab offers."""
 
-from __future__ import annotations
-
 from itertools import combinations
 
 import numpy as np
@@ -40,7 +38,7 @@ def test_large_cells_count_more() -> None:
     assert offered(masks, np.zeros(2), span(0, 10), size) == [1]
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.integers(0, 10_000), st.integers(2, 9))
 def test_what_is_offered_covers_nearly_as_much_as_the_best_choice(seed: int, number: int) -> None:
     rng = np.random.default_rng(seed)

@@ -1,7 +1,5 @@
 """What nobody clicks goes with what it is fastened to: handles, hinges and drawers' trays."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np
@@ -82,8 +80,9 @@ def test_a_tray_that_is_said_to_be_the_base_stays() -> None:
     front = Region(1, np.flatnonzero(of == FRONT))
     assert set(session.segment(Prompts((front,))).labels[of == TRAY]) == {1}
     face = int(np.flatnonzero(of == TRAY)[0])
-    x, y, z = mesh.triangles[face].mean(0).tolist()
-    labels = session.segment(Prompts((front, Click((x, y, z), 0, True, face)))).labels
+    labels = session.segment(
+        Prompts((front, Click(mesh.triangles[face].mean(0), 0, True, face)))
+    ).labels
     assert set(labels[of == TRAY]) == {0}
 
 
@@ -111,8 +110,7 @@ def test_one_click_takes_each_part_of_the_bundled_cabinet(
         level = -0.24 if name == "drawer" else -0.232  # a door's panel is set back
         front = (labels == part) & (np.abs(center[:, 1] - level) < 5e-4)
         spot = int(np.flatnonzero(front)[0])
-        x, y, z = center[spot].tolist()
-        clicks.append(Click((x, y, z), part, True, spot))
+        clicks.append(Click(center[spot], part, True, spot))
     found = session.segment(Prompts(tuple(clicks))).labels
     assert sorted(set(parts.values())) == ["door", "drawer"]
     assert (found == labels).all()
@@ -133,11 +131,10 @@ def test_a_click_on_a_handle_takes_what_it_moves(
             continue  # no handle before a front
         spot = int(np.flatnonzero(own)[0])
         part = int(labels[spot])
-        x, y, z = center[spot].tolist()
-        prompts = Prompts((Click((x, y, z), part, True, spot),))
+        prompts = Prompts((Click(center[spot], part, True, spot),))
         assert (session.segment(prompts).labels == np.where(labels == part, part, 0)).all()
         assert any(mask.sum() <= 3 * own.sum() for mask in session.candidates(prompts, part))
-        shown = hover(session, (x, y, z), spot)
+        shown = hover(session, center[spot], spot)
         assert mesh.face_areas[shown].sum() > 10 * mesh.face_areas[own].sum()
         clicked.add(part)
     assert clicked == set(parts), "each has a handle"
@@ -180,8 +177,7 @@ def test_a_mesh_of_one_shell_has_no_attached_shells() -> None:
     triangles = subdivide(block((0, 0, 0), (1, 0.5, 0.3)), 3)
     session = DefaultSegmenter().encode(Asset("block", mesh_of(triangles)))
     assert len(propose_parts(session).labels) == len(triangles)
-    x, y, z = triangles[0].mean(0).tolist()
-    labels = session.segment(Prompts((Click((x, y, z), 1, True, 0),))).labels
+    labels = session.segment(Prompts((Click(triangles[0].mean(0), 1, True, 0),))).labels
     assert labels[0] == 1 and hover(session, triangles[0].mean(0), 0)[0]
 
 
@@ -195,9 +191,8 @@ def test_a_first_click_never_means_the_whole_object(
     center = session.asset.element_centers
     demo = json.loads((EXAMPLES / "cabinet.prompts.json").read_text())
     for click in demo["clicks"][::2]:
-        x, y, z = click["position"]
         face = int(np.linalg.norm(center - click["position"], axis=1).argmin())
-        answer = session.segment(Prompts((Click((x, y, z), 1, True, face),))).labels == 1
+        answer = session.segment(Prompts((Click(click["position"], 1, True, face),))).labels == 1
         assert answer[face]
         assert area[answer].sum() <= 0.9 * area.sum()
         shown = hover(session, center[face], face)

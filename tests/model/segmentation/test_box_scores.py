@@ -1,7 +1,5 @@
 """Boxes between planes: what they hold, how a click ranks them, and which ones clicks leave."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -137,8 +135,7 @@ def test_an_object_without_planes_has_no_boxes_and_is_answered() -> None:
     points = rng.normal(size=(3000, 3))
     points = (points / np.linalg.norm(points, axis=1, keepdims=True)).astype(np.float32)
     session = DefaultSegmenter().encode(Asset("ball", cloud=PointCloud(points)))
-    x, y, z = points[0].tolist()
-    assert (session.segment(Prompts((Click((x, y, z), 1, True, 0),))).labels == 1).any()
+    assert (session.segment(Prompts((Click(points[0], 1, True, 0),))).labels == 1).any()
 
 
 def test_training_measures_and_writes_what_the_segmenter_reads(tmp_path) -> None:

@@ -1,6 +1,6 @@
 """Boxes round clicked regions: a drawer is found with the tray behind its front."""
 
-from __future__ import annotations
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ from model.segmentation.mask_features import ClickContext
 from model.segmentation.plane_boxes import BoxGrid, main_directions
 from model.segmentation.proposals import CorrectiveClick, PartState, Proposals
 from model.segmentation.solver import PartSolver, object_solver, solver_of
-from tests.builders import blocks
+from tests.builders import blocks, spans
 
 DRAWER = 2
 """The middle one of three."""
@@ -25,16 +25,14 @@ DRAWER = 2
 
 def chest() -> tuple[Mesh, np.ndarray]:
     """A chest of three drawers, trays included, and the part of each face; 0 is the carcass."""
-    made = [((0, 0, 0), (0.02, 0.5, 0.6)), ((0.78, 0, 0), (0.8, 0.5, 0.6)),
-            ((0, 0.48, 0), (0.8, 0.5, 0.6)), ((0, 0, 0), (0.8, 0.5, 0.02)),
-            ((0, 0, 0.58), (0.8, 0.5, 0.6))]  # fmt: skip
+    made = spans(
+        "0 0 0 .02 .5 .6  .78 0 0 .8 .5 .6  0 .48 0 .8 .5 .6  0 0 0 .8 .5 .02  0 0 .58 .8 .5 .6"
+    )
+    tray = """.01 -.02 0 .79 0 .185  .03 0 .01 .77 .45 .02  .03 0 .01 .04 .45 .15
+        .76 0 .01 .77 .45 .15  .03 .44 .01 .77 .45 .15"""
     parts = [0] * len(made)
     for drawer, z in enumerate((0.02, 0.21, 0.40), start=1):
-        made += [((0.01, -0.02, z), (0.79, 0.0, z + 0.185)),
-                 ((0.03, 0, z + 0.01), (0.77, 0.45, z + 0.02)),
-                 ((0.03, 0, z + 0.01), (0.04, 0.45, z + 0.15)),
-                 ((0.76, 0, z + 0.01), (0.77, 0.45, z + 0.15)),
-                 ((0.03, 0.44, z + 0.01), (0.77, 0.45, z + 0.15))]  # fmt: skip
+        made += [(np.add(low, (0, 0, z)), np.add(high, (0, 0, z))) for low, high in spans(tray)]
         parts += [drawer] * 5
     mesh, of = blocks(*made)
     return mesh, np.array(parts)[of]
@@ -195,11 +193,12 @@ def test_what_was_clicked_before_tells_masks_apart(drawers) -> None:
     solver = object_solver(superpoints, hierarchy, walk, None, None)
     at = superpoints.center @ Rotation.from_euler("z", 0.4).as_matrix()
     across = at[:, 0]
-    left, right, edge = (
-        int(np.where((across > low) & (across < high),
-                     np.linalg.norm(at - [x, 0.25, 0.3], axis=1), 9).argmin())
-        for x, low, high in ((0.05, 0, 0.4), (0.75, 0.4, 0.8), (0.42, 0.4, 0.8))
-    )  # fmt: skip
+
+    def nearest(x: float, low: float, high: float) -> int:
+        far = np.linalg.norm(at - [x, 0.25, 0.3], axis=1)
+        return int(np.where((across > low) & (across < high), far, 9).argmin())
+
+    left, right, edge = nearest(0.05, 0, 0.4), nearest(0.75, 0.4, 0.8), nearest(0.42, 0.4, 0.8)
     meant, all_ = across < 0.4, across < 9
     without_edge = all_ & ~((across > 0.72) & (at[:, 2] > 0.2))
     without_edge[right] = False
@@ -216,12 +215,10 @@ def test_what_was_clicked_before_tells_masks_apart(drawers) -> None:
     other = feature(solver, np.stack([meant, all_]), missing, "change_other")
     assert -1 < other[0] < 0 and other[1] == 4
     # What an earlier click says stays, whatever the last one is.
-    second = ClickContext((left,), (right, edge), edge, False, all_ & ~(across > 0.72),
-                     corrections=(first, CorrectiveClick(right, False, all_)))  # fmt: skip
+    both, before = (first, CorrectiveClick(right, False, all_)), all_ & ~(across > 0.72)
+    second = ClickContext((left,), (right, edge), edge, False, before, corrections=both)
     worst = feature(solver, masks, second, "past_deepest_worst")
-    alone = feature(solver, masks, ClickContext((left,), (right, edge), edge, False,
-                                           all_ & ~(across > 0.72), corrections=(first,)),
-                    "past_deepest_worst")  # fmt: skip
+    alone = feature(solver, masks, replace(second, corrections=(first,)), "past_deepest_worst")
     assert all(w <= a + 1e-6 for w, a in zip(worst, alone, strict=True)) and worst != alone
 
 
@@ -265,7 +262,7 @@ def test_behind_a_front_a_box_ends_at_the_back(drawers) -> None:
     assert (depth > 0.02).all()
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.lists(st.floats(-3, 3), min_size=3, max_size=3))
 def test_main_directions_turn_with_the_object(angles) -> None:
     turn = Rotation.from_euler("xyz", angles).as_matrix()

@@ -1,7 +1,5 @@
 """The contract of :class:`Segmenter`, run against every registered one."""
 
-from __future__ import annotations
-
 import functools
 import tempfile
 from pathlib import Path
@@ -59,8 +57,7 @@ def sessions(labelled):
 
 
 def click(labelled, element: int, part: int, positive: bool = True) -> Click:
-    x, y, z = labelled.asset.element_centers[element]
-    return Click((float(x), float(y), float(z)), part, positive, int(element))
+    return Click(labelled.asset.element_centers[element], part, positive, int(element))
 
 
 def deepest(labelled, part: int) -> int:
@@ -164,11 +161,10 @@ class TestEverySegmenter:
     def test_tiny_clouds(self, name, count):
         points = np.random.default_rng(0).random((count, 3)).astype(np.float32)
         session = load(name).encode(Asset("tiny", cloud=PointCloud(points)))
-        x, y, z = points[0].tolist()
-        labels = session.segment(Prompts((Click((x, y, z), 1, True, 0),))).labels
+        labels = session.segment(Prompts((Click(points[0], 1, True, 0),))).labels
         assert labels[0] == 1
         labels = session.segment(
-            Prompts((Click((x, y, z), 1, True, 0), Click((x, y, z), 1, False, 0)))
+            Prompts((Click(points[0], 1, True, 0), Click(points[0], 1, False, 0)))
         ).labels
         assert labels[0] == 0
 

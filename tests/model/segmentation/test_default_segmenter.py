@@ -1,7 +1,5 @@
 """Quality and behaviour of the default segmenter on a cabinet with known parts."""
 
-from __future__ import annotations
-
 import json
 from copy import copy
 from dataclasses import replace
@@ -39,9 +37,23 @@ def session(cloud_session):
     return cloud_session
 
 
+def scorer(names, liked: str = "", weight: float = 0.0) -> Mlp:
+    """One that likes a feature alone, or nothing."""
+    weights = np.array([[weight * (name == liked) for name in names]], np.float32)
+    zero = np.zeros(len(names), np.float32)
+    return Mlp(names, zero, np.ones_like(zero), ((weights, np.zeros(1, np.float32)),))
+
+
+def first_liking(solver: PartSolver, liked: str = "", weight: float = 0.0) -> PartSolver:
+    return solver.with_first(scorer(solver.describe.names, liked, weight))
+
+
+def superpoint_at(encoding, *place: float) -> int:
+    return int(np.abs(encoding.superpoints.center - place).sum(1).argmin())
+
+
 def click_at(labelled, element: int, part: int, positive: bool = True) -> Click:
-    x, y, z = labelled.asset.element_centers[element]
-    return Click((float(x), float(y), float(z)), part, positive, int(element))
+    return Click(labelled.asset.element_centers[element], part, positive, int(element))
 
 
 def test_a_few_clicks_take_a_door(session, cloud_cabinet):
@@ -203,8 +215,7 @@ def test_one_click_takes_a_key_of_a_keyboard() -> None:
     for key in keys:
         truth = part == key
         face = deepest(asset.element_centers, truth)
-        x, y, z = asset.element_centers[face]
-        click = Click((float(x), float(y), float(z)), 1, True, int(face))
+        click = Click(asset.element_centers[face], 1, True, int(face))
         found.append(iou(session.segment(Prompts((click,))).labels == 1, truth))
     assert np.median(found) > 0.9
 
@@ -273,8 +284,7 @@ def test_tab_shows_masks_that_differ_and_whole_drawers(bundled) -> None:
         front = own & (np.abs(center[:, 1] + 0.24) < 1e-4)
         middle = np.median(center[front], axis=0) - (0.12, 0, 0)
         spot = int(np.where(front, np.linalg.norm(center - middle, axis=1), np.inf).argmin())
-        x, y, z = center[spot].tolist()
-        clicked = Prompts((Click((x, y, z), 1, True, spot),))
+        clicked = Prompts((Click(center[spot], 1, True, spot),))
         answer = session.segment(clicked).labels == 1
         assert answer[handle].all()
         shown = [answer, *session.candidates(clicked, 1)]
@@ -288,10 +298,9 @@ def test_the_last_door_is_as_good_as_the_first(bundled) -> None:
     """Clicks on other parts don't make a first click take all that is left."""
     session, labels, _truth = bundled
     center, area = session.asset.element_centers, session.asset.mesh.face_areas
-    spots = (
-        (-0.4201, -0.2324, 0.4439), (-0.0170, -0.2400, 0.5951), (-0.1106, -0.2400, 0.4426),
-        (-0.1107, -0.2400, 0.2302), (0.4350, -0.2320, 0.4240),
-    )  # fmt: skip
+    table = """-0.4201 -0.2324 0.4439   -0.0170 -0.2400 0.5951   -0.1106 -0.2400 0.4426
+        -0.1107 -0.2400 0.2302   0.4350 -0.2320 0.4240"""
+    spots = np.array(table.split(), float).reshape(-1, 3)
     clicks, met = [], set()
     for part, spot in enumerate(spots, 1):
         clicks.append(Click(spot, part))
@@ -305,66 +314,40 @@ def test_the_last_door_is_as_good_as_the_first(bundled) -> None:
 
 def test_a_first_click_leaves_something_of_what_others_left(session) -> None:
     """However large the scorer wants it: what nobody claims is the base that the part moves on."""
-    weight = np.array([[3.0 * (n == "log_size") for n in FEATURE_NAMES]], np.float32)
-    zero = np.zeros(len(FEATURE_NAMES), np.float32)
-    greedy = Mlp(FEATURE_NAMES, zero, np.ones_like(zero), ((weight, np.zeros(1, np.float32)),))
-    encoding = session.encoding
+    encoding, greedy = session.encoding, scorer(FEATURE_NAMES, "log_size", 3.0)
     solver = PartSolver(encoding.superpoints, encoding.hierarchy, encoding.walk, greedy, None)
     taken = encoding.superpoints.center[:, 0] < 0.5
     free = float(encoding.superpoints.size[~taken].sum())
-    for x, y, z in ((0.75, -0.02, 0.4), (0.99, 0.25, 0.4), (0.75, 0.25, 0.8)):
-        superpoint = int(np.abs(encoding.superpoints.center - (x, y, z)).sum(1).argmin())
-        best = solver.answer(PartState(), superpoint, True, taken).best
+    for place in ((0.75, -0.02, 0.4), (0.99, 0.25, 0.4), (0.75, 0.25, 0.8)):
+        best = solver.answer(PartState(), superpoint_at(encoding, *place), True, taken).best
         assert not best[taken].any()
         assert encoding.superpoints.size[best].sum() < 0.95 * free
 
 
 def test_a_first_click_on_a_mesh_seldom_means_most_of_it(mesh_session) -> None:
     """A scorer that hesitates between a shell and the whole gets the shell."""
-    encoding, solver = mesh_session.encoding, mesh_session.solver
-    names = solver.describe.names
-    weight = np.array([[0.5 * (n == "log_size") for n in names]], np.float32)
-    zero = np.zeros(len(names), np.float32)
-    solver = solver.with_first(
-        Mlp(names, zero, np.ones_like(zero), ((weight, np.zeros(1, np.float32)),))
-    )
-    door = int(np.abs(encoding.superpoints.center - (0.25, -0.02, 0.4)).sum(1).argmin())
+    encoding, solver = mesh_session.encoding, first_liking(mesh_session.solver, "log_size", 0.5)
+    size, door = encoding.superpoints.size, superpoint_at(encoding, 0.25, -0.02, 0.4)
     best = solver.answer(PartState(), door, True, None).best
-    assert (
-        best[door] and encoding.superpoints.size[best].sum() < 0.6 * encoding.superpoints.size.sum()
-    )
+    assert best[door] and size[best].sum() < 0.6 * size.sum()
 
 
 def test_a_first_click_beside_others_seldom_means_most_of_a_scan(session) -> None:
     """Alone it may: the base of a scan is asked for as well."""
-    encoding, solver = session.encoding, session.solver
-    names = solver.describe.names
-    weight = np.array([[1.0 * (n == "log_size") for n in names]], np.float32)
-    zero = np.zeros(len(names), np.float32)
-    solver = solver.with_first(
-        Mlp(names, zero, np.ones_like(zero), ((weight, np.zeros(1, np.float32)),))
-    )
-    size, center = encoding.superpoints.size, encoding.superpoints.center
-    door = int(np.abs(center - (0.25, -0.02, 0.4)).sum(1).argmin())
+    encoding, solver = session.encoding, first_liking(session.solver, "log_size", 1.0)
+    size, door = encoding.superpoints.size, superpoint_at(encoding, 0.25, -0.02, 0.4)
     alone = solver.answer(PartState(), door, True, None, moving=False).best
     assert size[alone].sum() > 0.7 * size.sum()
     taken = np.zeros(len(size), bool)
-    taken[np.abs(center - (0.9, 0.5, 0.1)).sum(1).argmin()] = True
+    taken[superpoint_at(encoding, 0.9, 0.5, 0.1)] = True
     best = solver.answer(PartState(), door, True, taken, moving=False).best
     assert best[door] and size[best].sum() < 0.6 * size.sum()
 
 
 def test_a_first_click_means_no_speck(session) -> None:
     """However much the scorer likes small masks: nobody clicks for a handful of points."""
-    encoding, solver = session.encoding, session.solver
-    names = solver.describe.names
-    weight = np.array([[-0.5 * (n == "log_size") for n in names]], np.float32)
-    zero = np.zeros(len(names), np.float32)
-    solver = solver.with_first(
-        Mlp(names, zero, np.ones_like(zero), ((weight, np.zeros(1, np.float32)),))
-    )
-    size = encoding.superpoints.size
-    door = int(np.abs(encoding.superpoints.center - (0.25, -0.02, 0.4)).sum(1).argmin())
+    encoding, solver = session.encoding, first_liking(session.solver, "log_size", -0.5)
+    size, door = encoding.superpoints.size, superpoint_at(encoding, 0.25, -0.02, 0.4)
     found = solver.answer(PartState(), door, True, None, moving=False)
     held = found.proposals.masks @ size
     assert held.min() < 16 < size[found.best].sum() < 0.1 * size.sum()
@@ -372,16 +355,12 @@ def test_a_first_click_means_no_speck(session) -> None:
 
 def test_of_equally_likely_masks_no_detail_is_meant(session) -> None:
     """But in a close-up, which is there for details, all but specks are equal."""
-    encoding, solver = session.encoding, session.solver
-    names = solver.describe.names
-    zero = np.zeros(len(names), np.float32)
-    same = Mlp(names, zero, np.ones_like(zero), ((zero[None], np.zeros(1, np.float32)),))
-    solver = solver.with_first(same)
+    encoding, solver = session.encoding, first_liking(session.solver)
     door = int(np.abs(encoding.nodes.points - (0.25, -0.02, 0.4)).sum(1).argmin())
     best = solver.answer(PartState(), int(encoding.superpoints.of_node[door]), True, None).best
     assert encoding.superpoints.size[best].sum() > 0.018 * encoding.superpoints.size.sum()
     neighborhood = session.refinement.around(door)
-    near = neighborhood.solver.with_first(same)
+    near = first_liking(neighborhood.solver)
     found = near.answer(PartState(), int(np.searchsorted(neighborhood.nodes, door)), True, None)
     held = found.proposals.masks.sum(1)
     assert held.min() < 10 <= found.best.sum()
@@ -391,10 +370,7 @@ def test_of_equally_likely_masks_no_detail_is_meant(session) -> None:
 @pytest.fixture
 def stubborn(session) -> PartSolver:
     """A solver whose scorer would rather keep the mask."""
-    weight = np.array([[2.0 * (n == "from_keep") for n in FEATURE_NAMES]], np.float32)
-    zero = np.zeros(len(FEATURE_NAMES), np.float32)
-    keeps = Mlp(FEATURE_NAMES, zero, np.ones_like(zero), ((weight, np.zeros(1, np.float32)),))
-    encoding = session.encoding
+    encoding, keeps = session.encoding, scorer(FEATURE_NAMES, "from_keep", 2.0)
     return PartSolver(encoding.superpoints, encoding.hierarchy, encoding.walk, None, keeps)
 
 
@@ -402,8 +378,7 @@ def test_clicks_in_vain_make_the_next_one_count(session, stubborn) -> None:
     """The scorer is heard at first, not for ever."""
     encoding, solver = session.encoding, stubborn
     everything = np.ones(len(encoding.superpoints), bool)
-    body = int(np.abs(encoding.superpoints.center - (0.0, 0.25, 0.4)).sum(1).argmin())
-    door = int(np.abs(encoding.superpoints.center - (0.25, -0.02, 0.4)).sum(1).argmin())
+    body, door = (superpoint_at(encoding, *p) for p in ((0.0, 0.25, 0.4), (0.25, -0.02, 0.4)))
     state = PartState((door,), tuple(range(8)), everything)
 
     def lost(state: PartState) -> float:
@@ -440,8 +415,7 @@ def test_a_mask_that_was_chosen_is_kept_by_the_next_click() -> None:
     door, known, rng = labels == 1, labels >= 0, np.random.default_rng(0)
 
     def click(index: int, positive: bool = True) -> Click:
-        x, y, z = points[index].tolist()
-        return Click((x, y, z), 1, positive, int(index))
+        return Click(points[index], 1, positive, int(index))
 
     after, refused = [], 0
     for _ in range(8):
@@ -452,8 +426,8 @@ def test_a_mask_that_was_chosen_is_kept_by_the_next_click() -> None:
         before = iou(best & known, door)
         if before < 0.4:
             continue
-        items += [Region(1, np.nonzero(first & ~best)[0], False),
-                  Region(1, np.nonzero(best & ~first)[0])]  # fmt: skip
+        items.append(Region(1, np.nonzero(first & ~best)[0], False))
+        items.append(Region(1, np.nonzero(best & ~first)[0]))
         found = next_click(points, door, best & known)
         assert found is not None
         items.append(click(*found))

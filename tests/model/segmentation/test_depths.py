@@ -1,7 +1,5 @@
 """The largest ball in a mask, and clicks that lie in the middle of something."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Faint lines on a flat front: flush doors and drawers are told apart."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -91,9 +89,10 @@ def best_overlap(encoding, masks, truth) -> float:
     return float((common / (masks @ encoding.superpoints.size + own.sum() - common)).max())
 
 
-@pytest.mark.parametrize(("part", "spot"), [
-    (1, (0.12, 0, 0.1)), (2, (1.0, 0, 0.2)), (3, (0.4, 0, 0.7)), (4, (0.7, 0, 0.4)),
-])  # fmt: skip
+SPOTS = [(0.12, 0, 0.1), (1.0, 0, 0.2), (0.4, 0, 0.7), (0.7, 0, 0.4)]
+
+
+@pytest.mark.parametrize(("part", "spot"), enumerate(SPOTS, start=1))
 def test_flush_panels_are_found_by_the_lines_between_them(fronts, panels, part, spot) -> None:
     encoding, labels = panels
     superpoint = cell_at(encoding, spot)
@@ -164,8 +163,7 @@ def click_on(asset: Asset, own: np.ndarray, spot, part: int = 1) -> Click:
     """A click for a part on that one of its ``own`` points (E,) that is nearest to a spot."""
     there = np.flatnonzero(own)
     index = int(there[np.abs(asset.element_centers[there] - spot).sum(1).argmin()])
-    x, y, z = asset.element_centers[index].tolist()
-    return Click((x, y, z), part, element=index)
+    return Click(asset.element_centers[index], part, element=index)
 
 
 @pytest.fixture(scope="module")
@@ -178,9 +176,7 @@ def oven():
     return bundled("oven_scan")
 
 
-@pytest.mark.parametrize("spot", [
-    (0.0, -0.32, 0.48), (0.1, -0.32, 0.6),
-])  # fmt: skip
+@pytest.mark.parametrize("spot", [(0.0, -0.32, 0.48), (0.1, -0.32, 0.6)])
 def test_a_door_is_taken_by_its_window(oven, spot) -> None:
     """The window's edges are lines too, and the door isn't much larger than the window."""
     asset, labels, session = oven
@@ -188,10 +184,11 @@ def test_a_door_is_taken_by_its_window(oven, spot) -> None:
     assert iou(taken, labels == 1) > 0.9
 
 
-@pytest.mark.parametrize("spot", [
-    (-0.16, -0.38, 0.53), (0.2, -0.38, 0.5), (-0.3, -0.38, 0.15), (0.33, -0.38, 0.29),
-    (-0.14, -0.38, 0.14), (0.25, -0.43, 0.37), (0.0, -0.43, 0.375),
-])  # fmt: skip
+BARS = """-.16 -.38 .53  .2 -.38 .5  -.3 -.38 .15  .33 -.38 .29  -.14 -.38 .14
+    .25 -.43 .37  .0 -.43 .375"""
+
+
+@pytest.mark.parametrize("spot", np.array(BARS.split(), float).reshape(-1, 3).tolist())
 def test_a_handle_neither_cuts_a_drawer_nor_is_clicked_alone(refrigerator, spot) -> None:
     """A bar before a drawer darkens it and hides a strip of it: above it, below it and on it, one
     click takes all of the drawer.
@@ -205,11 +202,16 @@ def test_a_handle_neither_cuts_a_drawer_nor_is_clicked_alone(refrigerator, spot)
         assert min(mask.sum() for mask in alone) < 0.1 * taken.sum(), "Tab has the handle"
 
 
-@pytest.mark.parametrize("name,part,spot", [
-    ("oven", 1, (-0.1, -0.36, 0.71)), ("oven", 1, (-0.07, -0.38, 0.73)),
-    ("refrigerator", 2, (0.039, -0.388, 1.419)), ("refrigerator", 2, (0.041, -0.407, 0.97)),
-    ("refrigerator", 1, (-0.066, -0.419, 0.976)),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("name", "part", "spot"),
+    [
+        ("oven", 1, (-0.1, -0.36, 0.71)),
+        ("oven", 1, (-0.07, -0.38, 0.73)),
+        ("refrigerator", 2, (0.039, -0.388, 1.419)),
+        ("refrigerator", 2, (0.041, -0.407, 0.97)),
+        ("refrigerator", 1, (-0.066, -0.419, 0.976)),
+    ],
+)
 def test_a_bar_is_clicked_on_any_of_its_sides(request, name, part, spot) -> None:
     """Its top, its underside and its edges don't face as the door behind it does."""
     asset, labels, session = request.getfixturevalue(name)

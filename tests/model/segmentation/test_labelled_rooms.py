@@ -1,7 +1,5 @@
 """Labelled rooms for the benchmark: a PLY with its labels beside it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Small parts are answered on the nodes themselves."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -37,8 +35,7 @@ def remote() -> Remote:
 
 
 def click(points: np.ndarray, index: int, part: int, positive: bool = True) -> Click:
-    x, y, z = points[index].tolist()
-    return Click((x, y, z), part, positive, index)
+    return Click(points[index], part, positive, index)
 
 
 def played(
@@ -108,8 +105,8 @@ def test_undo_gives_what_was_there(remote: Remote) -> None:
     session, points, labels = remote
     first = click(points, deepest(points, labels == 6), 1)
     second = click(points, deepest(points, labels == 7), 2)
-    border = np.flatnonzero((labels == 0) & (np.linalg.norm(points - points[first.element], axis=1)
-                                             < 1.3 * RADIUS))  # fmt: skip
+    away = np.linalg.norm(points - points[first.element], axis=1)
+    border = np.flatnonzero((labels == 0) & (away < 1.3 * RADIUS))
     third = click(points, int(border[0]), 1)
     one = session.segment(Prompts((first, second))).labels
     two = session.segment(Prompts((first, second, third))).labels

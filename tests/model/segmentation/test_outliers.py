@@ -1,7 +1,5 @@
 """Points in the air, as depth cameras leave them: no surface, and no click on one is about more."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -39,8 +37,7 @@ def session(scan):
 
 
 def click(place, part: int = 1, positive: bool = True, element: int | None = None) -> Click:
-    x, y, z = (float(v) for v in place)
-    return Click((x, y, z), part, positive, element)
+    return Click(place, part, positive, element)
 
 
 def test_points_in_the_air_are_no_nodes(scan) -> None:

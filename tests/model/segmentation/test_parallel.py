@@ -1,7 +1,5 @@
 """Two threads give the answers of one."""
 
-from __future__ import annotations
-
 import time
 
 import pytest

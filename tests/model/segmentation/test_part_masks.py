@@ -1,7 +1,5 @@
 """Which masks are proposed as parts before any click."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

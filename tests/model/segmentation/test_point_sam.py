@@ -1,7 +1,5 @@
 """Point-SAM's adapter with random weights: it honours the protocol, and loads strictly."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -36,24 +34,17 @@ def weights(tmp_path_factory):
 def test_the_names_are_those_of_the_published_checkpoint():
     """A few of each module, as the published code names them."""
     names = set(PointSamNetwork(SMALL).state_dict())
-    assert {
-        "pc_encoder.patch_embed.patch_encoder.conv1.3.weight",
-        "pc_encoder.patch_proj.bias",
-        "pc_encoder.pos_embed.2.weight",
-        "pc_encoder.transformer.blocks.1.attn.k_proj.weight",
-        "pc_encoder.transformer.blocks.1.mlp.fc1_g.weight",
-        "pc_encoder.transformer.fc_norm.weight",
-        "pc_encoder.out_proj.weight",
-        "point_encoder.pe_layer.positional_encoding_gaussian_matrix",
-        "point_encoder.point_embeddings.1.weight",
-        "mask_encoder.patch_encoder.conv2.3.bias",
-        "mask_encoder.no_mask_embed.weight",
-        "mask_decoder.transformer.layers.1.cross_attn_image_to_token.out_proj.weight",
-        "mask_decoder.transformer.norm_final_attn.weight",
-        "mask_decoder.output_hypernetworks_mlps.3.layers.2.weight",
-        "mask_decoder.output_upscaling.3.weight",
-        "mask_decoder.iou_prediction_head.layers.2.bias",
-    } <= names
+    encoder = """patch_embed.patch_encoder.conv1.3.weight patch_proj.bias pos_embed.2.weight
+        transformer.blocks.1.attn.k_proj.weight transformer.blocks.1.mlp.fc1_g.weight
+        transformer.fc_norm.weight out_proj.weight"""
+    prompts = """point_encoder.pe_layer.positional_encoding_gaussian_matrix
+        point_encoder.point_embeddings.1.weight mask_encoder.patch_encoder.conv2.3.bias
+        mask_encoder.no_mask_embed.weight"""
+    decoder = """transformer.layers.1.cross_attn_image_to_token.out_proj.weight
+        transformer.norm_final_attn.weight output_hypernetworks_mlps.3.layers.2.weight
+        output_upscaling.3.weight iou_prediction_head.layers.2.bias"""
+    assert {f"pc_encoder.{name}" for name in encoder.split()} | {*prompts.split()} <= names
+    assert {f"mask_decoder.{name}" for name in decoder.split()} <= names
     assert "pc_encoder.transformer.blocks.0.attn.k_proj.bias" not in names
 
 
@@ -62,8 +53,7 @@ def test_prompts_are_honoured_and_undo_is_exact(weights, cloud_cabinet):
     centers = cloud_cabinet.asset.element_centers
     clicks = []
     for part, element, positive in ((1, 900, True), (2, 15_000, True), (1, 4000, False)):
-        x, y, z = map(float, centers[element])
-        clicks.append(Click((x, y, z), part, positive, element))
+        clicks.append(Click(centers[element], part, positive, element))
     answers = [session.segment(Prompts(tuple(clicks[:k]))).labels for k in range(4)]
     assert not answers[0].any()
     assert answers[2][900] == 1 and answers[2][15_000] == 2

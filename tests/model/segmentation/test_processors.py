@@ -1,7 +1,5 @@
 """The same clicks give the same masks on every processor."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os
@@ -47,11 +45,8 @@ def answers() -> tuple[list[float], list[str]]:
 @pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="names kernels of x86")
 def test_a_click_means_the_same_mask_on_another_processor() -> None:
     code = f"import json; from {__name__} import answers; print(json.dumps(answers()))"
-    done = subprocess.run(
-        [sys.executable, "-c", code], env={**os.environ, **OTHER}, capture_output=True, text=True,
-        check=True,
-    )  # fmt: skip
-    scores, digests = json.loads(done.stdout)
+    command, env = [sys.executable, "-c", code], {**os.environ, **OTHER}
+    scores, digests = json.loads(subprocess.check_output(command, env=env, text=True))
     own_scores, own_digests = answers()
     assert scores == pytest.approx(own_scores, abs=ROUNDED)
     assert digests == own_digests

@@ -1,7 +1,5 @@
 """Prompts and labels: what they take, and the keys that recorded answers carry."""
 
-from __future__ import annotations
-
 import hashlib
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Objects picked out of whole rooms by clicks."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -92,8 +90,8 @@ def test_few_clicks_pick_an_object_and_more_do_not_lose_it(
 
 
 def test_scorers_of_rooms_can_be_trained_again(tmp_path) -> None:
-    config = ClickTraining(rooms=1, room_objects=2, held_out=2, first_clicks=2, clicks=3,
-                           networks=2, room_seed=SEED)  # fmt: skip
+    few = {"held_out": 2, "first_clicks": 2, "clicks": 3, "networks": 2}
+    config = ClickTraining(rooms=1, room_objects=2, room_seed=SEED, **few)
     scores = train_room_scorers(config, tmp_path)
     assert 0 < scores["first_iou"] <= scores["first_best_possible"] <= 1
     first, later = read_scorers(tmp_path, "room")

@@ -1,7 +1,5 @@
 """Plug-ins load through the same table as the built-in segmenters."""
 
-from __future__ import annotations
-
 import pytest
 
 from model.core.errors import ConfigurationError

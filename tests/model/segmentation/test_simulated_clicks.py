@@ -1,7 +1,5 @@
 """The click protocol, the benchmark and the training pieces."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np
@@ -119,17 +117,8 @@ def test_area_under_curve_of_a_perfect_and_a_blind_score():
 
 
 def test_bench_on_procedural_objects(tmp_path):
-    report = run(
-        BenchConfig(
-            sets=("procedural",),
-            segmenters=("nearest",),
-            limit=2,
-            points=4000,
-            parts=2,
-            cap=4,
-            json_path=tmp_path / "r.json",
-        )
-    )
+    few = {"limit": 2, "points": 4000, "parts": 2, "cap": 4, "json_path": tmp_path / "r.json"}
+    report = run(BenchConfig(sets=("procedural",), segmenters=("nearest",), **few))
     summary = report.rows[0].summary()
     assert summary["objects"] == 2 and summary["parts"] == 4
     assert 0 < summary["IoU@1"] <= 1 and 1 <= summary["NoC@80"] <= 20
@@ -163,11 +152,8 @@ def test_bench_says_what_is_offered_without_and_after_one_click():
 
 
 def test_bench_on_real_objects(shared_data):
-    report = run(
-        BenchConfig(
-            data=shared_data, sets=("partnet-mesh",), segmenters=("nearest",), limit=1, cap=2
-        )
-    )
+    few = {"limit": 1, "cap": 2, "data": shared_data}
+    report = run(BenchConfig(sets=("partnet-mesh",), segmenters=("nearest",), **few))
     assert report.rows[0].summary()["parts"] >= 2
 
 
@@ -176,16 +162,8 @@ def test_bench_on_objects_of_ones_own(tmp_path, capsys):
     generate(GenerateSettings(tmp_path, ("Safe", "Refrigerator"), n=1))
     (tmp_path / "broken").mkdir()
     (tmp_path / "broken" / "broken.urdf").write_text("<robot")
-    config = BenchConfig(
-        data=tmp_path,
-        sets=("urdf-mesh", "urdf-scan"),
-        segmenters=("nearest",),
-        limit=0,
-        points=5000,
-        parts=3,
-        cap=3,
-    )
-    report = run(config)
+    few = {"limit": 0, "points": 5000, "parts": 3, "cap": 3, "data": tmp_path}
+    report = run(BenchConfig(sets=("urdf-mesh", "urdf-scan"), segmenters=("nearest",), **few))
     for row in report.rows:
         assert row.objects == len(row.seen) == 2
         assert 0 < row.summary()["IoU@1"] <= 1 and 0 < row.summary()["seen all@3"] <= 1
@@ -238,8 +216,8 @@ def test_strays_are_neither_clicked_nor_counted():
 
 
 def test_the_scorers_can_be_trained_again(tmp_path):
-    config = ClickTraining(2, 1, 1, held_out=3, parts=2, first_clicks=2, clicks=3, mesh_share=1.0,
-                           networks=2)  # fmt: skip
+    few = {"held_out": 3, "parts": 2, "first_clicks": 2, "clicks": 3, "networks": 2}
+    config = ClickTraining(2, 1, 1, mesh_share=1.0, **few)
     scores = train_scorers(config, tmp_path)
     assert 0 < scores["first_iou"] <= scores["first_best_possible"] <= 1
     first, later = read_scorers(tmp_path)

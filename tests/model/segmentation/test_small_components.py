@@ -1,7 +1,5 @@
 """On scans small pieces in front of one part go with it unless a prompt says otherwise."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -29,8 +27,7 @@ def click(points: np.ndarray, where: np.ndarray, part: int, positive: bool = Tru
     """On the point in the middle of ``where``."""
     middle = np.median(points[where], axis=0)
     index = int(np.flatnonzero(where)[np.linalg.norm(points[where] - middle, axis=1).argmin()])
-    x, y, z = points[index].tolist()
-    return Click((x, y, z), part, positive, index)
+    return Click(points[index], part, positive, index)
 
 
 def test_a_handle_goes_with_the_door_behind_it(oven: Oven) -> None:

@@ -1,7 +1,5 @@
 """Masks by other means than clicks."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import trimesh

@@ -1,7 +1,5 @@
 """Trees in plain numpy answer as those that grew them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What accepted objects say about the joints of others, and when it takes over."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
@@ -39,10 +37,8 @@ def flap(source: str, axis: list[float], arm: list[float], upper: float = 1.5) -
 
 def candidates(name: str | None = "Flap 2") -> Motions:
     """A hinge at either side, one along the front, and a drawer."""
-    return Motions(
-        name, np.array([X, X, Y, Y]), np.array([[0, -1, 0], [0, 1, 0], [1, 0, 0], [0, 0, 0]]),
-        np.array([True, True, True, False]),
-    )  # fmt: skip
+    origins = np.array([[0, -1, 0], [0, 1, 0], [1, 0, 0], [0, 0, 0]])
+    return Motions(name, np.array([X, X, Y, Y]), origins, np.arange(4) < 3)
 
 
 def test_accepted_parts_of_the_same_name_tell_motion_type_parent_and_range() -> None:

@@ -1,7 +1,5 @@
 """The paper-size model's training: what is drawn, slices, weights that predict, clear mistakes."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import sys
@@ -37,19 +35,9 @@ from model.training.arti4urdf.samples import training_families, write_dataset  #
 from tests.app.run_cli import artiworld, assert_users_mistake  # noqa: E402
 from tests.model.prediction.arti4urdf.tiny_qwen3 import write_tiny_qwen3  # noqa: E402
 
-SMALL = FullConfig(
-    samples=6,
-    steps=4,
-    batch=2,
-    learning_rate=3e-3,
-    warmup=1,
-    longest=6000,
-    points=64,
-    groups=8,
-    neighbours=4,
-    every=2,
-    validation=1,
-)
+SIZES = {"longest": 6000, "points": 64, "groups": 8, "neighbours": 4, "batch": 2}
+STEPS = {"steps": 4, "warmup": 1, "every": 2, "validation": 1}
+SMALL = FullConfig(samples=6, learning_rate=3e-3, **SIZES, **STEPS)
 
 
 @pytest.fixture(scope="module")
@@ -90,10 +78,9 @@ def words(weights, out: Path, *more: object) -> list[object]:
     settings = dataclasses.asdict(SMALL)
     names = set(settings) - {"size", "samples", "steps", "seed", "held_out", "test_share"}
     said = [w for n in sorted(names) for w in ("--set", f"{n}={json.dumps(settings[n])}")]
-    return [
-        "train", "--preset", "qwen3", "--point-encoder", weights[0], "--language-model", weights[1],
-        "--out", out, "--samples", SMALL.samples, "--steps", SMALL.steps, "--jobs", 1, *said, *more,
-    ]  # fmt: skip
+    options = {"--preset": "qwen3", "--point-encoder": weights[0], "--language-model": weights[1]}
+    options |= {"--out": out, "--samples": SMALL.samples, "--steps": SMALL.steps, "--jobs": 1}
+    return ["train", *(w for option in options.items() for w in option), *said, *more]
 
 
 def test_slices_from_the_command_line_equal_one_run_and_predict(weights, tmp_path):
@@ -288,11 +275,9 @@ def write_physxnet_box(root: Path, lid: list[object] | None = None) -> None:
         made.apply_translation((0, up, 0))
         made.export(meshes / f"{label}.obj")
     lid = lid or [[1], "0", [1, 0, 0, 0, 0.27, -0.5, 0, 0.5], "C"]
-    said = {
-        "object_name": "box", "category": "Box", "dimension": "40*20*40",
-        "parts": [{"label": 0, "name": "body"}, {"label": 1, "name": "lid"}],
-        "group_info": {"0": [0], "1": lid},
-    }  # fmt: skip
+    parts = [{"label": 0, "name": "body"}, {"label": 1, "name": "lid"}]
+    said = {"object_name": "box", "category": "Box", "dimension": "40*20*40"}
+    said |= {"parts": parts, "group_info": {"0": [0], "1": lid}}
     (root / "finaljson" / "box.json").write_text(json.dumps(said))
 
 
@@ -301,18 +286,15 @@ def test_mistakes_are_named(weights, tmp_path, monkeypatch):
     with pytest.raises(InputFileError, match=r"unlike Qwen3-8B.*--preset qwen3 for this one"):
         check_size(full_presets()["paper"], weights[1])
     config = json.loads((weights[1] / "config.json").read_text())
-    config |= {
-        "hidden_size": 1024, "intermediate_size": 3072, "num_hidden_layers": 28,
-        "num_attention_heads": 16, "num_key_value_heads": 8, "head_dim": 128,
-    }  # fmt: skip
+    config |= {"hidden_size": 1024, "intermediate_size": 3072, "num_hidden_layers": 28}
+    config |= {"num_attention_heads": 16, "num_key_value_heads": 8, "head_dim": 128}
     (tmp_path / "config.json").write_text(json.dumps(config))
     with pytest.raises(InputFileError, match=r"--preset qwen3-0\.6b for this one"):
         check_size(full_presets()["paper"], tmp_path)
     check_size(full_presets()["qwen3-0.6b"], tmp_path)
-    for setting, words_ in (
-        ("epochs", "write NAME=VALUE"), ("speed=1", "names are"), ("epochs=two", "Expecting"),
-        ("epochs=2.5", "a whole number"), ("batch=0", "1 or more"), ("nameless=2", "0..1"),
-    ):  # fmt: skip
+    wrong = {"epochs": "write NAME=VALUE", "speed=1": "names are", "epochs=two": "Expecting"}
+    wrong |= {"epochs=2.5": "a whole number", "batch=0": "1 or more", "nameless=2": "0..1"}
+    for setting, words_ in wrong.items():
         with pytest.raises(ConfigurationError, match=words_):
             with_settings(SMALL, [setting])
     monkeypatch.setitem(sys.modules, "accelerate", None)

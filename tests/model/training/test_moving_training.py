@@ -1,7 +1,5 @@
 """What the scorers of clicks on moving parts learn from."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -91,10 +89,9 @@ def test_sessions_are_clicks_on_what_is_still_wrong() -> None:
 
 
 def test_the_scorer_of_later_clicks_is_fitted_measured_and_written(tmp_path) -> None:
-    config = CorrectiveClickTraining(
-        ((200_000, 200_004, 1),), replace(SMALL, camera=0.0, mesh=0.0), held_out=2, networks=1,
-        workers=1,
-    )  # fmt: skip
+    few = {"held_out": 2, "networks": 1, "workers": 1}
+    small = replace(SMALL, camera=0.0, mesh=0.0)
+    config = CorrectiveClickTraining(((200_000, 200_004, 1),), small, **few)
     scores = train_corrective(config, tmp_path)
     assert 0 <= scores["mending_iou"] <= scores["mending_best_possible"] <= 1
     scorer = load_scorer(tmp_path / MOVING_SCORERS[1], MOVING_FEATURE_NAMES)

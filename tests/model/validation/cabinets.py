@@ -1,7 +1,5 @@
 """A cabinet with a door and a drawer that move as they should, and ways to spoil it."""
 
-from __future__ import annotations
-
 import trimesh
 
 from model.core.articulated_object import ArticulatedObject, Part

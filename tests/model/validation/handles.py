@@ -1,7 +1,5 @@
 """Bar handles for the cabinet of :mod:`tests.model.validation.cabinets`."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

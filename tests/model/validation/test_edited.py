@@ -1,7 +1,5 @@
 """Judging again after one joint was edited: as from scratch, without doing all of it again."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -47,9 +45,8 @@ def said(obj: ArticulatedObject, store: Path) -> Any:
 
 def forget() -> None:
     """As in a process that has judged nothing yet; what is known of parts goes with them."""
-    caches: tuple[LruCache[Any, Any], ...] = (
-        build.recent_objects, build.recent_parts, narrow_phase.recent_depths, physics.recent_drives,
-    )  # fmt: skip
+    caches: list[LruCache[Any, Any]] = [build.recent_objects, build.recent_parts]
+    caches += [narrow_phase.recent_depths, physics.recent_drives]
     for cache in caches:
         cache.clear()
 

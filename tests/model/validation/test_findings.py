@@ -1,7 +1,5 @@
 """Objects that are known to be good or bad get exactly the findings that they should."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace
@@ -16,7 +14,7 @@ from model.core.joint import Joint
 from model.core.progress import Cancelled
 from model.validation.report import Severity
 from model.validation.runner import validate
-from tests.builders import box, linked, part, slide, two
+from tests.builders import box, linked, part, slide, spans, two
 from tests.model.validation.cabinets import DOOR, DRAWER, W, cabinet
 
 
@@ -164,15 +162,10 @@ def test_what_leaves_level_or_downwards_is_not_lifted(front, axis, said):
 
 def kettle(rim: float) -> ArticulatedObject:
     """A pot with a lid that reaches ``rim`` metres into it, and goes up by 0.05."""
-    pot = part(
-        "link_0", box([0, 0, 0], [0.3, 0.3, 0.01]), box([0, 0, 0], [0.01, 0.3, 0.2]),
-        box([0.29, 0, 0], [0.3, 0.3, 0.2]), box([0, 0, 0], [0.3, 0.01, 0.2]),
-        box([0, 0.29, 0], [0.3, 0.3, 0.2]),
-    )  # fmt: skip
-    lid = part(
-        "link_1", box([0, 0, 0.2], [0.3, 0.3, 0.21]),
-        box([0.011, 0.011, 0.2 - rim], [0.289, 0.289, 0.2]), name="lid",
-    )  # fmt: skip
+    walls = "0 0 0 .3 .3 .01  0 0 0 .01 .3 .2  .29 0 0 .3 .3 .2  0 0 0 .3 .01 .2  0 .29 0 .3 .3 .2"
+    pot = part("link_0", *(box(*span) for span in spans(walls)))
+    edge = box([0.011, 0.011, 0.2 - rim], [0.289, 0.289, 0.2])
+    lid = part("link_1", box([0, 0, 0.2], [0.3, 0.3, 0.21]), edge, name="lid")
     return two(Joint("j", "prismatic", "link_0", "link_1", lower=0, upper=0.05), pot, lid)
 
 
@@ -203,10 +196,8 @@ def test_a_part_of_a_fixed_joint_that_floats_is_told_too():
 
 
 def test_a_part_that_is_wedged_in_is_jammed():
-    walls = part(
-        "link_0", box([0, 0, 0], [0.1, 0.5, 0.5]), box([0.4, 0, 0], [0.5, 0.5, 0.5]),
-        box([0, 0, -0.1], [0.5, 0.5, 0]),
-    )  # fmt: skip
+    solids = spans("0 0 0 .1 .5 .5  .4 0 0 .5 .5 .5  0 0 -.1 .5 .5 0")
+    walls = part("link_0", *(box(*span) for span in solids))
     plug = part("link_1", box([0.1, 0.1, 0], [0.4, 0.4, 0.3]))
     joint = Joint("j", "prismatic", "link_0", "link_1", (1, 0, 0), lower=-0.2, upper=0.2)
     found = judge(two(joint, walls, plug)).of("j")
@@ -240,8 +231,9 @@ def test_empty_parts_and_an_object_of_nothing_else_get_a_verdict():
     obj = cabinet()
     report = judge(replace(obj, parts=(Part("link_0", nothing), *obj.parts[1:])))
     assert {j.severity for j in report.joints} == {Severity.ERROR}
-    report = judge(two(Joint("j", "continuous", "link_0", "link_1"), Part("link_0", nothing),
-                       Part("link_1", cloud=PointCloud(np.zeros((0, 3), np.float32)))))  # fmt: skip
+    empty = Part("link_1", cloud=PointCloud(np.zeros((0, 3), np.float32)))
+    joint = Joint("j", "continuous", "link_0", "link_1")
+    report = judge(two(joint, Part("link_0", nothing), empty))
     assert report.of("j").severity == Severity.ERROR
 
 

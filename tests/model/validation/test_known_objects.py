@@ -1,7 +1,5 @@
 """Ground truth passes: bundled examples of each kind of joint have no error."""
 
-from __future__ import annotations
-
 import pytest
 
 from model.validation.report import Severity

@@ -1,7 +1,5 @@
 """Joints that the predictor itself doesn't believe."""
 
-from __future__ import annotations
-
 from model.core.joint import Joint
 from model.core.tree import KinematicTree
 from model.validation.examine import with_low_confidence

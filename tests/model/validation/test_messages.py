@@ -1,7 +1,5 @@
 """Every message of validation renders with sample values."""
 
-from __future__ import annotations
-
 from string import Formatter
 
 import pytest
@@ -9,15 +7,13 @@ import pytest
 from model.core.joint import Joint
 from model.validation import messages
 
-SAMPLES = {
-    "at": "104°", "by": " by 3 mm", "cause": ", pushed by the collision shapes of door 1",
-    "command": "pip install 'artiworld[physics]'", "depth": "121 mm", "driven": "drawer 2 is",
-    "engine": "MuJoCo", "error": "XML Error: mesh", "first": "door 1", "free": "0° to 90°",
-    "gap": "290 mm", "name": "dor",
-    "how": "becomes unstable", "message": "The part is a single point.", "nearest": "base",
-    "other": "carcass 0", "part": "base", "percent": "35", "range": "0° to 485.8°", "ratio": "1.3",
-    "second": "drawer 2", "support": "carcass 0", "turns": "1.3", "value": "3 mm",
-}  # fmt: skip
+TABLE = """at=104°|by= by 3 mm|cause=, pushed by the collision shapes of door 1
+command=pip install 'artiworld[physics]'|depth=121 mm|driven=drawer 2 is
+engine=MuJoCo|error=XML Error: mesh|first=door 1|free=0° to 90°|gap=290 mm|name=dor
+how=becomes unstable|message=The part is a single point.|nearest=base
+other=carcass 0|part=base|percent=35|range=0° to 485.8°|ratio=1.3
+second=drawer 2|support=carcass 0|turns=1.3|value=3 mm"""
+SAMPLES = dict(entry.split("=", 1) for entry in TABLE.replace("\n", "|").split("|"))
 TEMPLATES = {k: v for k, v in vars(messages).items() if k.isupper() and isinstance(v, str)}
 
 

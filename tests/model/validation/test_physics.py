@@ -1,7 +1,5 @@
 """Joints driven in MuJoCo."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

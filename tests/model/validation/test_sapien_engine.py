@@ -1,7 +1,5 @@
 """Joints driven in SAPIEN (PhysX on the CPU), beside MuJoCo."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -61,7 +61,7 @@ def test_bad_text_becomes_problems(text: str) -> None:
     assert all("/tmp" not in p for p in problems)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.text(max_size=200), st.integers(0, 10**6))
 def test_damaged_answers_never_raise(noise: str, seed: int) -> None:
     obj = make("Lighter", 3, 1).object

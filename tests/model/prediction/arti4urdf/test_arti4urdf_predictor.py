@@ -68,8 +68,12 @@ def test_the_network_computes_on_one_thread_unless_the_person_says_otherwise(
     for name, value in environment.items():
         monkeypatch.setenv(name, value)
     seen = []
-    monkeypatch.setattr(decoding, "token_tensors", lambda *how: seen.append(
-        torch.get_num_threads()) or token_tensors(*how))  # fmt: skip
+
+    def look(*how):
+        seen.append(torch.get_num_threads())
+        return token_tensors(*how)
+
+    monkeypatch.setattr(decoding, "token_tensors", look)
     before = torch.get_num_threads()
     torch.set_num_threads(3)
     try:

@@ -1,7 +1,5 @@
 """The paper-size model on tiny random weights: loading, a training step, saving, generation."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from pathlib import Path

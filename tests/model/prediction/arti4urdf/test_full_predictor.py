@@ -1,7 +1,5 @@
 """The paper-size model as a predictor, on tiny random weights."""
 
-from __future__ import annotations
-
 import dataclasses
 import sys
 from pathlib import Path
@@ -126,15 +124,17 @@ def test_an_answer_becomes_a_prediction(reader):
     assert kept.joint("link_1") == locked and kept.confidence["link_1"] == 1.0
 
 
+ALONE = KinematicTree(("link_0",))
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
         ("", "no block between <urdf_start>"),
         ("<urdf_start><robot><urdf_end>", "not well-formed"),
-        (write_answer(KinematicTree(("link_0",)), SegmentedObject("x", chest().parts[:1])),
-         "part 'link_1' has no link"),
+        (write_answer(ALONE, SegmentedObject("x", chest().parts[:1])), "part 'link_1' has no link"),
     ],
-)  # fmt: skip
+)
 def test_bad_answers_are_problems(reader, text, words):
     answer = FullPredictor(reader, Parrot(text, complete=False), "tiny").predict(chest())
     assert answer.tree is None

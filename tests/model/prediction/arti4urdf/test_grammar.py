@@ -56,7 +56,7 @@ def test_ten_thousand_random_answers_are_trees() -> None:
             assert d.lower <= d.upper
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(seed=st.integers(0, 10**6), count=st.integers(2, 12))
 def test_settled_parts_stay_where_they_were_put(seed: int, count: int) -> None:
     rng = np.random.default_rng(seed)

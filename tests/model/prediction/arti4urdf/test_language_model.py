@@ -1,7 +1,5 @@
 """The decoder against transformers' Qwen3 on random weights, and its cache."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest
@@ -26,19 +24,13 @@ def decoder(config: DecoderConfig = SMALL, seed: int = 0):
 def published(config: DecoderConfig):
     """Transformers' model of the same sizes."""
     transformers = pytest.importorskip("transformers", reason="needs the extra network")
-    sizes = transformers.Qwen3Config(
-        vocab_size=config.vocab_size,
-        hidden_size=config.hidden_size,
-        intermediate_size=config.intermediate_size,
-        num_hidden_layers=config.layers,
-        num_attention_heads=config.heads,
-        num_key_value_heads=config.kv_heads,
-        head_dim=config.head_dim,
-        rms_norm_eps=config.rms_eps,
-        tie_word_embeddings=config.tied,
-        rope_parameters={"rope_type": "default", "rope_theta": config.rope_theta},
-    )
-    return transformers.Qwen3ForCausalLM(sizes).eval()
+    same = "vocab_size hidden_size intermediate_size head_dim"
+    sizes = {name: getattr(config, name) for name in same.split()}
+    sizes |= {"num_hidden_layers": config.layers, "num_attention_heads": config.heads}
+    sizes |= {"num_key_value_heads": config.kv_heads, "rms_norm_eps": config.rms_eps}
+    sizes |= {"rope_parameters": {"rope_type": "default", "rope_theta": config.rope_theta}}
+    made = transformers.Qwen3Config(tie_word_embeddings=config.tied, **sizes)
+    return transformers.Qwen3ForCausalLM(made).eval()
 
 
 @pytest.fixture

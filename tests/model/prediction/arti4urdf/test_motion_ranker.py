@@ -34,11 +34,10 @@ from model.training.arti4urdf.motions import Part
 
 def stump(name: str, at: float, low: float, high: float) -> Trees:
     """Log-odds by one feature: ``low`` up to ``at``, ``high`` above."""
-    return Trees(
-        NAMES, np.array([NAMES.index(name), 0, 0], np.int32),
-        np.array([at, np.inf, np.inf], np.float32), np.array([1, 1, 2], np.int32),
-        np.array([0, low, high], np.float32), np.array([0], np.int32), 1,
-    )  # fmt: skip
+    which = NAMES.index(name)
+    used, left, roots = (np.array(v, np.int32) for v in ([which, 0, 0], [1, 1, 2], [0]))
+    ends, values = (np.array(v, np.float32) for v in ([at, np.inf, np.inf], [0, low, high]))
+    return Trees(NAMES, used, ends, left, values, roots, 1)
 
 
 @pytest.fixture(scope="module")
@@ -151,10 +150,10 @@ def _parts(count: int, seed: int) -> list[Part]:
     for k in range(count):
         features = rng.normal(size=(3, len(NAMES))).astype(np.float32)
         turns = features[:, NAMES.index("turns")] = [1, 1, 0]
-        out.append(
-            Part(f"object_{k}", "" if k % 2 else "thing", bool(k % 3), True, features,
-                 np.array(turns) == 0, np.eye(3, dtype=bool), np.array([0.0, -1, -1]), 0)
-        )  # fmt: skip
+        right = np.array(turns) == 0, np.eye(3, dtype=bool)
+        name = "" if k % 2 else "thing"
+        rest = np.array([0.0, -1, -1]), 0
+        out.append(Part(f"object_{k}", name, bool(k % 3), True, features, *right, *rest))
     return out
 
 

@@ -1,7 +1,5 @@
 """Point-BERT: grouping, published names and shapes, the small variant."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -32,18 +30,11 @@ def cloud():
 
 def published_shapes(depth: int) -> dict[str, tuple[int, ...]]:
     """Parameters of ULIP-2's Point-BERT as its checkpoint lists them, prefix removed."""
-    shapes: dict[str, tuple[int, ...]] = {
-        "cls_token": (1, 1, 384),
-        "cls_pos": (1, 1, 384),
-        "reduce_dim.weight": (384, 256),
-        "reduce_dim.bias": (384,),
-        "pos_embed.0.weight": (128, 3),
-        "pos_embed.0.bias": (128,),
-        "pos_embed.2.weight": (384, 128),
-        "pos_embed.2.bias": (384,),
-        "norm.weight": (384,),
-        "norm.bias": (384,),
-    }
+    shapes: dict[str, tuple[int, ...]] = dict.fromkeys(("cls_token", "cls_pos"), (1, 1, 384))
+    shapes |= {"reduce_dim.weight": (384, 256), "reduce_dim.bias": (384,)}
+    shapes |= {"pos_embed.0.weight": (128, 3), "pos_embed.0.bias": (128,)}
+    shapes |= {"pos_embed.2.weight": (384, 128), "pos_embed.2.bias": (384,)}
+    shapes |= {"norm.weight": (384,), "norm.bias": (384,)}
     for conv, (first, middle, last) in {
         "first_conv": (6, 128, 256),
         "second_conv": (512, 512, 256),

@@ -1,7 +1,5 @@
 """The steps of the answer: they write what the writer writes, and whatever is chosen parses."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 

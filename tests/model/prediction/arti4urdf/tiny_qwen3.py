@@ -1,7 +1,5 @@
 """A tiny Qwen3 with random weights on disk, written by transformers and tokenizers themselves."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 TEXT = (
@@ -20,31 +18,21 @@ def write_tiny_qwen3(folder: Path, *, tied: bool = True, shard: str = "5GB", see
     words = tokenizers.Tokenizer(tokenizers.models.BPE())
     words.pre_tokenizer = tokenizers.pre_tokenizers.ByteLevel(add_prefix_space=False)
     words.decoder = tokenizers.decoders.ByteLevel()
-    trainer = tokenizers.trainers.BpeTrainer(
-        vocab_size=400,
-        special_tokens=["<|endoftext|>", "<|im_start|>", "<|im_end|>"],
-        initial_alphabet=tokenizers.pre_tokenizers.ByteLevel.alphabet(),
-        show_progress=False,
-    )
+    special = ["<|endoftext|>", "<|im_start|>", "<|im_end|>"]
+    alphabet = tokenizers.pre_tokenizers.ByteLevel.alphabet()
+    how = {"vocab_size": 400, "special_tokens": special, "initial_alphabet": alphabet}
+    trainer = tokenizers.trainers.BpeTrainer(show_progress=False, **how)
     words.train_from_iterator(TEXT, trainer)
     wrapped = transformers.PreTrainedTokenizerFast(
         tokenizer_object=words, eos_token="<|im_end|>", pad_token="<|endoftext|>"
     )
     wrapped.save_pretrained(folder)
     torch.manual_seed(seed)
-    config = transformers.Qwen3Config(
-        # More rows than tokens, as the published vocabularies have.
-        vocab_size=words.get_vocab_size() + 40,
-        hidden_size=64,
-        intermediate_size=96,
-        num_hidden_layers=2,
-        num_attention_heads=4,
-        num_key_value_heads=2,
-        head_dim=16,
-        tie_word_embeddings=tied,
-        bos_token_id=None,
-        eos_token_id=words.token_to_id("<|im_end|>"),
-        pad_token_id=words.token_to_id("<|endoftext|>"),
-    )
+    # More rows than tokens, as the published vocabularies have.
+    sizes = {"vocab_size": words.get_vocab_size() + 40, "hidden_size": 64, "intermediate_size": 96}
+    sizes |= {"num_hidden_layers": 2, "num_attention_heads": 4, "num_key_value_heads": 2}
+    end, pad = (words.token_to_id(f"<|{name}|>") for name in ("im_end", "endoftext"))
+    ids = {"bos_token_id": None, "eos_token_id": end, "pad_token_id": pad}
+    config = transformers.Qwen3Config(head_dim=16, tie_word_embeddings=tied, **sizes, **ids)
     transformers.Qwen3ForCausalLM(config).save_pretrained(folder, max_shard_size=shard)
     return folder

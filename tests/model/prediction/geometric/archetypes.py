@@ -1,14 +1,14 @@
-"""Plain versions of everyday things with their true joints, one function a thing.
+"""Plain versions of everyday things with their true joints, a table and functions.
 
 Objects face -x and stand on z = 0. They are rough on purpose: what is tested is the rule, not the
 modelling.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -49,6 +49,15 @@ class Thing:
         if order is not None:
             parts = [parts[i] for i in order.permutation(len(parts))]
         return SegmentedObject(self.category, tuple(parts), self.category if names else None)
+
+
+def thing(category: str, *rows: Any) -> Thing:
+    """Rows have the key and name of a part, its joint where it moves, and the meshes it is of."""
+    parts, truth = {}, {}
+    for key, name, *pieces in rows:
+        parts[key] = name, join(*(p for p in pieces if not isinstance(p, Truth)))
+        truth.update((key, p) for p in pieces if isinstance(p, Truth))
+    return Thing(category, parts, truth)
 
 
 def box(center, size) -> trimesh.Trimesh:
@@ -127,108 +136,15 @@ def tray(center, size, wall=0.012) -> trimesh.Trimesh:
     )
 
 
-def cabinet() -> Thing:
-    return Thing(
-        "StorageFurniture",
-        {
-            "base": (
-                "furniture_body",
-                join(
-                    carcass((0.25, 0, 0.5), (0.5, 0.8, 1.0)),
-                    box((0.25, 0, 0.7), (0.48, 0.78, 0.02)),
-                ),
-            ),
-            "left": (
-                "rotation_door",
-                join(
-                    box((-0.01, -0.2, 0.35), (0.02, 0.39, 0.68)),
-                    box((-0.035, -0.05, 0.4), (0.03, 0.015, 0.12)),
-                ),
-            ),
-            "right": (
-                "rotation_door",
-                join(
-                    box((-0.01, 0.2, 0.35), (0.02, 0.39, 0.68)),
-                    box((-0.035, 0.05, 0.4), (0.03, 0.015, 0.12)),
-                ),
-            ),
-            "drawer": (
-                "drawer",
-                join(
-                    tray((0.22, 0, 0.84), (0.42, 0.7, 0.2)),
-                    box((-0.01, 0, 0.85), (0.02, 0.78, 0.28)),
-                    box((-0.035, 0, 0.85), (0.03, 0.15, 0.015)),
-                ),
-            ),
-        },
-        {
-            "left": Truth("revolute", Z, (0, -0.395, 0)),
-            "right": Truth("revolute", Z, (0, 0.395, 0)),
-            "drawer": Truth("prismatic", X),
-        },
-    )
-
-
-def laptop() -> Thing:
-    screen = turned(box((0, 0, 0.03), (0.24, 0.34, 0.01)), Y, (0.12, 0, 0.025), 110)
-    return Thing(
-        "Laptop",
-        {
-            "base": ("laptop_base", box((0, 0, 0.01), (0.24, 0.34, 0.02))),
-            "screen": ("screen", screen),
-        },
-        {"screen": Truth("revolute", Y, (0.12, 0, 0.025))},
-    )
-
-
 def toilet() -> Thing:
     bowl = join(rod((0, 0, 0.2), Z, 0.19, 0.4), box((0.28, 0, 0.45), (0.18, 0.4, 0.4)))
     seat = trimesh.creation.annulus(r_min=0.11, r_max=0.19, height=0.02, sections=40)
     seat.apply_translation((0, 0, 0.415))
-    return Thing(
+    return thing(
         "Toilet",
-        {
-            "base": ("toilet_body", bowl),
-            "seat": ("seat", seat),
-            "lid": ("lid", rod((0, 0, 0.437), Z, 0.19, 0.02)),
-        },
-        {
-            "seat": Truth("revolute", Y, (0.19, 0, 0.41)),
-            "lid": Truth("revolute", Y, (0.19, 0, 0.43)),
-        },
-    )
-
-
-def bucket() -> Thing:
-    return Thing(
-        "Bucket",
-        {
-            "base": (
-                "bucket_body",
-                join(tube((0, 0, 0.15), 0.15, 0.3), rod((0, 0, 0.005), Z, 0.15, 0.01)),
-            ),
-            "handle": ("handle", arc((0, 0, 0.28), X, 0.16, 0.005, -90, 90)),
-        },
-        {"handle": Truth("revolute", Y, (0, 0, 0.28))},
-    )
-
-
-def kettle() -> Thing:
-    return Thing(
-        "Kettle",
-        {
-            "base": (
-                "kettle_body",
-                join(
-                    rod((0, 0, 0.08), Z, 0.09, 0.16), rod((-0.11, 0, 0.12), (-1, 0, 1), 0.012, 0.1)
-                ),
-            ),
-            "lid": (
-                "lid",
-                join(rod((0, 0, 0.165), Z, 0.06, 0.01), rod((0, 0, 0.18), Z, 0.012, 0.02)),
-            ),
-        },
-        {"lid": Truth("prismatic", Z)},
+        ("base", "toilet_body", bowl),
+        ("seat", "seat", Truth("revolute", Y, (0.19, 0, 0.41)), seat),
+        ("lid", "lid", Truth("revolute", Y, (0.19, 0, 0.43)), rod((0, 0, 0.437), Z, 0.19, 0.02)),
     )
 
 
@@ -238,36 +154,16 @@ def fan() -> Thing:
         turned(box((-0.06, 0.09, 0.5), (0.004, 0.14, 0.06)), X, (0, 0, 0.5), a)
         for a in (0, 90, 180, 270)
     ]
-    return Thing(
+    return thing(
         "Fan",
-        {
-            "base": (
-                "fan_base",
-                join(
-                    rod((0, 0, 0.01), Z, 0.12, 0.02),
-                    rod((0, 0, 0.25), Z, 0.012, 0.48),
-                    rod((0, 0, 0.5), X, 0.05, 0.09),
-                ),
-            ),
-            "rotor": ("rotor", join(hub, *blades)),
-        },
-        {"rotor": Truth("continuous", X, (0, 0, 0.5))},
-    )
-
-
-def display() -> Thing:
-    return Thing(
-        "Display",
-        {
-            "base": (
-                "display_base",
-                join(
-                    box((0.02, 0, 0.01), (0.2, 0.3, 0.02)), box((0.03, 0, 0.15), (0.02, 0.05, 0.28))
-                ),
-            ),
-            "screen": ("rotation_screen", box((0, 0, 0.33), (0.03, 0.55, 0.32))),
-        },
-        {"screen": Truth("revolute", Y, (0.015, 0, 0.24))},
+        (
+            "base",
+            "fan_base",
+            rod((0, 0, 0.01), Z, 0.12, 0.02),
+            rod((0, 0, 0.25), Z, 0.012, 0.48),
+            rod((0, 0, 0.5), X, 0.05, 0.09),
+        ),
+        ("rotor", "rotor", Truth("continuous", X, (0, 0, 0.5)), hub, *blades),
     )
 
 
@@ -296,72 +192,6 @@ def suitcase() -> Thing:
     )
 
 
-def pedal_bin() -> Thing:
-    return Thing(
-        "TrashCan",
-        {
-            "base": (
-                "trashcan_body",
-                join(tube((0, 0, 0.2), 0.15, 0.4), rod((0, 0, 0.01), Z, 0.15, 0.02)),
-            ),
-            "lid": ("lid", rod((0, 0, 0.41), Z, 0.15, 0.02)),
-            "pedal": ("foot_pad", box((-0.17, 0, 0.03), (0.06, 0.08, 0.015))),
-        },
-        {
-            "lid": Truth("revolute", Y, (0.15, 0, 0.4)),
-            "pedal": Truth("revolute", Y, (-0.14, 0, 0.03)),
-        },
-    )
-
-
-def sliding_window() -> Thing:
-    frame = join(
-        box((0, -0.5, 0.5), (0.08, 0.04, 1)),
-        box((0, 0.5, 0.5), (0.08, 0.04, 1)),
-        box((0, 0, 0.02), (0.08, 1, 0.04)),
-        box((0, 0, 0.98), (0.08, 1, 0.04)),
-    )
-    return Thing(
-        "Window",
-        {
-            "base": ("window_frame", frame),
-            "a": ("translation_window", box((-0.02, -0.23, 0.5), (0.02, 0.5, 0.92))),
-            "b": ("translation_window", box((0.02, 0.23, 0.5), (0.02, 0.5, 0.92))),
-        },
-        {"a": Truth("prismatic", Y), "b": Truth("prismatic", Y)},
-    )
-
-
-def clock() -> Thing:
-    return Thing(
-        "Clock",
-        {
-            "base": ("clock_body", rod((0, 0, 0.2), X, 0.2, 0.04)),
-            "hour": ("hand", box((-0.025, 0, 0.24), (0.004, 0.012, 0.1))),
-            "minute": (
-                "hand",
-                turned(box((-0.032, 0, 0.26), (0.004, 0.01, 0.15)), X, (0, 0, 0.2), 60),
-            ),
-        },
-        {
-            "hour": Truth("continuous", X, (0, 0, 0.2)),
-            "minute": Truth("continuous", X, (0, 0, 0.2)),
-        },
-    )
-
-
-def toaster() -> Thing:
-    return Thing(
-        "Toaster",
-        {
-            "base": ("toaster_body", box((0, 0, 0.1), (0.16, 0.28, 0.18))),
-            "slider": ("slider", box((0, -0.15, 0.14), (0.04, 0.03, 0.015))),
-            "knob": ("knob", rod((0, -0.145, 0.06), Y, 0.015, 0.015)),
-        },
-        {"slider": Truth("prismatic", Z), "knob": Truth("continuous", Y, (0, 0, 0.06))},
-    )
-
-
 def keyboard() -> Thing:
     keys = {
         f"k{r}{c}": (
@@ -378,59 +208,6 @@ def keyboard() -> Thing:
             **keys,
         },
         {k: Truth("prismatic", Z) for k in keys},
-    )
-
-
-def mouse() -> Thing:
-    return Thing(
-        "Mouse",
-        {
-            "base": ("mouse_body", box((0, 0, 0.015), (0.11, 0.06, 0.03))),
-            "wheel": ("wheel", rod((-0.035, 0, 0.028), Y, 0.01, 0.006)),
-            "left": ("button", box((-0.035, -0.017, 0.0315), (0.035, 0.022, 0.003))),
-            "right": ("button", box((-0.035, 0.017, 0.0315), (0.035, 0.022, 0.003))),
-        },
-        {
-            "wheel": Truth("continuous", Y, (-0.035, 0, 0.028)),
-            "left": Truth("prismatic", Z),
-            "right": Truth("prismatic", Z),
-        },
-    )
-
-
-def washer() -> Thing:
-    return Thing(
-        "WashingMachine",
-        {
-            "base": ("body", carcass((0.3, 0, 0.42), (0.6, 0.6, 0.85))),
-            "door": (
-                "door",
-                join(
-                    rod((-0.015, 0, 0.42), X, 0.2, 0.03),
-                    box((-0.04, 0.17, 0.42), (0.03, 0.015, 0.08)),
-                ),
-            ),
-            "knob": ("knob", rod((-0.02, 0.15, 0.77), X, 0.03, 0.04)),
-        },
-        {
-            "door": Truth("revolute", Z, (0, -0.2, 0)),
-            "knob": Truth("continuous", X, (0, 0.15, 0.77)),
-        },
-    )
-
-
-def safe() -> Thing:
-    return Thing(
-        "Safe",
-        {
-            "base": ("safe_body", carcass((0.2, 0, 0.2), (0.4, 0.4, 0.4))),
-            "door": ("door", box((-0.015, 0, 0.2), (0.03, 0.38, 0.38))),
-            "knob": ("knob", rod((-0.045, 0.12, 0.2), X, 0.03, 0.03)),
-        },
-        {
-            "door": Truth("revolute", Z, (0, -0.19, 0)),
-            "knob": Truth("continuous", X, (0, 0.12, 0.2), "door"),
-        },
     )
 
 
@@ -474,73 +251,31 @@ def scissors() -> Thing:
     )
     other = blade.copy()
     other.apply_translation((0, 0, 0.003))
-    return Thing(
+    return thing(
         "Scissors",
-        {
-            "base": ("leg", turned(blade, Z, (0, 0, 0), 15)),
-            "leg": ("leg", turned(other, Z, (0, 0, 0), -15)),
-        },
-        {"leg": Truth("revolute", Z, (0, 0, 0))},
+        ("base", "leg", turned(blade, Z, (0, 0, 0), 15)),
+        ("leg", "leg", Truth("revolute", Z, (0, 0, 0)), turned(other, Z, (0, 0, 0), -15)),
     )
 
 
 def globe() -> Thing:
     tilt = np.array([np.sin(0.41), 0.0, np.cos(0.41)])
-    return Thing(
+    return thing(
         "Globe",
-        {
-            "base": (
-                "globe_base",
-                join(
-                    rod((0, 0, 0.01), Z, 0.1, 0.02),
-                    rod((0, 0, 0.05), Z, 0.01, 0.07),
-                    arc((0, 0, 0.25), Y, 0.165, 0.006, 20, 200),
-                ),
-            ),
-            "sphere": (
-                "sphere",
-                join(ball((0, 0, 0.25), 0.15), rod(np.array((0, 0, 0.25)), tilt, 0.004, 0.34)),
-            ),
-        },
-        {"sphere": Truth("continuous", tuple(tilt), (0, 0, 0.25))},
-    )
-
-
-def pen() -> Thing:
-    return Thing(
-        "Pen",
-        {
-            "base": (
-                "pen_body",
-                join(rod((0, 0, 0.006), X, 0.005, 0.1), rod((-0.055, 0, 0.006), X, 0.003, 0.02)),
-            ),
-            "cap": ("cap", rod((-0.045, 0, 0.006), X, 0.0062, 0.045)),
-        },
-        {"cap": Truth("prismatic", X)},
-    )
-
-
-def folding_knife() -> Thing:
-    return Thing(
-        "Knife",
-        {
-            "base": ("knife_body", box((0.06, 0, 0.01), (0.12, 0.025, 0.016))),
-            "blade": ("rotation_blade", box((-0.045, 0, 0.01), (0.1, 0.02, 0.003))),
-        },
-        {"blade": Truth("revolute", Z, (0.003, 0, 0.01))},
-    )
-
-
-def closed_knife() -> Thing:
-    """Folded in: the pin lies near the handle's end, the tip looks out at the side."""
-    blade = turned(box((0.0, 0, 0.01), (0.085, 0.012, 0.003)), Z, (-0.042, 0, 0.01), -6)
-    return Thing(
-        "Knife",
-        {
-            "base": ("knife_body", box((0, 0, 0.01), (0.12, 0.025, 0.016))),
-            "blade": ("rotation_blade", blade),
-        },
-        {"blade": Truth("revolute", Z, (-0.039, 0, 0.01))},
+        (
+            "base",
+            "globe_base",
+            rod((0, 0, 0.01), Z, 0.1, 0.02),
+            rod((0, 0, 0.05), Z, 0.01, 0.07),
+            arc((0, 0, 0.25), Y, 0.165, 0.006, 20, 200),
+        ),
+        (
+            "sphere",
+            "sphere",
+            Truth("continuous", tuple(tilt), (0, 0, 0.25)),
+            ball((0, 0, 0.25), 0.15),
+            rod(np.array((0, 0, 0.25)), tilt, 0.004, 0.34),
+        ),
     )
 
 
@@ -549,22 +284,12 @@ def lamp() -> Thing:
     upper = turned(rod((0, 0.04, 0.56), Z, 0.01, 0.36), Y, (0, 0, 0.38), -60)
     tip = np.array((-0.312, 0.04, 0.56))
     head = join(rod(np.add(tip, (-0.02, 0.02, -0.03)), Z, 0.05, 0.1))
-    return Thing(
+    return thing(
         "Lamp",
-        {
-            "base": (
-                "lamp_base",
-                join(rod((0, 0, 0.01), Z, 0.1, 0.02), rod((0, 0, 0.025), Y, 0.012, 0.05)),
-            ),
-            "lower": ("arm", lower),
-            "upper": ("arm", upper),
-            "head": ("head", head),
-        },
-        {
-            "lower": Truth("revolute", Y, (0, 0, 0.03)),
-            "upper": Truth("revolute", Y, (0, 0, 0.38), "lower"),
-            "head": Truth("revolute", Y, tuple(tip), "upper"),
-        },
+        ("base", "lamp_base", rod((0, 0, 0.01), Z, 0.1, 0.02), rod((0, 0, 0.025), Y, 0.012, 0.05)),
+        ("lower", "arm", Truth("revolute", Y, (0, 0, 0.03)), lower),
+        ("upper", "arm", Truth("revolute", Y, (0, 0, 0.38), "lower"), upper),
+        ("head", "head", Truth("revolute", Y, tuple(tip), "upper"), head),
     )
 
 
@@ -581,53 +306,28 @@ def plate_lamp() -> Thing:
 
     foot_plate = join(rod((0, 0, 0.01), Z, 0.12, 0.02), box((0, 0, 0.06), (0.03, 0.006, 0.1)))
     head = join(rod(wrist + (-0.03, 0.024, -0.03), Z, 0.05, 0.06), rod(wrist, Y, 0.008, 0.05))
-    return Thing(
+    return thing(
         "Lamp",
-        {
-            "base": ("lamp_base", foot_plate),
-            "lower": ("arm", strip(foot, elbow, 0.008)),
-            "upper": ("arm", strip(elbow, wrist, 0.016)),
-            "head": ("head", head),
-        },
-        {
-            "lower": Truth("revolute", Y, tuple(foot)),
-            "upper": Truth("revolute", Y, tuple(elbow), "lower"),
-            "head": Truth("revolute", Y, tuple(wrist), "upper"),
-        },
+        ("base", "lamp_base", foot_plate),
+        ("lower", "arm", Truth("revolute", Y, tuple(foot)), strip(foot, elbow, 0.008)),
+        ("upper", "arm", Truth("revolute", Y, tuple(elbow), "lower"), strip(elbow, wrist, 0.016)),
+        ("head", "head", Truth("revolute", Y, tuple(wrist), "upper"), head),
     )
 
 
 def lidded_box() -> Thing:
     body = turned(carcass((0, 0, 0), (0.2, 0.4, 0.3)), Y, (0, 0, 0), 90)
     body.apply_translation((0, 0, 0.1))
-    return Thing(
+    return thing(
         "Box",
-        {
-            "base": ("box_body", body),
-            "lid": (
-                "rotation_lid",
-                join(box((0, 0, 0.21), (0.3, 0.4, 0.02)), box((-0.16, 0, 0.2), (0.02, 0.05, 0.04))),
-            ),
-        },
-        {"lid": Truth("revolute", Y, (0.15, 0, 0.2))},
-    )
-
-
-def sliding_door() -> Thing:
-    frame = join(
-        box((0, -0.9, 1), (0.1, 0.06, 2)),
-        box((0, 0.9, 1), (0.1, 0.06, 2)),
-        box((0, 0, 1.97), (0.1, 1.8, 0.06)),
-        box((0, 0, 0.02), (0.1, 1.8, 0.04)),
-    )
-    return Thing(
-        "Door",
-        {
-            "base": ("door_frame", frame),
-            "a": ("translation_door", box((-0.025, -0.42, 1), (0.03, 0.88, 1.88))),
-            "b": ("translation_door", box((0.025, 0.42, 1), (0.03, 0.88, 1.88))),
-        },
-        {"a": Truth("prismatic", Y), "b": Truth("prismatic", Y)},
+        ("base", "box_body", body),
+        (
+            "lid",
+            "rotation_lid",
+            Truth("revolute", Y, (0.15, 0, 0.2)),
+            box((0, 0, 0.21), (0.3, 0.4, 0.02)),
+            box((-0.16, 0, 0.2), (0.02, 0.05, 0.04)),
+        ),
     )
 
 
@@ -656,73 +356,6 @@ def office_chair() -> Thing:
     )
 
 
-def microwave() -> Thing:
-    return Thing(
-        "Microwave",
-        {
-            "base": (
-                "microwave_body",
-                join(
-                    carcass((0.18, -0.06, 0.15), (0.36, 0.38, 0.3)),
-                    box((0.18, 0.19, 0.15), (0.36, 0.12, 0.3)),
-                ),
-            ),
-            "door": ("door", box((-0.01, -0.06, 0.15), (0.02, 0.37, 0.28))),
-            "tray": ("rotation_tray", rod((0.17, -0.06, 0.035), Z, 0.14, 0.01)),
-            "knob": ("knob", rod((-0.01, 0.19, 0.1), X, 0.022, 0.02)),
-            "button": ("button", box((-0.003, 0.19, 0.05), (0.006, 0.05, 0.02))),
-        },
-        {
-            "door": Truth("revolute", Z, (0, -0.245, 0)),
-            "tray": Truth("continuous", Z, (0.17, -0.06, 0)),
-            "knob": Truth("continuous", X, (0, 0.19, 0.1)),
-            "button": Truth("prismatic", X),
-        },
-    )
-
-
-def pump_bottle() -> Thing:
-    return Thing(
-        "Dispenser",
-        {
-            "base": (
-                "dispenser_body",
-                join(rod((0, 0, 0.08), Z, 0.035, 0.16), rod((0, 0, 0.17), Z, 0.012, 0.02)),
-            ),
-            "head": (
-                "pressing_lid",
-                join(
-                    rod((0, 0, 0.2), Z, 0.006, 0.04), box((-0.012, 0, 0.222), (0.05, 0.014, 0.012))
-                ),
-            ),
-        },
-        {"head": Truth("prismatic", Z)},
-    )
-
-
-def rocker_switch() -> Thing:
-    return Thing(
-        "Switch",
-        {
-            "base": ("switch_frame", box((0.006, 0, 0.06), (0.012, 0.08, 0.12))),
-            "rocker": ("toggle_button", box((-0.004, 0, 0.06), (0.012, 0.03, 0.06))),
-        },
-        {"rocker": Truth("revolute", Y, (0, 0, 0.06))},
-    )
-
-
-def flip_phone() -> Thing:
-    flap = turned(box((-0.0, 0, 0.016), (0.09, 0.045, 0.008)), Y, (0.045, 0, 0.012), 160)
-    return Thing(
-        "Phone",
-        {
-            "base": ("phone_base", box((0, 0, 0.005), (0.09, 0.045, 0.01))),
-            "flip": ("flip_cover", flap),
-        },
-        {"flip": Truth("revolute", Y, (0.045, 0, 0.012))},
-    )
-
-
 def door_frame() -> trimesh.Trimesh:
     posts = [box((0, y, 1.05), (0.1, 0.08, 2.1)) for y in (-0.5, 0.5)]
     return join(*posts, box((0, 0, 2.08), (0.1, 1.0, 0.08)))
@@ -730,14 +363,16 @@ def door_frame() -> trimesh.Trimesh:
 
 def entrance(side: float = -1.0) -> Thing:
     """A leaf with a bar that is pushed, on the side ``side`` of x."""
-    return Thing(
+    return thing(
         "Door",
-        {
-            "base": ("door frame", door_frame()),
-            "leaf": ("door", box((0, 0, 1.02), (0.06, 0.9, 2.0))),
-            "bar": ("push bar paddle", box((side * 0.06, 0, 1.0), (0.03, 0.6, 0.06))),
-        },
-        {"leaf": Truth("revolute", Z), "bar": Truth("prismatic", X, parent="leaf")},
+        ("base", "door frame", door_frame()),
+        ("leaf", "door", Truth("revolute", Z), box((0, 0, 1.02), (0.06, 0.9, 2.0))),
+        (
+            "bar",
+            "push bar paddle",
+            Truth("prismatic", X, parent="leaf"),
+            box((side * 0.06, 0, 1.0), (0.03, 0.6, 0.06)),
+        ),
     )
 
 
@@ -747,17 +382,11 @@ def room_door() -> Thing:
         rod((0, -0.39, 1.05), X, 0.012, 0.2),
         *(box((x, -0.34, 1.05), (0.02, 0.11, 0.025)) for x in (-0.1, 0.1)),
     )
-    return Thing(
+    return thing(
         "Door",
-        {
-            "base": ("door frame", door_frame()),
-            "leaf": ("door", box((0, 0, 1.02), (0.06, 0.9, 2.0))),
-            "lever": ("handle", lever),
-        },
-        {
-            "leaf": Truth("revolute", Z, (0, 0.45, 0)),
-            "lever": Truth("revolute", X, (0, -0.39, 1.05), parent="leaf"),
-        },
+        ("base", "door frame", door_frame()),
+        ("leaf", "door", Truth("revolute", Z, (0, 0.45, 0)), box((0, 0, 1.02), (0.06, 0.9, 2.0))),
+        ("lever", "handle", Truth("revolute", X, (0, -0.39, 1.05), parent="leaf"), lever),
     )
 
 
@@ -776,53 +405,156 @@ def cooktop() -> Thing:
 
 def mill() -> Thing:
     """A pepper mill: its head turns, and doesn't come off as a bottle's cap does."""
-    return Thing(
+    return thing(
         "Pepper mill",
-        {
-            "base": ("body", rod((0, 0, 0.08), Z, 0.025, 0.16)),
-            "head": ("lid", rod((0, 0, 0.19), Z, 0.031, 0.06)),
-        },
-        {"head": Truth("continuous", Z, (0, 0, 0))},
+        ("base", "body", rod((0, 0, 0.08), Z, 0.025, 0.16)),
+        ("head", "lid", Truth("continuous", Z, (0, 0, 0)), rod((0, 0, 0.19), Z, 0.031, 0.06)),
     )
+
+
+TABLE = """
+cabinet StorageFurniture
+base furniture_body | carcass .25 0 .5 .5 .8 1 | box .25 0 .7 .48 .78 .02
+left rotation_door revolute Z 0 -.395 0 | box -.01 -.2 .35 .02 .39 .68
+   | box -.035 -.05 .4 .03 .015 .12
+right rotation_door revolute Z 0 .395 0 | box -.01 .2 .35 .02 .39 .68
+   | box -.035 .05 .4 .03 .015 .12
+drawer drawer prismatic X | tray .22 0 .84 .42 .7 .2 | box -.01 0 .85 .02 .78 .28
+   | box -.035 0 .85 .03 .15 .015
+
+laptop Laptop
+base laptop_base | box 0 0 .01 .24 .34 .02
+screen screen revolute Y .12 0 .025 | box 0 0 .03 .24 .34 .01 turned Y .12 0 .025 110
+
+bucket Bucket
+base bucket_body | tube 0 0 .15 .15 .3 | rod 0 0 .005 Z .15 .01
+handle handle revolute Y 0 0 .28 | arc 0 0 .28 X .16 .005 -90 90
+
+kettle Kettle
+base kettle_body | rod 0 0 .08 Z .09 .16 | rod -.11 0 .12 -1,0,1 .012 .1
+lid lid prismatic Z | rod 0 0 .165 Z .06 .01 | rod 0 0 .18 Z .012 .02
+
+display Display
+base display_base | box .02 0 .01 .2 .3 .02 | box .03 0 .15 .02 .05 .28
+screen rotation_screen revolute Y .015 0 .24 | box 0 0 .33 .03 .55 .32
+
+pedal_bin TrashCan
+base trashcan_body | tube 0 0 .2 .15 .4 | rod 0 0 .01 Z .15 .02
+lid lid revolute Y .15 0 .4 | rod 0 0 .41 Z .15 .02
+pedal foot_pad revolute Y -.14 0 .03 | box -.17 0 .03 .06 .08 .015
+
+sliding_window Window
+base window_frame | box 0 -.5 .5 .08 .04 1 | box 0 .5 .5 .08 .04 1 | box 0 0 .02 .08 1 .04
+   | box 0 0 .98 .08 1 .04
+a translation_window prismatic Y | box -.02 -.23 .5 .02 .5 .92
+b translation_window prismatic Y | box .02 .23 .5 .02 .5 .92
+
+clock Clock
+base clock_body | rod 0 0 .2 X .2 .04
+hour hand continuous X 0 0 .2 | box -.025 0 .24 .004 .012 .1
+minute hand continuous X 0 0 .2 | box -.032 0 .26 .004 .01 .15 turned X 0 0 .2 60
+
+toaster Toaster
+base toaster_body | box 0 0 .1 .16 .28 .18
+slider slider prismatic Z | box 0 -.15 .14 .04 .03 .015
+knob knob continuous Y 0 0 .06 | rod 0 -.145 .06 Y .015 .015
+
+mouse Mouse
+base mouse_body | box 0 0 .015 .11 .06 .03
+wheel wheel continuous Y -.035 0 .028 | rod -.035 0 .028 Y .01 .006
+left button prismatic Z | box -.035 -.017 .0315 .035 .022 .003
+right button prismatic Z | box -.035 .017 .0315 .035 .022 .003
+
+washer WashingMachine
+base body | carcass .3 0 .42 .6 .6 .85
+door door revolute Z 0 -.2 0 | rod -.015 0 .42 X .2 .03 | box -.04 .17 .42 .03 .015 .08
+knob knob continuous X 0 .15 .77 | rod -.02 .15 .77 X .03 .04
+
+safe Safe
+base safe_body | carcass .2 0 .2 .4 .4 .4
+door door revolute Z 0 -.19 0 | box -.015 0 .2 .03 .38 .38
+knob knob continuous X 0 .12 .2 on door | rod -.045 .12 .2 X .03 .03
+
+pen Pen
+base pen_body | rod 0 0 .006 X .005 .1 | rod -.055 0 .006 X .003 .02
+cap cap prismatic X | rod -.045 0 .006 X .0062 .045
+
+folding_knife Knife
+base knife_body | box .06 0 .01 .12 .025 .016
+blade rotation_blade revolute Z .003 0 .01 | box -.045 0 .01 .1 .02 .003
+
+closed_knife Knife
+base knife_body | box 0 0 .01 .12 .025 .016
+blade rotation_blade revolute Z -.039 0 .01 | box 0 0 .01 .085 .012 .003 turned Z -.042 0 .01 -6
+
+sliding_door Door
+base door_frame | box 0 -.9 1 .1 .06 2 | box 0 .9 1 .1 .06 2 | box 0 0 1.97 .1 1.8 .06
+   | box 0 0 .02 .1 1.8 .04
+a translation_door prismatic Y | box -.025 -.42 1 .03 .88 1.88
+b translation_door prismatic Y | box .025 .42 1 .03 .88 1.88
+
+microwave Microwave
+base microwave_body | carcass .18 -.06 .15 .36 .38 .3 | box .18 .19 .15 .36 .12 .3
+door door revolute Z 0 -.245 0 | box -.01 -.06 .15 .02 .37 .28
+tray rotation_tray continuous Z .17 -.06 0 | rod .17 -.06 .035 Z .14 .01
+knob knob continuous X 0 .19 .1 | rod -.01 .19 .1 X .022 .02
+button button prismatic X | box -.003 .19 .05 .006 .05 .02
+
+pump_bottle Dispenser
+base dispenser_body | rod 0 0 .08 Z .035 .16 | rod 0 0 .17 Z .012 .02
+head pressing_lid prismatic Z | rod 0 0 .2 Z .006 .04 | box -.012 0 .222 .05 .014 .012
+
+rocker_switch Switch
+base switch_frame | box .006 0 .06 .012 .08 .12
+rocker toggle_button revolute Y 0 0 .06 | box -.004 0 .06 .012 .03 .06
+
+flip_phone Phone
+base phone_base | box 0 0 .005 .09 .045 .01
+flip flip_cover revolute Y .045 0 .012 | box -0 0 .016 .09 .045 .008 turned Y .045 0 .012 160
+"""
+"""A thing a block: its name and category, then a row a part: key, name and, where it moves, type,
+axis and a point of its joint (``on`` another part than the base), and the solids it is of."""
+SHAPES = {f.__name__: f for f in (box, rod, tube, carcass, tray, arc)}
+AXES = {"X": X, "Y": Y, "Z": Z}
+
+
+def axis_of(word: str) -> Any:
+    return AXES[word] if word in AXES else tuple(map(float, word.split(",")))
+
+
+def solid(text: str) -> trimesh.Trimesh:
+    """A shape's name, its center and what its function takes after that."""
+    text, _, turn = text.partition(" turned ")
+    kind, x, y, z, *rest = text.split()
+    values: list[Any] = [axis_of(w) if w[-1] in AXES or "," in w else float(w) for w in rest]
+    values = [values] if kind in ("box", "carcass", "tray") else values
+    made = SHAPES[kind]((float(x), float(y), float(z)), *values)
+    if not turn:
+        return made
+    axis, *point, degrees = turn.split()
+    return turned(made, AXES[axis], tuple(map(float, point)), float(degrees))
+
+
+def row_of(text: str) -> list[Any]:
+    head, *solids = text.split("|")
+    about, _, parent = head.partition(" on ")
+    key, name, *joint = about.split()
+    made: list[Any] = [solid(s) for s in solids]
+    if joint:
+        kind, axis, *point = joint
+        at: Any = tuple(map(float, point)) or None
+        made.append(Truth(kind, axis_of(axis), at, parent.strip() or "base"))
+    return [key, name, *made]
+
+
+def from_table(block: str) -> Thing:
+    head, *rows = block.replace("\n   |", " |").splitlines()
+    return thing(head.partition(" ")[2], *map(row_of, rows))
 
 
 THINGS: dict[str, Callable[[], Thing]] = {
-    f.__name__: f
-    for f in (
-        cabinet,
-        laptop,
-        toilet,
-        bucket,
-        kettle,
-        fan,
-        display,
-        suitcase,
-        pedal_bin,
-        sliding_window,
-        clock,
-        toaster,
-        keyboard,
-        mouse,
-        washer,
-        safe,
-        oven,
-        scissors,
-        globe,
-        pen,
-        folding_knife,
-        closed_knife,
-        lamp,
-        plate_lamp,
-        lidded_box,
-        sliding_door,
-        office_chair,
-        microwave,
-        pump_bottle,
-        rocker_switch,
-        flip_phone,
-        entrance,
-        room_door,
-        cooktop,
-        mill,
-    )
+    block.split()[0]: partial(from_table, block) for block in TABLE.strip().split("\n\n")
 }
+MADE = """toilet fan suitcase keyboard oven scissors globe lamp plate_lamp lidded_box office_chair
+    entrance room_door cooktop mill"""
+THINGS |= {name: globals()[name] for name in MADE.split()}

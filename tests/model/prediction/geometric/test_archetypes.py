@@ -1,7 +1,5 @@
 """The predictor on plain versions of everyday things: types, axes, hinge lines, tree."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

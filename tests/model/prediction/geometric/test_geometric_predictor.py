@@ -1,7 +1,5 @@
 """The predictor's contract: odd input, locked joints, order, scale, cancellation."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import replace
 
@@ -21,8 +19,8 @@ from model.evaluation.run import Corruption, corrupt
 from model.prediction.geometric.mechanisms import BUILDERS
 from model.prediction.geometric.predictor import GeometricPredictor
 from model.prediction.registry import Predictor, load_predictor
-from tests.builders import box, part
-from tests.model.prediction.geometric.archetypes import THINGS, cabinet
+from tests.builders import box, boxes, part, spans
+from tests.model.prediction.geometric.archetypes import THINGS
 from tests.model.validation.cabinets import cabinet as wooden_cabinet
 
 PREDICTOR = GeometricPredictor()
@@ -71,7 +69,7 @@ ODD = {
     ],
     "tiny and huge": [cube("link_0", size=1e-6), cube("link_1", size=1e4)],
     "odd names": [cube("link_0", name="???"), cube("thing", (0, 0, 1), name="Üñï 7")],
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("case", ODD)
@@ -110,20 +108,20 @@ def test_the_order_of_the_parts_has_no_effect() -> None:
     answers = []
     for seed in (None, 1, 2):
         order = None if seed is None else np.random.default_rng(seed)
-        tree = PREDICTOR.predict(cabinet().segmented(order=order)).tree
+        tree = PREDICTOR.predict(THINGS["cabinet"]().segmented(order=order)).tree
         assert tree is not None
         answers.append({j.child: (j.type, j.parent, j.axis, j.origin) for j in tree.joints})
     assert answers[0] == answers[1] == answers[2]
 
 
 def test_the_same_twice() -> None:
-    a, b = (PREDICTOR.predict(cabinet().segmented(names=False)) for _ in range(2))
+    a, b = (PREDICTOR.predict(THINGS["cabinet"]().segmented(names=False)) for _ in range(2))
     assert a.tree == b.tree and a.confidence == b.confidence and a.notes == b.notes
 
 
 @pytest.mark.parametrize("scale", [0.001, 100.0])
 def test_scale_and_position_have_no_effect(scale: float) -> None:
-    obj = cabinet().segmented()
+    obj = THINGS["cabinet"]().segmented()
     shift = np.array([3.0, -2.0, 1.0]) * scale
     parts = tuple(
         Part(p.link, Mesh(p.mesh.vertices * scale + shift, p.mesh.faces), name=p.name)
@@ -146,7 +144,7 @@ def test_locked_joints_come_out_unchanged() -> None:
     locked = Joint(
         "mine", "prismatic", "link_drawer", "link_left", (0, 1, 0), (0.1, 0.2, 0.3), -0.1, 0.4
     )
-    prediction = PREDICTOR.predict(cabinet().segmented(), locked=(locked,))
+    prediction = PREDICTOR.predict(THINGS["cabinet"]().segmented(), locked=(locked,))
     assert prediction.tree is not None
     assert prediction.tree.joint_of["link_left"] == locked
     assert prediction.confidence["link_left"] == 1.0
@@ -156,7 +154,7 @@ def test_locked_joints_come_out_unchanged() -> None:
 def test_a_locked_joint_may_turn_the_tree_over() -> None:
     """A locked joint makes the base a child of the door, so that another part is the root."""
     locked = Joint("mine", "revolute", "link_left", "link_base", (0, 0, 1), (0, 0, 0), 0.0, 1.0)
-    prediction = PREDICTOR.predict(cabinet().segmented(), locked=(locked,))
+    prediction = PREDICTOR.predict(THINGS["cabinet"]().segmented(), locked=(locked,))
     assert prediction.tree is not None
     assert prediction.tree.joint_of["link_base"] == locked
     assert prediction.tree.root != "link_base"
@@ -241,23 +239,9 @@ def test_a_door_ajar_turns_about_its_nearer_edge(side: float, turned: str) -> No
         trimesh.transformations.rotation_matrix(sense * np.deg2rad(4), axis, hinge)
     )
     # Open to its front, as a cupboard is.
-    body = trimesh.util.concatenate(
-        [
-            trimesh.creation.box((0.6, 0.02, 0.6)).apply_translation((0, 0.4, 0.3)),
-            *(
-                trimesh.creation.box((0.02, 0.4, 0.6)).apply_translation((x, 0.2, 0.3))
-                for x in (-0.29, 0.29)
-            ),
-            *(
-                trimesh.creation.box((0.56, 0.4, 0.02)).apply_translation((0, 0.2, z))
-                for z in (0.01, 0.59)
-            ),
-        ]
-    )
-    parts = tuple(
-        Part(link, Mesh(np.asarray(m.vertices), np.asarray(m.faces, np.int32)), name=name)
-        for link, m, name in (("link_0", body, "body"), ("link_1", panel, "door"))
-    )
+    body = spans("""-.3 .39 0 .3 .41 .6  -.3 0 0 -.28 .4 .6  .28 0 0 .3 .4 .6
+        -.28 0 0 .28 .4 .02  -.28 0 .58 .28 .4 .6""")
+    parts = (Part("link_0", boxes(*body), name="body"), part("link_1", panel, name="door"))
     tree = PREDICTOR.predict(SegmentedObject("cupboard", parts)).tree
     assert tree is not None
     joint = tree.joint_of["link_1"]
@@ -288,7 +272,7 @@ def test_a_door_that_was_scanned_open_shuts_too() -> None:
 
 def test_progress_and_cancel() -> None:
     seen: list[float] = []
-    PREDICTOR.predict(cabinet().segmented(), progress=lambda f, m: seen.append(f))
+    PREDICTOR.predict(THINGS["cabinet"]().segmented(), progress=lambda f, m: seen.append(f))
     assert seen == sorted(seen) and seen[-1] == 1.0 and len(seen) >= 4
 
     def stop(fraction: float, message: str) -> None:
@@ -296,7 +280,7 @@ def test_progress_and_cancel() -> None:
             raise Cancelled
 
     with pytest.raises(Cancelled):
-        PREDICTOR.predict(cabinet().segmented(), progress=stop)
+        PREDICTOR.predict(THINGS["cabinet"]().segmented(), progress=stop)
 
 
 @pytest.mark.parametrize("name", ["cabinet", "oven", "washer", "microwave", "pedal_bin"])
@@ -332,18 +316,9 @@ def test_a_backrest_leans_back_a_little(seed: int) -> None:
 
 def test_a_lever_under_a_seat_turns_normal_to_itself() -> None:
     """The centre of the seat is no cue for the axis of its lever."""
-    seat = trimesh.util.concatenate(
-        [
-            trimesh.creation.box(bounds=[[-0.3, -0.23, 0.419], [0.3, 0.23, 0.48]]),
-            trimesh.creation.box(bounds=[[-0.3, -0.2, 0.48], [-0.25, 0.2, 0.67]]),
-            trimesh.creation.box(bounds=[[0.25, -0.2, 0.48], [0.3, 0.2, 0.67]]),
-        ]
-    )
-    lever = trimesh.creation.box(bounds=[[0.09, -0.096, 0.408], [0.22, -0.084, 0.419]])
-    parts = tuple(
-        Part(f"link_{i}", Mesh(m.vertices, m.faces.astype(np.int32)), name=name)
-        for i, (m, name) in enumerate(((seat, "seat"), (lever, "lever")))
-    )
+    seat = spans("-.3 -.23 .419 .3 .23 .48  -.3 -.2 .48 -.25 .2 .67  .25 -.2 .48 .3 .2 .67")
+    lever = Part("link_1", boxes(((0.09, -0.096, 0.408), (0.22, -0.084, 0.419))), name="lever")
+    parts = (Part("link_0", boxes(*seat), name="seat"), lever)
     found = GeometricPredictor().predict(SegmentedObject("chair", parts, "Chair")).joint("link_1")
     assert found is not None and found.rotates
     assert abs(found.axis[1]) > 0.99

@@ -1,7 +1,5 @@
 """Noise of clouds: its measurement and removal."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial import KDTree

@@ -3,8 +3,6 @@
 ``ARTIWORLD_PART_SETS`` sets how many are tried; 10,000 take half an hour.
 """
 
-from __future__ import annotations
-
 import logging
 import os
 from functools import partial
@@ -18,17 +16,16 @@ from model.core.progress import Cancelled
 from model.prediction.geometric import context, mechanisms, motion_scores, predictor, roles, tree
 from model.prediction.geometric.predictor import GeometricPredictor
 from model.prediction.geometric.sampled_object import sample_object
-from tests.model.prediction.geometric.archetypes import cabinet
+from tests.builders import spans
+from tests.model.prediction.geometric.archetypes import THINGS
 
 SETS = int(os.environ.get("ARTIWORLD_PART_SETS", "60"))
-NAMES = (None, None, None, "door", "drawer", "lid", "knob", "wheel", "hand", "cap", "seat", "blade",
-         "screen", "button", "switch")  # fmt: skip
+WORDS = "door drawer lid knob wheel hand cap seat blade screen button switch"
+NAMES = (None, None, None, *WORDS.split())
 CATEGORIES = (None, None, "Refrigerator", "Faucet", "Switch", "Dispenser", "Scissors", "Clock")
 CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], float)
-FACES = np.array(
-    [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1],
-     [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]], np.int32,
-)  # fmt: skip
+TRIANGLES = "013 032 467 475 045 051 237 276 026 064 157 173"
+FACES = np.array([list(map(int, corners)) for corners in TRIANGLES.split()], np.int32)
 
 
 def odd_part(rng: np.random.Generator, link: str, before: list[Part]) -> Part:
@@ -53,13 +50,13 @@ def odd_part(rng: np.random.Generator, link: str, before: list[Part]) -> Part:
         j = (k + 1) % 12
         sides = [(k, j, 12 + j), (k, 12 + j, 12 + k), (0 * k, k, j), (0 * k + 12, 12 + j, 12 + k)]
         faces = np.concatenate([np.stack(s, 1) for s in sides]).astype(np.int32)
-        return Part(link, Mesh(np.concatenate([ring, ring + [0, 0, 1]]) * size / 2 + low, faces),
-                    None, name)  # fmt: skip
+        round_ = np.concatenate([ring, ring + [0, 0, 1]]) * size / 2 + low
+        return Part(link, Mesh(round_, faces), None, name)
     faces = FACES if rng.random() < 0.8 else FACES[: rng.integers(1, 12)]
     angle = rng.uniform(0, 7) if rng.random() < 0.15 else 0.0
     c, s = np.cos(angle), np.sin(angle)
-    return Part(link, Mesh((CORNERS * size + low) @ [[c, s, 0], [-s, c, 0], [0, 0, 1]], faces),
-                None, name)  # fmt: skip
+    turned = (CORNERS * size + low) @ [[c, s, 0], [-s, c, 0], [0, 0, 1]]
+    return Part(link, Mesh(turned, faces), None, name)
 
 
 def odd_object(seed: int) -> SegmentedObject:
@@ -88,36 +85,36 @@ def test_no_rule_fails_on_odd_part_sets(caplog: pytest.LogCaptureFixture) -> Non
 
 def test_a_front_level_with_a_door_spans_none() -> None:
     """The step between two small fronts at one height has no sign, as on an oven's knobs."""
-    parts = [
-        Part(f"link_{i}", Mesh(CORNERS * size + low, FACES))
-        for i, (low, size) in enumerate(
-            [((0, 0.02, 0), (1.0, 0.5, 1.0)), ((0.2, 0, 0.49), (0.06, 0.02, 0.02)),
-             ((0.225, 0, 0.48), (0.01, 0.02, 0.04))]
-        )
-    ]  # fmt: skip
+    table = spans("0 .02 0 1 .5 1  .2 0 .49 .06 .02 .02  .225 0 .48 .01 .02 .04")  # low and size
+    solids = [Mesh(CORNERS * size + low, FACES) for low, size in table]
+    parts = [Part(f"link_{i}", solid) for i, solid in enumerate(solids)]
     sampled = sample_object(SegmentedObject("oven", tuple(parts)))
     part = context.PartContext(context.Assembly(sampled, 0, [-1, 0, 0]), 1)
     assert sampled.shapes[1].center[2] == sampled.shapes[2].center[2]
     assert not motion_scores.spans_doors(part)
 
 
-RULES = [
-    (motion_scores, "spans_doors"), (roles, "motion_scores"), (roles, "measure_features"),
-    (roles, "named_mechanism"), (mechanisms, "front_of"), (predictor, "part_evidence"),
-    (tree, "root_scores"), (tree, "spanning_parents"), (predictor, "propose"),
-    (predictor, "joints_of"), (context.PartContext, "covers_of"), (context.PartContext, "shut"),
-]  # fmt: skip
+RULES = {
+    motion_scores: "spans_doors",
+    roles: "motion_scores measure_features named_mechanism",
+    mechanisms: "front_of",
+    tree: "root_scores spanning_parents",
+    predictor: "part_evidence propose joints_of",
+    context.PartContext: "covers_of shut",
+}
 
 
 @pytest.mark.usefixtures("quick")
-@pytest.mark.parametrize(("owner", "rule"), RULES)
+@pytest.mark.parametrize(
+    ("owner", "rule"), [(owner, rule) for owner, rules in RULES.items() for rule in rules.split()]
+)
 def test_a_rule_that_fails_is_left_out(
     owner: object, rule: str, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     def broken(*_: object, **__: object) -> None:
         raise KeyError(0.0)
 
-    parts = cabinet().segmented(names=False).parts
+    parts = THINGS["cabinet"]().segmented(names=False).parts
     monkeypatch.setattr(owner, rule, property(broken) if rule == "shut" else broken)
     with caplog.at_level(logging.ERROR):
         prediction = GeometricPredictor().predict(SegmentedObject("cabinet", parts))

@@ -1,7 +1,5 @@
 """Boxes, circles, handles and sweeps that the rules stand on."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -20,7 +18,7 @@ def sampled(*meshes):
     return sample_object(SegmentedObject("scene", parts))
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     half=st.tuples(*[st.floats(0.05, 1.0)] * 3),
     axis=st.sampled_from([0, 1, 2]),

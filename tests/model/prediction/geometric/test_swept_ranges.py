@@ -1,7 +1,5 @@
 """How far parts move before they run into what holds them."""
 
-from __future__ import annotations
-
 import pytest
 
 from model.core.articulated_object import SegmentedObject

@@ -1,7 +1,5 @@
 """A joint whose type a person changes gets what a joint of the new type has."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

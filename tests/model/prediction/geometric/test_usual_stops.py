@@ -1,7 +1,5 @@
 """Predicted ranges that end at the usual stop of such a part."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Requests and answers on the wire: exact for what is right, a clear refusal for the rest."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import json
@@ -60,10 +58,8 @@ def test_a_request_comes_back_exactly():
 
 def test_a_texture_travels_as_colours_of_the_vertices():
     image = Image.new("RGB", (2, 1), (10, 20, 30))
-    mesh = Mesh(
-        TRIANGLE, [[0, 1, 2]], materials=(Material("t", (255, 255, 255, 255), image),),
-        uv=np.zeros((3, 2), np.float32),
-    )  # fmt: skip
+    white = Material("t", (255, 255, 255, 255), image)
+    mesh = Mesh(TRIANGLE, [[0, 1, 2]], materials=(white,), uv=np.zeros((3, 2), np.float32))
     sent = SegmentedObject("one", (Part("link_0", mesh),))
     got = decode_request(encode_request(sent, (), 0))[0].parts[0].mesh
     assert got is not None and got.vertex_colors is not None
@@ -94,6 +90,7 @@ def archive(request: object, **arrays: np.ndarray) -> bytes:
 
 
 HEADER = {"format": 1, "name": "x", "parts": [{"link": "link_0"}]}
+TWICE = {"0.points": TRIANGLE, "1.points": TRIANGLE}
 VERTICES = {"0.vertices": TRIANGLE, "0.faces": np.array([[0, 1, 2]])}
 
 
@@ -133,17 +130,16 @@ def _npy(array: np.ndarray) -> bytes:
         (archive(HEADER, **{"0.points": np.array([[print, 1, 2]], object)}), "contradicts"),
         (archive(HEADER, **{**VERTICES, "0.base_colors": np.zeros((1, 3), np.uint8)}), "invalid"),
         (_bomb(), "damaged|contradicts its header"),
-        (archive({**HEADER, "parts": [{"link": "a"}, {"link": "a"}]},
-                 **{"0.points": TRIANGLE, "1.points": TRIANGLE}), "same link name"),
+        (archive({**HEADER, "parts": [{"link": "a"}] * 2}, **TWICE), "same link name"),
     ],
     ids=range(18),
-)  # fmt: skip
+)
 def test_what_is_no_request_is_refused(data, words):
     with pytest.raises(ArtiworldError, match=words):
         decode_request(data)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.integers(0, 10**6), st.integers(0, 255))
 def test_a_damaged_request_never_breaks_the_reader(place, value):
     data = bytearray(encode_request(chest(), (LID,), 1))
