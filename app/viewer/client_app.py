@@ -115,7 +115,7 @@ class ClientApp:
             )
         else:
             host = SceneHost(
-                self._show_session, self._remember, self._accept_seen, self._reject_seen
+                self._navigation.open, self._remember, self._accept_seen, self._reject_seen
             )
             self.scene = SceneStep(tab, app_state.scene, self.commands.rejecting, host)
         self._object_folder = gui.add_folder(None, visible=self.scene is None)
@@ -213,15 +213,6 @@ class ClientApp:
             click_comment=self.comments.click,
             comment_placed=self.review.pin,
         )
-
-    def _show_session(self, session: int | None, review: bool) -> None:
-        if session is None:
-            self._navigation.close_object()
-            return
-        self._navigation.open(session)
-        if review:
-            self.tab.selection.set_step("Review")
-            self.review.validation_list.show_worst()
 
     def _dismiss(self) -> bool:
         """Close the sheet of keys and the question for a reason; whether one was open."""

@@ -299,10 +299,8 @@ class SceneCard:
         lines = []
         if workspace.problem:
             lines.append(common.warning(plain(workspace.problem, 400)))
-        # What was taken back may need a moment to stop; nobody waits for it any more.
-        idle = () if workspace.accepting.waiting else ("accept",)
         busy = dict(workspace.busy)  # jobs end while this is drawn
-        shown = [w for w in words.JOBS if w in busy and w not in idle]
+        shown = [w for w in words.JOBS if w in busy]
         fraction = 0.0
         if shown:
             fraction, message = busy[shown[0]]

@@ -107,13 +107,12 @@ class SceneStep:
         if self.motion.playing:
             self._moment = None
             return
-        if refusal is self._moment:
+        report = None if refusal is None else refusal.report
+        if report is self._moment:
             return
-        self._moment = refusal
-        report, tree = None, None
-        if refusal is not None:
-            report, tree = refusal.report, refusal.document.tree
+        self._moment = report
         worst = None if report is None else report.joints[0].worst
+        tree = None if work is None else work.document.tree
         if work is None or worst is None or tree is None:
             self.picture.pose({})
         else:

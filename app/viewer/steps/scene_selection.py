@@ -29,13 +29,12 @@ class SceneHost:
     """Callbacks of a scene.
 
     Attributes:
-        show: gets the session of an object to open, or None to close it, and whether its worst
-            finding is shown.
+        show: gets the session of an object to open, or None to close it.
         remember: keeps in the browser where its user is.
         accept, reject: what the buttons do, once the object has been seen.
     """
 
-    show: Callable[[int | None, bool], None]
+    show: Callable[[int | None], None]
     remember: Callable[[], None]
     accept: Callable[[], None]
     reject: Callable[[], None]
@@ -182,16 +181,14 @@ class SceneEdit:
         self.inside = self.choice.selected = id
         self._tab.selection.picking = picking
         self._picture.ghost(id)
-        work = self._workspace.work(id)
-        refusal = None if work is None or picking else self._workspace.accepting.refusal(work)
-        self._host.show(session, refusal is not None and refusal.report is not None)
+        self._host.show(session)
 
     def leave(self) -> None:
         """Go back to the scene."""
         if self.inside is None:
             return
         self.inside, self._tab.selection.picking = None, False
-        self._host.show(None, False)
+        self._host.show(None)
         self._picture.unghost()
         self._host.remember()
 
@@ -264,20 +261,17 @@ class SceneReview:
             self._choice.need(),
             self._workspace.accepting,
         )
-        if work.document.tree is None:
-            raise CommandError(words.no_joints(id))
         if work.document.review.state == "accepted":
             raise CommandError(words.already_accepted(id))
         if accepting.mark(work) == "validating":
             raise CommandError(words.already_checking(id))
-        problems = review_problems(work.document)
-        if problems:
+        if problems := review_problems(work.document):
             raise CommandError(words.has_problems(id, "; ".join(problems)))
         refusal = accepting.refusal(work)
-        if refusal is not None and refusal.report is not None and not refusal.only_warnings:
+        looked = refusal is not None and refusal.only_warnings
+        if refusal is not None and refusal.report is not None and not looked:
             raise CommandError(words.has_errors(id, refusal.why))
-        confirmed = refusal is not None and refusal.only_warnings
-        self._decide(DecideObjects("accept", (work.id,), looked=confirmed))
+        self._decide(DecideObjects("accept", (work.id,), looked=looked))
 
     def reject(self, reason: RejectReason) -> None:
         """Reject the selected object, and go to the next one."""

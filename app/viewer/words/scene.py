@@ -178,7 +178,6 @@ def remaining(coming: int, left: int) -> str:
 
 
 is_static = Message("{id} is static: there is nothing to decide")
-no_joints = Message("{id} has no joints yet: press Enter to edit it")
 already_accepted = Message("{id} is already accepted")
 already_checking = Message("{id} is already being checked")
 has_problems = Message("{id}: {problems}. Press Enter to edit it")
