@@ -20,7 +20,7 @@ from app.server.learning import Learning
 from app.server.object_context import Services
 from app.server.object_queue import ObjectQueue
 from app.server.open_object import OpenObject
-from app.server.scene_workspace import SceneWorkspace
+from app.server.scene_workspace import SceneGallery, SceneWorkspace
 from app.server.workers import Workers
 from sessions.accounts import Account
 from sessions.live import LiveSession, SessionHub
@@ -125,7 +125,9 @@ class AppState:
         self._lock = threading.RLock()
         self._open: OrderedDict[int, OpenObject] = OrderedDict()  # the one used last is last
         self._closed = threading.Event()
-        self.gallery = Gallery(self._services, self.review_order.confidence, self.shown_state)
+        self.gallery = Gallery(
+            self._services, self.review_order.confidence, self.shown_state, self._exceptions
+        )
         self.bulk = BulkWork(self._services, self.object)
         self.learning = Learning(self.workspace, config.database, self.workers.template)
         self.presence = PresenceBoard(store.people.work)
@@ -141,6 +143,7 @@ class AppState:
     ) -> SceneWorkspace:
         """Open a scene with the assets in ``folders``; it is read in the background."""
         self.scene = SceneWorkspace(self._services, path, folders, format)
+        self.gallery = SceneGallery(self.scene)
         return self.scene
 
     def _queue_changed(self) -> None:
@@ -229,7 +232,7 @@ class AppState:
             return "on_hold", held
         return ("interrupted" if self.was_interrupted(record) else record.state), ""
 
-    def exceptions(self) -> dict[int, tuple[str, str]]:
+    def _exceptions(self) -> dict[int, tuple[str, str]]:
         """Return the shown states of the few objects whose record doesn't say it all."""
         few = {*self.queue.unreadable, *self.acceptances.ids, *list(self._open)}
         return {r.id: self.shown_state(r) for r in self.queue.records() if r.id in few}

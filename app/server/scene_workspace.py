@@ -10,12 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from app.server import scene_tasks
-from app.server.gallery import confidence
+from app.server.gallery import Gallery, confidence
 from app.server.job import Job, OutOfTimeError, WorkerDied
 from app.server.jobs import CLICKS
 from app.server.object_context import Services
@@ -39,8 +39,10 @@ from model.core.errors import CommandError
 from model.core.progress import Cancelled
 from sessions import commands as cmd
 from sessions.document import Document
+from sessions.review import ReviewRecord
 from sessions.scene_commands import DecideObjects, PickOut, SetArticulable
 from sessions.state import SessionState
+from sessions.store import ObjectRecord
 
 AUTHOR = "scene"
 """Recorded as the author of automatic results."""
@@ -431,6 +433,61 @@ class SceneWorkspace(SceneState):
                     self._stopped.add(at)
                 self.shapes = {**self.shapes, **dict.fromkeys(left, message)}
             self.notify("Failed", message, "red")
+
+
+class SceneGallery(Gallery):
+    """The objects of a scene as a queue, those to decide first; ids are places in the scene."""
+
+    def __init__(self, scene: SceneWorkspace) -> None:
+        super().__init__(scene.services, self._sure, self._state, self._marked)
+        self._scene = scene
+        self._rows: dict[int, Row] = {}
+
+    def records(self) -> list[ObjectRecord]:
+        """See the base class."""
+        places = {id: k for k, id in enumerate(self._scene.items)}
+        self._rows = {places[r.id]: r for r in self._scene.rows() if r.id in places}
+        return [self._record(place, row) for place, row in self._rows.items()]
+
+    def _record(self, place: int, row: Row) -> ObjectRecord:
+        item, work = self._scene.items[row.id], self._scene.work(row.id)
+        review = ReviewRecord() if work is None else work.document.review
+        path = item.path if work is None or work.drawn is None else item.copy
+        return ObjectRecord(
+            place, path or Path(), row.id, None, cast(Any, row.status), 0, 0, item.category,
+            review.by, review.at, "", None, 0,
+        )  # fmt: skip
+
+    def sessions(self, ids: Sequence[int]) -> list[int]:
+        """See the base class: instances share one, static objects have none."""
+        found = [self._rows[i].work for i in ids if i in self._rows]
+        return list(dict.fromkeys(i for i in found if i is not None))
+
+    def object(self, place: int) -> str:
+        """The id in the scene of an object of the list."""
+        return list(self._scene.items)[place]
+
+    def place(self, id: str | None) -> int | None:
+        """The id in the list of an object of the scene."""
+        return list(self._scene.items).index(id) if id in self._scene.items else None
+
+    def text(self, record: ObjectRecord, name: str) -> str:
+        """See the base class."""
+        return f"{super().text(record, name)} {self._scene.items[record.name].obj.description}"
+
+    def _key(self, sort: str, names: dict[int, str]) -> Callable[[ObjectRecord], Any] | None:
+        return None if sort == "order" else super()._key(sort, names)
+
+    def _sure(self, record: ObjectRecord) -> float:
+        return self._rows[record.id].confidence
+
+    def _state(self, record: ObjectRecord) -> tuple[str, str]:
+        work = self._scene.work(record.name)
+        why = "" if work is None else self._scene.accepting.why_refused(work)
+        return self._rows[record.id].shown, why
+
+    def _marked(self) -> dict[int, tuple[str, str]]:
+        return {r.id: self._state(r) for r in self.records() if self._rows[r.id].mark}
 
 
 def _stopped_at(job: Job[Any], files: Sequence[Path]) -> Path | None:

@@ -9,6 +9,7 @@ import viser
 
 from app.server.app_state import AppState
 from app.server.open_object import OpenObject
+from app.server.scene_workspace import SceneGallery
 from app.viewer.commands import Commands, bindings
 from app.viewer.input.keys import DecisionGuard, KeySheet, add_keys
 from app.viewer.input.pointing import PointerActions, Pointing
@@ -48,7 +49,7 @@ class ClientApp:
         pointing: what clicks and drags mean.
         prepare, annotate, joints, review: the steps of the work.
         scene: the scene, or None where single objects are open.
-        queue: their queue, or None.
+        queue: the list of all objects.
         guard: lets decisions through about what was seen.
         comments: of reviewers, with their markers.
         light: of the picture.
@@ -102,18 +103,17 @@ class ClientApp:
         tab, app_state, gui = self.tab, self._app_state, self.tab.client.gui
         gui.set_panel_label("ArtiWorld")
         self.scene: SceneStep | None = None
-        self.queue: QueuePanel | None = None
-        if app_state.scene is None:
-            self.queue = QueuePanel(
-                tab,
-                app_state,
-                self._presses,
-                self._navigation.open,
-                self._navigation.step,
-                self._remember,
-                self._exporting.ask,
-            )
-        else:
+        self.queue = QueuePanel(
+            tab,
+            app_state,
+            self._presses,
+            self._open_listed,
+            self.commands.step,
+            self._remember,
+            self._exporting.ask,
+            self._listed,
+        )
+        if app_state.scene is not None:
             host = SceneHost(
                 self._navigation.open, self._remember, self._accept_seen, self._reject_seen
             )
@@ -128,6 +128,21 @@ class ClientApp:
         self.theme = Theme(tab, self._presses, (self.picture, *scene))
         gui.main_panel.dock_right()
         gui.main_panel.set_width(340)
+
+    def _open_listed(self, id: int) -> None:
+        """Open an object of the list, or choose it in the scene."""
+        gallery = self._app_state.gallery
+        if self.scene is not None and isinstance(gallery, SceneGallery):
+            self.scene.choice.choose(gallery.object(id), look=True)
+        else:
+            self._navigation.open(id)
+
+    def _listed(self) -> int | None:
+        """The id in the list of the open or chosen object."""
+        gallery, obj = self._app_state.gallery, self.tab.selection.object
+        if self.scene is not None and isinstance(gallery, SceneGallery):
+            return gallery.place(self.scene.choice.selected)
+        return None if obj is None else obj.record.id
 
     def _rail_actions(self) -> RailActions:
         return RailActions(
@@ -218,7 +233,7 @@ class ClientApp:
         """Close the sheet of keys and the question for a reason; whether one was open."""
         asking = self.commands.rejecting.asking
         self.commands.rejecting.cancel()
-        page = self.queue is not None and self.queue.project.close()
+        page = self.queue.project.close()
         return self._exporting.close() or self._sheet.close() or page or asking
 
     def _click_scene(self, origin: Point, direction: Point) -> bool:
@@ -239,13 +254,11 @@ class ClientApp:
         if self.tab.account is None:  # else the browser has no say in who signs
             self.tab.user = memory.user or self.tab.user
         self._tour.over = bool(memory.toured)
-        if self.queue is not None:
-            self.queue.user_name.show()
+        self.queue.user_name.show()
+        if self.scene is None:
             self._navigation.start(memory.object)
-        elif self.scene is not None:
-            self.scene.list.user_name.show()
-            if memory.inside or memory.chosen:
-                self.scene.restore(memory.inside, memory.chosen)
+        elif memory.inside or memory.chosen:
+            self.scene.restore(memory.inside, memory.chosen)
 
     def _remember(self) -> None:
         """Keep the user's name, place and light in the browser."""
@@ -288,10 +301,9 @@ class ClientApp:
 
     def _draw_panels(self) -> None:
         selection = self.tab.selection
-        if self.queue is not None:
-            self.queue.draw()
         if self.scene is not None:
             self.scene.draw()
+        self.queue.draw()
         obj = selection.object
         self._tour.draw(obj)
         put(self._object_folder, visible=obj is not None)

@@ -23,9 +23,9 @@ from app.server.app_state import AppState
 from app.server.config import ServeConfig
 from app.server.job import Job
 from app.server.scene_state import Row, decided_text, order
-from app.server.scene_workspace import SceneWorkspace
+from app.server.scene_workspace import SceneGallery, SceneWorkspace
 from app.viewer.panels.joint_tree import joint_lines
-from app.viewer.panels.scene_panels import count_text, page_buttons
+from app.viewer.panels.scene_panels import count_text
 from model.core.articulated_object import Prediction
 from model.core.errors import CommandError
 from model.core.joint import Joint
@@ -153,6 +153,25 @@ def test_objects_are_predicted_once_for_all_their_twins(world: World) -> None:
     kinds = {j.type for j in work.document.tree.joints}
     assert kinds == {"revolute", "prismatic"}
     assert work.document.part_names[1] == "door" and work.document.category == "cabinet"
+
+
+def test_the_list_of_a_scene_is_a_queue_of_its_objects(world: World) -> None:
+    state, scene = world.app_state, world.scene_workspace
+    assert state is not None
+    gallery = state.gallery
+    assert isinstance(gallery, SceneGallery)
+    found = gallery.rows({"current": str(gallery.place("twin"))})
+    assert [r["name"] for r in found["rows"]] == [r.id for r in scene.rows()]
+    assert found["states"] == {"predicted": 3, "static": 2, "failed": 1, "missing": 1}
+    assert found["rows"][found["at"]]["name"] == "twin"
+    predicted = gallery.rows({"state": "predicted", "ids": "1"})["ids"]
+    works = {scene.work(gallery.object(i)).id for i in predicted}  # type: ignore[union-attr]
+    assert set(gallery.sessions(predicted)) == works and len(works) == 2
+    least = min(r.confidence for r in scene.rows() if r.status == "predicted")
+    above = gallery.rows({"ids": "1", "above": str(int(100 * least))})["ids"]
+    assert above == predicted and gallery.rows({"ids": "1", "above": "101"})["ids"] == []
+    assert [r["name"] for r in gallery.rows({"search": "floor"})["rows"]] == ["slab"]
+    assert gallery.thumbnail(gallery.place("slab") or 0) is None
 
 
 def test_a_language_model_decides_where_its_address_is_given(
@@ -539,18 +558,14 @@ def test_the_end_of_the_review_is_told() -> None:
 
     left = rows("predicted", "todo", "todo", "rejected", "accepted", "static")
     assert order(left) == ["0", "1", "2"]
-    assert count_text(left, 1, 0.8) == (
-        "**1** of 1 predicted objects: 80 % or more. 2 need annotation (✎)."
-    )
-    assert count_text(left, 1, 0.8, coming=1).endswith("1 to be predicted. 1 needs annotation (✎).")
+    assert count_text(left) == "**1** predicted. 2 need annotation (✎)."
+    assert count_text(left, coming=1).endswith("1 to be predicted. 1 needs annotation (✎).")
     held = [replace(left[0], mark="on_hold"), replace(left[0], id="9", mark="validating")]
     assert order(held) == ["0"]
-    assert count_text(held, 0, 0.8) == "1 checking. 1 on hold (⚠)."
+    assert count_text(held) == "1 checking. 1 on hold (⚠)."
     decided = rows("rejected", "accepted", "accepted")
     assert order(decided) == []
-    assert count_text(decided, 0, 0.8) == "3 of 3 decided; 1 rejected."
-    assert page_buttons(0, 24) == ("·", "1/24", "▶")
-    assert page_buttons(23, 24)[:2] == ("◀", "24/24") and "▶" not in page_buttons(23, 24)
+    assert count_text(decided) == "3 of 3 decided; 1 rejected."
 
 
 def test_a_refused_acceptance_is_no_step_after_the_end_of_the_server(accepted: World) -> None:

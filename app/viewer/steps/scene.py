@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any
 
 import viser
@@ -11,7 +10,7 @@ from app.server.scene_state import Work
 from app.server.scene_workspace import SceneWorkspace
 from app.viewer.panels.extracting import PickPanel
 from app.viewer.panels.reviewing import Rejecting
-from app.viewer.panels.scene_panels import SceneCard, SceneList
+from app.viewer.panels.scene_panels import SceneCard
 from app.viewer.panels.widgets import push_button, put
 from app.viewer.picture.motion import SceneMotion
 from app.viewer.picture.scene_picture import ScenePicture
@@ -29,7 +28,6 @@ class SceneStep:
         review: decides about them.
         picture: what is drawn.
         motion: joints that play.
-        list: the left side.
         card: the right side.
     """
 
@@ -45,12 +43,17 @@ class SceneStep:
         self.edit = SceneEdit(tab, workspace, self.picture, host, self.motion.stop)
         self.choice = self.edit.choice
         self.review = SceneReview(tab, workspace, self.choice)
-        choose = partial(self.choice.choose, look=True)
-        self.list = SceneList(tab, workspace, self.picture, choose, host.remember)
         self._folder = tab.client.gui.add_folder(None)
         with self._folder:
             self.card = SceneCard(
-                tab, workspace, rejecting, self.edit, self.review, host, self._play_from_card
+                tab,
+                workspace,
+                rejecting,
+                self.edit,
+                self.review,
+                host,
+                self.picture,
+                self._play_from_card,
             )
         self._pick_panel: PickPanel | None = None
         self._unwatch = workspace.watch(tab.invalidate, tab.notify)
@@ -92,7 +95,6 @@ class SceneStep:
                 self._tab.act(lambda: choice.choose(chosen))
         self.picture.draw(choice.rows, choice.selected)
         self._show_moment()
-        self.list.draw(choice.rows, choice.selected)
         if self._pick_panel is not None:
             self._pick_panel.draw()
         put(self._folder, visible=self.in_front)

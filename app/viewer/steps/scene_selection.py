@@ -244,7 +244,7 @@ class SceneEdit:
 
 
 class SceneReview:
-    """Accepts and rejects the selected object, or all above a confidence."""
+    """Accepts and rejects the selected object, and undoes decisions about the scene."""
 
     def __init__(self, tab: Tab, workspace: SceneWorkspace, choice: SceneChoice) -> None:
         self._tab, self._workspace, self._choice = tab, workspace, choice
@@ -302,23 +302,6 @@ class SceneReview:
             and work.document.review.state == "predicted"
             and (self._workspace.accepting.mark(work) != "validating")
         )
-
-    def above(self, confidence: float) -> list[int]:
-        """Sessions of predicted objects of at least that confidence, 0..1, each once."""
-        found = [
-            r.work
-            for r in self._choice.rows
-            if r.shown == "predicted" and r.work is not None and r.confidence >= confidence
-        ]
-        return list(dict.fromkeys(found))
-
-    def accept_above(self, confidence: float) -> None:
-        """Accept all of at least that confidence, 0..1, that pass the checks."""
-        ids = self.above(confidence)
-        if not ids:
-            raise CommandError(words.NONE_ABOVE)
-        command = DecideObjects("accept", tuple(ids), above=confidence)
-        self._workspace.do(command, self._tab.user, self._tab.notify)
 
     def undo(self) -> None:
         """Take back the last decision about the scene."""

@@ -25,7 +25,7 @@ STATE_ORDER: Final = ("accepted", "submitted", "predicted", "in_progress", "todo
 
 def progress(counts: dict[str, int], today: int) -> str:
     """Progress of all objects, and number accepted today."""
-    total, done = sum(counts.values()), counts.get("accepted", 0)
+    total, done = sum(counts.get(s, 0) for s in STATE_ORDER), counts.get("accepted", 0)
     others = [f"{counts[s]} {STATES[s]}" for s in STATE_ORDER[1:] if counts.get(s)]
     first = f"**{done}/{total} accepted**" + (f", {today} today" if today else "")
     return " · ".join([first, *others])
@@ -57,6 +57,7 @@ PAGE_WORDS: Final[dict[str, str]] = {
     "setCategory": "Set the category of the selected objects",
     "predict": "Predict",
     "accept": "Accept from",
+    "acceptSure": "Accept {count} from",
     "exportThem": "Export…",
     "assign": "Assign to",
     "assignHint": "Assign the selected objects",
