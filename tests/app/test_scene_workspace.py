@@ -25,7 +25,7 @@ from app.server.job import Job
 from app.server.scene_state import Row, decided_text, order
 from app.server.scene_workspace import SceneGallery, SceneWorkspace
 from app.viewer.panels.joint_tree import joint_lines
-from app.viewer.panels.scene_panels import count_text
+from app.viewer.steps.scene_selection import count_text
 from model.core.articulated_object import Prediction
 from model.core.errors import CommandError
 from model.core.joint import Joint

@@ -12,14 +12,14 @@ import viser
 
 from app.server.names import display_text
 from app.server.scene_accepting import Refusal
-from app.server.scene_state import SHOWN, Row, Shown, Work, decided_text
+from app.server.scene_state import SHOWN, Row, Shown, Work
 from app.server.scene_workspace import SceneWorkspace
 from app.viewer.panels.joint_tree import JointRows
 from app.viewer.panels.reviewing import RejectButtons, Rejecting
 from app.viewer.panels.widgets import push_button, push_buttons, put
 from app.viewer.picture import palette
 from app.viewer.picture.scene_picture import ScenePicture
-from app.viewer.steps.scene_selection import SceneEdit, SceneHost, SceneReview
+from app.viewer.steps.scene_selection import SceneEdit, SceneHost, SceneReview, decisions_text
 from app.viewer.tab import Tab, plain
 from app.viewer.words import common
 from app.viewer.words import scene as words
@@ -139,8 +139,7 @@ class SceneCard:
     def draw(self, rows: Sequence[Row], selected: str | None, moving: bool) -> None:
         """Bring the widgets up to date; ``moving`` while joints play."""
         workspace = self._workspace
-        coming = sum(workspace.awaits_prediction(r) for r in rows)
-        self._draw_status(count_text(rows, coming))
+        self._draw_status(decisions_text(workspace, rows))
         put(self._play, label=words.STOP if moving else words.PLAY)
         joints = any(w.document.tree is not None for w in workspace.wanted())
         put(self._play, color="blue" if joints else "gray")
@@ -253,20 +252,3 @@ def _about_work(work: Work, refusal: Refusal | None, expected: tuple[str, ...]) 
         reason = plain((review.reason or "").replace("_", " "))
         out.append(words.decided(common.STATES[review.state], plain(review.by), reason))
     return out
-
-
-def count_text(rows: Sequence[Row], coming: int = 0) -> str:
-    """Number of open decisions, as text; ``coming`` objects are to be predicted."""
-    shown = Counter(r.shown for r in rows)
-    text = words.to_decide(
-        shown["predicted"],
-        shown["validating"],
-        shown["on_hold"],
-        coming,
-        shown["todo"] - coming,
-    )
-    if not text and any(r.work is not None for r in rows):
-        text = words.sentence(decided_text(rows))
-    if len(rows) == 1 and rows[0].status == "static":
-        return text or words.EXTRACT_FIRST
-    return text or words.NOTHING_ARTICULABLE

@@ -4,7 +4,8 @@ and decisions without opening it.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -40,21 +41,29 @@ class SceneHost:
     reject: Callable[[], None]
 
 
-def _at_the_end(workspace: SceneWorkspace) -> tuple[str, str, str]:
-    """Why nothing waits for a decision: title, text, color."""
+def decisions_text(workspace: SceneWorkspace, rows: Sequence[Row]) -> str:
+    """Number of open decisions, or why there are none, as text."""
     if workspace.scene is None:
-        if workspace.problem:
-            return words.READ_NOTHING, workspace.problem, "red"
-        return *words.STILL_READING, "gray"
-    rows = [r for r in workspace.rows() if r.work is not None]
-    if not workspace.items:
-        return words.READ_NOTHING, words.NO_OBJECTS, "yellow"
-    if not rows:
-        return *words.NOTHING_TO_DECIDE, "gray"
-    checking = sum(r.mark == "validating" for r in rows)
-    if checking:
-        return *words.still_checking(checking), "gray"
-    return *words.done(decided_text(rows)), "green"
+        return workspace.problem or words.STILL_READING
+    coming = sum(workspace.awaits_prediction(r) for r in rows)
+    return count_text(rows, coming)
+
+
+def count_text(rows: Sequence[Row], coming: int = 0) -> str:
+    """Number of open decisions, as text; ``coming`` objects are to be predicted."""
+    shown = Counter(r.shown for r in rows)
+    text = words.to_decide(
+        shown["predicted"],
+        shown["validating"],
+        shown["on_hold"],
+        coming,
+        shown["todo"] - coming,
+    )
+    if not text and any(r.work is not None for r in rows):
+        text = words.sentence(decided_text(rows))
+    if len(rows) == 1 and rows[0].status == "static":
+        return text or words.EXTRACT_FIRST
+    return text or words.NOTHING_ARTICULABLE
 
 
 class SceneChoice:
@@ -114,7 +123,8 @@ class SceneChoice:
 
     def say_end(self) -> None:
         """Say why no object is left to decide."""
-        self._tab.notify(*_at_the_end(self._workspace))
+        text = decisions_text(self._workspace, self._workspace.rows())
+        self._tab.notify(words.NOTHING_TO_DECIDE, text, "gray")
 
     def need(self) -> str:
         """The selected object.
@@ -285,23 +295,10 @@ class SceneReview:
         mine = set(workspace.twins(choice.need()))
         workspace.do(command, tab.user, tab.notify)
         ahead = [i for i in [*ids[at + 1 :], *ids[: max(at, 0)]] if i not in mine]
-        following = next((i for i in ahead if self._waits(i)), None)
-        if following is not None:
-            choice.choose(following, look=True)
-        elif ahead:
-            coming = sum(workspace.awaits_prediction(r) for r in workspace.rows() if r.id in ahead)
-            left = words.remaining(coming, len(ahead) - coming)
-            tab.notify(words.NO_MORE_PREDICTED, left, "gray")
+        if ahead:
+            choice.choose(ahead[0], look=True)
         else:
             choice.say_end()
-
-    def _waits(self, id: str) -> bool:
-        work = self._workspace.work(id)
-        return (
-            work is not None
-            and work.document.review.state == "predicted"
-            and (self._workspace.accepting.mark(work) != "validating")
-        )
 
     def undo(self) -> None:
         """Take back the last decision about the scene."""

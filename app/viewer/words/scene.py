@@ -124,35 +124,11 @@ EXTRACT_FIRST: Final = "Extract an object first."
 
 # --- notes
 
-READ_NOTHING: Final = "Nothing could be read"
-STILL_READING: Final = ("Not yet", "The scene is still being read")
-NO_OBJECTS: Final = "The scene has no objects"
-NOTHING_TO_DECIDE: Final = ("Nothing to decide", "No object is articulable")
-DONE: Final = "All objects are decided"
-NO_MORE_PREDICTED: Final = "No more predictions"
+STILL_READING: Final = "The scene is still being read."
+NOTHING_TO_DECIDE: Final = "Nothing to decide"
 NONE_ABOVE: Final = "no predicted object has that confidence"
 NEED_SELECTION: Final = "select an object first: click it, or press N"
 undone = Message("Undone: {what}")
-
-
-def still_checking(count: int) -> tuple[str, str]:
-    """Only checks are left: title and text."""
-    return "Nothing else to decide", f"{count} checking"
-
-
-def done(decided: str) -> tuple[str, str]:
-    """All is decided: title and text."""
-    return DONE, f"{decided}. Save the scene"
-
-
-def remaining(coming: int, left: int) -> str:
-    """Number of objects left after the last predicted one."""
-    lines = [f"{coming} to be predicted"] if coming else []
-    if left:
-        lines.append(f"{left} {'needs' if left == 1 else 'need'} annotation: N, then Enter")
-    return "; ".join(lines)
-
-
 is_static = Message("{id} is static: there is nothing to decide")
 already_accepted = Message("{id} is already accepted")
 already_checking = Message("{id} is already being checked")
