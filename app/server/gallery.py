@@ -100,17 +100,8 @@ MOST_WAITING = 60
 """Thumbnails to draw: those that were asked for before are off the screen by now."""
 DRAW_SECONDS = 120.0
 """Longest drawing of one."""
-_STATES = (
-    "rejected",
-    "in_progress",
-    "todo",
-    "predicted",
-    "submitted",
-    "accepted",
-    "static",
-    "failed",
-    "missing",
-)
+_STATES = ("rejected", "in_progress", "todo", "predicted", "on_hold", "validating", "submitted")
+"""In the order of their sorting; what is decided or static comes after them."""
 SORTS: Final[tuple[str, ...]] = (
     "order",
     "name",
@@ -215,7 +206,7 @@ class Gallery:
             "order": lambda r: r.state != "rejected",  # what came back comes first
             "name": lambda r: names.get(r.id, "").lower(),
             "category": lambda r: (r.category is None, r.category or ""),
-            "state": lambda r: _STATES.index(r.state),
+            "state": lambda r: (*_STATES, r.state).index(r.state),
             "who": lambda r: (not r.who, r.who),
             "confidence": lambda r: (r.state != "predicted", self.confidence(r) or 0.0),
             "recent": lambda r: r.updated,

@@ -75,7 +75,6 @@ class Accepting:
         self._running: Entry | None = None
         self._outcomes: list[_Outcome] = []
         self._expected: dict[tuple[str, Decided, tuple[int, ...]], Notice] = {}
-        self._ineffective: set[Entry] = set()
         self._elsewhere: set[DecisionRecord] = set()  # carried out by other servers
 
     @staticmethod
@@ -125,10 +124,7 @@ class Accepting:
     def had_no_effect(self, record: DecisionRecord) -> bool:
         """True if it was an acceptance and accepted none of its objects."""
         here = record.decision == "accept" and record not in self._elsewhere
-        return here and all(
-            (i, record) in self._ineffective or not self._carried_out(i, record)
-            for i in record.objects
-        )
+        return here and not any(self._carried_out(i, record) for i in record.objects)
 
     def _carried_out(self, i: int, record: DecisionRecord) -> bool:
         """True if the decision, maybe of an earlier server, has accepted an object, or will."""
@@ -238,8 +234,6 @@ class Accepting:
             if under_way or entry not in self._queue:
                 continue
             if work.document.review.state == "accepted":
-                if work.document.review.decided_at != entry[1].at:
-                    self._ineffective.add(entry)
                 self._accepted(entry)
             elif work.live.state.seq != asked.seq and (moved := work.live.moved_since(asked)):
                 self._refuse(entry, moved)
@@ -287,7 +281,6 @@ class Accepting:
         if work.document.review.state not in ("accepted", "rejected") and not work.hold_reason:
             hold(work, why)
         self._drop(entry)
-        self._ineffective.add(entry)
         for outcome in self._outcomes_of(record):
             outcome.refused[i] = self.refusal(work) or Refusal(why)
             self._settle(outcome, i)

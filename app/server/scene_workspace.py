@@ -454,7 +454,7 @@ class SceneGallery(Gallery):
         review = ReviewRecord() if work is None else work.document.review
         path = item.path if work is None or work.drawn is None else item.copy
         return ObjectRecord(
-            place, path or Path(), row.id, None, cast(Any, row.status), 0, 0, item.category,
+            place, path or Path(), row.id, None, cast(Any, row.shown), 0, 0, item.category,
             review.by, review.at, "", None, 0,
         )  # fmt: skip
 

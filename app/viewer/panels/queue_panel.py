@@ -144,7 +144,6 @@ class QueuePanel:
         if scene is None:
             self._app_state.bulk.accept(ids, user, self._notify)
             return
-        ids = [i for i in ids if not scene.accepting.mark(scene.works[i])]
         if not ids:
             raise CommandError(NONE_ABOVE)
         scene.do(DecideObjects("accept", tuple(ids), above=least), user, self._tab.notify)
@@ -187,7 +186,7 @@ class QueuePanel:
         counts = Counter(r.state for r in records)
         today = datetime.now(UTC).date().isoformat()
         accepted = sum(r.state == "accepted" and r.updated[:10] == today for r in records)
-        total = sum(counts[s] for s in words.STATE_ORDER)  # what is static isn't decided
+        total = counts.total() - sum(counts[s] for s in words.UNDECIDABLE)
         put(self._summary, content=words.progress(dict(counts), accepted))
         put(self._bar, value=round(100 * counts["accepted"] / max(total, 1), 1))
         removed = app_state.queue.removed
@@ -216,7 +215,7 @@ def _page_words(*, in_scene: bool) -> dict[str, Any]:
         **words.PAGE_WORDS,
         "found": str(words.found),
         "because": str(words.on_hold_because),
-        "states": [[s, states[s]] for s in filters if s not in ("on_hold", "validating")],
+        "states": [[s, states[s]] for s in filters],
         "sorts": list(words.SORTS.items()),
         "shown": states,
         "colors": {s: f"rgb{c}" for s, c in colors.items()},

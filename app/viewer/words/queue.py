@@ -22,10 +22,14 @@ ALL_ACCEPTED: Final = "All other objects are accepted"
 restore = Message("Restore {name}")
 STATE_ORDER: Final = ("accepted", "submitted", "predicted", "in_progress", "todo", "rejected")
 
+UNDECIDABLE: Final = ("static", "failed", "missing")
+"""States of a scene's objects about which there is nothing to decide."""
+
 
 def progress(counts: dict[str, int], today: int) -> str:
     """Progress of all objects, and number accepted today."""
-    total, done = sum(counts.get(s, 0) for s in STATE_ORDER), counts.get("accepted", 0)
+    total = sum(count for state, count in counts.items() if state not in UNDECIDABLE)
+    done = counts.get("accepted", 0)
     others = [f"{counts[s]} {STATES[s]}" for s in STATE_ORDER[1:] if counts.get(s)]
     first = f"**{done}/{total} accepted**" + (f", {today} today" if today else "")
     return " · ".join([first, *others])
