@@ -38,9 +38,6 @@ PLAY_ONE: Final = "▶ / ■"
 EDIT: Final = "Edit"
 NAVIGATE: Final = "Navigate"
 PREVIOUS_NEXT: Final = ("Previous (B)", "Next (N)")
-PAGE: Final = "Page"
-FILTER: Final = "Show"
-SEARCH: Final = "Search"
 USER_NAME: Final = "Your name"
 USER_NAME_HINT: Final = "Recorded with your decisions"
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from app.viewer.words.common import STATES, UNREADABLE, Message, plural
+from app.viewer.words.common import HELD, STATES, UNREADABLE, Message, plural
 
 TITLE: Final = "Queue"
 ON_HOLD_HINT: Final = "Accepted before the checks were done, which then found problems"
@@ -16,7 +16,6 @@ UPLOAD_HINT: Final = (
 CHECKING: Final = "checking, then accepted"
 SAVING: Final = "saving"
 INTERRUPTED: Final = "acceptance was interrupted"
-HELD: Final = "on hold"
 EMPTY: Final = ("The queue is empty", "Add files, or start with: artiworld serve PATH")
 ALL_ACCEPTED: Final = "All other objects are accepted"
 restore = Message("Restore {name}")
