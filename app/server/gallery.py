@@ -155,7 +155,8 @@ class Gallery:
                 predictions with a confidence of at least "above" percent.
         """
         records = self.records()
-        chosen = self.chosen(query.get("search", ""), query.get("state", ""), query.get("sort", ""))
+        names = self.names(records)
+        chosen = self._chosen(records, names, query)
         if query.get("ids"):
             above = whole_number(query.get("above"), -1)
             sure = (r for r in chosen if above < 0 or 100 * (self.confidence(r) or -1) >= above)
@@ -163,7 +164,7 @@ class Gallery:
         first = max(whole_number(query.get("first"), 0), 0)
         count = min(max(whole_number(query.get("count"), 60), 1), MOST_ROWS)
         current = whole_number(query.get("current"), -1)
-        names, today = self.names(), datetime.now(UTC).date().isoformat()
+        today = datetime.now(UTC).date().isoformat()
         assigned = self._services.store.people.work.assigned()
         return {
             "total": len(chosen),
@@ -177,20 +178,22 @@ class Gallery:
             ],
         }
 
-    def names(self) -> dict[int, str]:
+    def names(self, records: Sequence[ObjectRecord]) -> dict[int, str]:
         """Id → name of all objects."""
-        records = self.records()
         ids = tuple(r.id for r in records)
         if ids != self._names[0]:
             self._names = ids, queue_names(records)
         return self._names[1]
 
-    def chosen(self, search: str, state: str, sort: str) -> list[ObjectRecord]:
+    def _chosen(
+        self, records: Sequence[ObjectRecord], names: dict[int, str], query: Mapping[str, str]
+    ) -> list[ObjectRecord]:
         """The objects whose name or category holds the words, in order."""
-        names, words = self.names(), search.lower().split()
+        words, state = query.get("search", "").lower().split(), query.get("state", "")
+        sort = query.get("sort", "")
         found = [
             r
-            for r in self.records()
+            for r in records
             if (not state or r.state == state)
             and all(w in self.text(r, names.get(r.id, "")).lower() for w in words)
         ]

@@ -471,12 +471,16 @@ class SceneGallery(Gallery):
         """The id in the list of an object of the scene."""
         return list(self._scene.items).index(id) if id in self._scene.items else None
 
+    def names(self, records: Sequence[ObjectRecord]) -> dict[int, str]:
+        """See the base class."""
+        return {r.id: r.name for r in records}
+
     def text(self, record: ObjectRecord, name: str) -> str:
         """See the base class."""
         return f"{super().text(record, name)} {self._scene.items[record.name].obj.description}"
 
     def _key(self, sort: str, names: dict[int, str]) -> Callable[[ObjectRecord], Any] | None:
-        return None if sort == "order" else super()._key(sort, names)
+        return None if sort in ("", "order") else super()._key(sort, names)
 
     def _sure(self, record: ObjectRecord) -> float:
         return self._rows[record.id].confidence
@@ -487,7 +491,9 @@ class SceneGallery(Gallery):
         return self._rows[record.id].shown, why
 
     def _marked(self) -> dict[int, tuple[str, str]]:
-        return {r.id: self._state(r) for r in self.records() if self._rows[r.id].mark}
+        return {
+            r.id: self._state(r) for r in self.records() if r.state in ("validating", "on_hold")
+        }
 
 
 def _stopped_at(job: Job[Any], files: Sequence[Path]) -> Path | None:

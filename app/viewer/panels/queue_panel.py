@@ -195,7 +195,7 @@ class QueuePanel:
             name = app_state.store.object(removed[-1]).name
             put(self._restore, label=words.restore(clipped(name, NAME_LENGTH - 4)))
         on_hold = [i for i, (state, _) in exceptions.items() if state == "on_hold" and i != current]
-        self._draw_on_hold(on_hold, gallery.names())
+        self._draw_on_hold(on_hold, gallery.names(records))
         call_page(self._tab.client, "Queue.changed", current)
 
     def _draw_on_hold(self, ids: list[int], names: Mapping[int, str]) -> None:

@@ -28,7 +28,6 @@ class Message(str):
 
 NONE: Final = "—"
 OTHER: Final = "Other…"
-ALL: Final = "All"
 SELECTED: Final = "▸ "
 CHOSEN: Final = "● "
 EDITED: Final = " ✎"
