@@ -243,7 +243,7 @@ class ClientApp:
         return True
 
     def _name_of(self, obj: OpenObject) -> str:
-        return (None if self.scene is None else self.scene.edit.inside) or obj.record.name
+        return (None if self.scene is None else self.scene.choice.inside) or obj.record.name
 
     # --- life
 
@@ -266,7 +266,7 @@ class ClientApp:
         Memory(
             user=self.tab.user,
             object="" if obj is None else str(obj.record.id),
-            inside="" if scene is None else scene.edit.inside or "",
+            inside="" if scene is None else scene.choice.inside or "",
             light=PLAIN if self.light.plain else "",
             chosen="" if scene is None else scene.choice.selected or "",
             toured="yes" if self._tour.over else "",
@@ -350,7 +350,7 @@ class ClientApp:
 
     def _asset_shown(self, stays: bool) -> None:
         if self.scene is not None:
-            self.scene.edit.look_as_before()
+            self.scene.choice.look_as_before()
         self.prepare.asset_shown()
         self.pointing.begin(same=stays)
 

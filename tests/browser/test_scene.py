@@ -110,12 +110,12 @@ def test_open_choose_work_in_place_accept_and_save(
     assert tab.selection.step == "Joints"
     load_again(tab)
     wait_until(
-        lambda: tab.scene.edit.inside == "cabinet 1" and tab.app.drawing.drawn,
+        lambda: tab.scene.choice.inside == "cabinet 1" and tab.app.drawing.drawn,
         "a reload comes back to it",
     )
     tab.wait_node("/scan")
     tab.button("Back to the scene (Backspace)").click()
-    wait_until(lambda: tab.object is None and tab.scene.edit.inside is None, "back in the scene")
+    wait_until(lambda: tab.object is None and tab.scene.choice.inside is None, "back in the scene")
 
     play_by_keys(tab)
     # All joints at once, then a decision from the scene.
@@ -158,7 +158,7 @@ def test_y_inside_needn_t_wait_for_the_gate(start: Any, open_tab: Any, tmp_path:
     tab.wait_seen()
     tab.key("y")
     wait_until(
-        lambda: tab.scene.edit.inside is None and tab.scene.choice.selected == "cabinet 2",
+        lambda: tab.scene.choice.inside is None and tab.scene.choice.selected == "cabinet 2",
         "the next",
     )
     row = tab.scene_workspace.row(tab.scene_workspace.items["cabinet 1"])

@@ -19,7 +19,7 @@ from app.viewer.panels.reviewing import RejectButtons, Rejecting
 from app.viewer.panels.widgets import push_button, push_buttons, put
 from app.viewer.picture import palette
 from app.viewer.picture.scene_picture import ScenePicture
-from app.viewer.steps.scene_selection import SceneEdit, SceneHost, SceneReview, decisions_text
+from app.viewer.steps.scene_selection import SceneChoice, SceneHost, SceneReview, decisions_text
 from app.viewer.tab import Tab, plain
 from app.viewer.words import common
 from app.viewer.words import scene as words
@@ -65,7 +65,7 @@ class SceneCard:
         tab: Tab,
         workspace: SceneWorkspace,
         rejecting: Rejecting,
-        edit: SceneEdit,
+        choice: SceneChoice,
         review: SceneReview,
         host: SceneHost,
         picture: ScenePicture,
@@ -105,9 +105,9 @@ class SceneCard:
             self._about = gui.add_markdown("")
             kinds = (words.ARTICULABLE, words.STATIC)
             self._kind = push_buttons(tab, words.KIND, kinds, review.classify, visible=False)
-            self._work = button(words.EDIT, edit.enter, viser.Icon.PENCIL, visible=False)
+            self._work = button(words.EDIT, choice.enter, viser.Icon.PENCIL, visible=False)
             self._pick = button(
-                words.PICK, edit.pick, viser.Icon.SCISSORS, color="gray", visible=False
+                words.PICK, choice.pick, viser.Icon.SCISSORS, color="gray", visible=False
             )
             self._accept = gui.add_button(
                 words.ACCEPT, icon=viser.Icon.CHECK, color="green", visible=False

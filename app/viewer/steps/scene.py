@@ -14,7 +14,7 @@ from app.viewer.panels.scene_panels import SceneCard
 from app.viewer.panels.widgets import push_button, put
 from app.viewer.picture.motion import SceneMotion
 from app.viewer.picture.scene_picture import ScenePicture
-from app.viewer.steps.scene_selection import SceneEdit, SceneHost, SceneReview
+from app.viewer.steps.scene_selection import SceneChoice, SceneHost, SceneReview
 from app.viewer.tab import Tab
 from app.viewer.words import scene as words
 from app.viewer.words.common import NO_JOINTS
@@ -24,7 +24,7 @@ class SceneStep:
     """The screens of a scene.
 
     Attributes:
-        edit: opens objects in place; its ``choice`` is the selected one.
+        choice: the selected object, and the one that is open in place.
         review: decides about them.
         picture: what is drawn.
         motion: joints that play.
@@ -40,8 +40,7 @@ class SceneStep:
         self._moment: Any = None
         self.picture = ScenePicture(tab.client, workspace)
         self.motion = SceneMotion(self.picture.pose)
-        self.edit = SceneEdit(tab, workspace, self.picture, host, self.motion.stop)
-        self.choice = self.edit.choice
+        self.choice = SceneChoice(tab, workspace, self.picture, host, self.motion.stop)
         self.review = SceneReview(tab, workspace, self.choice)
         self._folder = tab.client.gui.add_folder(None)
         with self._folder:
@@ -49,7 +48,7 @@ class SceneStep:
                 tab,
                 workspace,
                 rejecting,
-                self.edit,
+                self.choice,
                 self.review,
                 host,
                 self.picture,
@@ -61,8 +60,8 @@ class SceneStep:
     def build_object_widgets(self) -> None:
         """Make the widgets above everything else about one object."""
         icon = viser.Icon.ARROW_LEFT
-        push_button(self._tab, words.BACK, self.edit.leave, icon=icon, color="dark")
-        self._pick_panel = PickPanel(self._tab, self.edit.take_out)
+        push_button(self._tab, words.BACK, self.choice.leave, icon=icon, color="dark")
+        self._pick_panel = PickPanel(self._tab, self.choice.take_out)
 
     @property
     def in_front(self) -> bool:
@@ -90,7 +89,7 @@ class SceneStep:
             (inside, chosen), self._wanted = self._wanted, None
             if inside in workspace.items and workspace.work(inside) is not None:
                 choice.selected = inside
-                self._tab.act(self.edit.enter)
+                self._tab.act(self.choice.enter)
             elif chosen in workspace.items:
                 self._tab.act(lambda: choice.choose(chosen))
         self.picture.draw(choice.rows, choice.selected)
@@ -98,13 +97,13 @@ class SceneStep:
         if self._pick_panel is not None:
             self._pick_panel.draw()
         put(self._folder, visible=self.in_front)
-        if self.edit.inside is None:
+        if self.choice.inside is None:
             self.card.draw(choice.rows, choice.selected, self.motion.playing)
 
     def _show_moment(self) -> None:
         """Show the worst finding of the selected object; everything else rests."""
         workspace, selected = self._workspace, self.choice.selected
-        work = None if selected is None or self.edit.inside else workspace.work(selected)
+        work = None if selected is None or self.choice.inside else workspace.work(selected)
         refusal = None if work is None else workspace.accepting.refusal(work)
         if self.motion.playing:
             self._moment = None

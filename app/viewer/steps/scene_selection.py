@@ -67,14 +67,15 @@ def count_text(rows: Sequence[Row], coming: int = 0) -> str:
 
 
 class SceneChoice:
-    """Chooses objects of a scene, by a click, from the list, or one after the other.
+    """Chooses objects of a scene, by a click, from the list, or one after the other; opens them in
+    place, and goes back.
 
     Args:
-        leave_other: gets each choice first; leaves what is worked on where that is another object.
-        remember: keeps the choice in the browser.
+        stop: ends what moves in the scene.
 
     Attributes:
         selected: the selected object, or None.
+        inside: the object that is worked on, or None.
         rows: all objects as they were drawn last.
     """
 
@@ -83,13 +84,15 @@ class SceneChoice:
         tab: Tab,
         workspace: SceneWorkspace,
         picture: ScenePicture,
-        leave_other: Callable[[str | None], None],
-        remember: Callable[[], None],
+        host: SceneHost,
+        stop: Callable[[], None],
     ) -> None:
         self._tab, self._workspace, self._picture = tab, workspace, picture
-        self._leave_other, self._remember = leave_other, remember
+        self._host, self._stop = host, stop
         self.selected: str | None = None
+        self.inside: str | None = None
         self.rows: list[Row] = []
+        self._eye: Any = None
 
     def refresh(self) -> None:
         """Take in what changed in the scene."""
@@ -103,9 +106,10 @@ class SceneChoice:
 
     def choose(self, id: str | None, *, look: bool = False) -> None:
         """Choose an object, or none; ``look`` turns the camera to it."""
-        self._leave_other(id)
+        if id not in (None, self.inside):
+            self.leave()
         self.selected = id
-        self._remember()
+        self._host.remember()
         self._workspace.prefer(id)
         if look and id is not None and self._tab.selection.object is None:
             self._picture.frame([id], front=True)
@@ -147,39 +151,9 @@ class SceneChoice:
             raise CommandError(words.is_static(self.need()))
         return work
 
-
-class SceneEdit:
-    """Opens objects of a scene, and goes back to it.
-
-    Args:
-        stop: ends what moves in the scene.
-
-    Attributes:
-        choice: the selected object.
-        inside: the object that is worked on, or None.
-    """
-
-    def __init__(
-        self,
-        tab: Tab,
-        workspace: SceneWorkspace,
-        picture: ScenePicture,
-        host: SceneHost,
-        stop: Callable[[], None],
-    ) -> None:
-        self._tab, self._workspace, self._picture = tab, workspace, picture
-        self._host, self._stop = host, stop
-        self.inside: str | None = None
-        self.choice = SceneChoice(tab, workspace, picture, self._leave_other, host.remember)
-        self._eye: Any = None
-
-    def _leave_other(self, id: str | None) -> None:
-        if self.inside is not None and id is not None and id != self.inside:
-            self.leave()
-
     def enter(self) -> None:
         """Work on the selected object."""
-        id = self.choice.need()
+        id = self.need()
         self._stop()
 
         def opened(work: Work) -> None:
@@ -188,7 +162,7 @@ class SceneEdit:
         self._workspace.open_work(id, opened)
 
     def _open(self, id: str, session: int, *, picking: bool = False) -> None:
-        self.inside = self.choice.selected = id
+        self.inside = self.selected = id
         self._tab.selection.picking = picking
         self._picture.ghost(id)
         self._host.show(session)
@@ -204,7 +178,7 @@ class SceneEdit:
 
     def pick(self) -> None:
         """Open the selected object as a whole, to pick another one out of it."""
-        id = self.choice.need()
+        id = self.need()
         self._stop()
         self._workspace.picking.open(
             id, lambda session: self._tab.act(lambda: self._open(id, session, picking=True))
@@ -229,7 +203,7 @@ class SceneEdit:
     def _taken(self, id: str) -> None:
         eye = self._picture.in_scene(np.array(self._tab.client.camera.position))
         self.leave()
-        self.choice.choose(id)
+        self.choose(id)
         self._eye = eye
         self.enter()
 
