@@ -455,7 +455,7 @@ class SceneGallery(Gallery):
         path = item.path if work is None or work.drawn is None else item.copy
         return ObjectRecord(
             place, path or Path(), row.id, None, cast(Any, row.shown), 0, 0, item.category,
-            review.by, review.at, "", None, 0,
+            review.by.replace(AUTHOR, ""), review.at, "", None, 0,
         )  # fmt: skip
 
     def sessions(self, ids: Sequence[int]) -> list[int]:

@@ -167,7 +167,7 @@
   };
   const fill = (card, row) => {
     const src = `/thumbnail?id=${row.id}&v=${row.state}`;
-    if (card.src !== src) { card.src = src; card.tries = 0; card.image.src = src; }
+    if (card.src !== src) { card.src = src; card.tries = 0; card.node.classList.remove("drawn"); card.image.src = src; }
     const confidence = row.confidence === null ? "" : `${Math.round(100 * row.confidence)} %`;
     const state = words.shown[row.shown], person = row.assigned ? `→ ${row.assigned}` : row.who;
     const about = [state, words.colors[row.shown] && !view.wide && confidence, row.category, person];

@@ -83,13 +83,11 @@ class QueuePanel:
                 "", icon=viser.Icon.ARROW_BACK_UP, color="gray", visible=False
             )
             navigate = gui.add_button_group(common.NAVIGATE, common.PREVIOUS_NEXT)
-            upload = gui.add_upload_button(
-                words.UPLOAD,
-                icon=viser.Icon.UPLOAD,
-                color="gray",
-                hint=words.UPLOAD_HINT,
-                visible=not tab.in_scene,
-            )
+            if not tab.in_scene:
+                upload = gui.add_upload_button(
+                    words.UPLOAD, icon=viser.Icon.UPLOAD, color="gray", hint=words.UPLOAD_HINT
+                )
+                upload.on_upload(lambda e: self._uploaded(e.target.value))
             self.user_name = UserName(tab, remember)
         panel.dock_left()
         panel.set_width(250)
@@ -98,7 +96,6 @@ class QueuePanel:
         )
         self.on_hold.on_click(lambda _: tab.act(lambda: open_object(self._on_hold)))
         self._restore.on_click(lambda _: tab.act(lambda: open_object(app_state.queue.restore())))
-        upload.on_upload(lambda e: self._uploaded(e.target.value))
         presses.on("open", lambda id: open_object(int(id)))
         presses.on("bulk", self._bulk)
         presses.on("people", lambda _: call_page(tab.client, "Queue.people", self._people()))
