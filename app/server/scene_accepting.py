@@ -16,7 +16,7 @@ from app.server.accepting import Order, accept, acceptance_over, hold, withdraw
 from app.server.names import display_text, joint_title
 from app.server.observable import Notice
 from app.server.scene_state import HELD, SceneState, Work
-from model.core.errors import CommandError
+from model.core.errors import ArtiworldError, CommandError
 from model.validation.report import Severity, ValidationReport
 from sessions import commands as cmd
 from sessions.document import DecisionRecord
@@ -264,7 +264,7 @@ class Accepting:
         scene, record = self._scene, entry[1]
         order = Order(record.at, record.looked, scene.lock, lambda: entry in self._queue)
 
-        def refused(error: CommandError) -> None:
+        def refused(error: ArtiworldError) -> None:
             with scene.lock:
                 if entry in self._queue:
                     self._refuse(entry, str(error))
