@@ -442,12 +442,17 @@ class SceneGallery(Gallery):
         super().__init__(scene.services, self._sure, self._state, self._marked)
         self._scene = scene
         self._rows: dict[int, Row] = {}
+        self._known: tuple[Any, list[ObjectRecord]] = None, []
 
     def records(self) -> list[ObjectRecord]:
-        """See the base class."""
-        places = {id: k for k, id in enumerate(self._scene.items)}
-        self._rows = {places[r.id]: r for r in self._scene.rows() if r.id in places}
-        return [self._record(place, row) for place, row in self._rows.items()]
+        """See the base class; made anew where something changed."""
+        rows = self._scene.rows()
+        now = rows, [work.state.seq for work in self._scene.works.values()]
+        if now != self._known[0]:
+            places = {id: k for k, id in enumerate(self._scene.items)}
+            self._rows = {places[r.id]: r for r in rows if r.id in places}
+            self._known = now, [self._record(place, row) for place, row in self._rows.items()]
+        return self._known[1]
 
     def _record(self, place: int, row: Row) -> ObjectRecord:
         item, work = self._scene.items[row.id], self._scene.work(row.id)
