@@ -1,10 +1,7 @@
-"""The screen at the right of a scene's picture: what the colors mean, the selected object, and what
-is saved.
-"""
+"""The screen at the right of a scene's picture: the selected object, and what is saved."""
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -12,42 +9,17 @@ import viser
 
 from app.server.names import display_text
 from app.server.scene_accepting import Refusal
-from app.server.scene_state import SHOWN, Row, Shown, Work
+from app.server.scene_state import Row, Work
 from app.server.scene_workspace import SceneWorkspace
 from app.viewer.panels.joint_tree import JointRows
 from app.viewer.panels.reviewing import RejectButtons, Rejecting
 from app.viewer.panels.widgets import push_button, push_buttons, put
-from app.viewer.picture import palette
 from app.viewer.picture.scene_picture import ScenePicture
 from app.viewer.steps.scene_selection import SceneChoice, SceneHost, SceneReview, decisions_text
 from app.viewer.tab import Tab, plain
 from app.viewer.words import common
 from app.viewer.words import scene as words
 from app.viewer.words.review import about, saved_in
-
-
-def legend(counts: Counter[Any], original_colors: bool) -> str:
-    """Squares in the colors of the states, hollow where objects keep their own, with counts."""
-
-    def square(state: Shown) -> str:
-        if original_colors or state in ("static", "failed", "missing"):
-            return "border:1.5px dashed #98a0a8"
-        return f"background:rgb{palette.SCENE_COLORS[state]}"
-
-    cells = "".join(
-        f'<div style="display:flex;align-items:center;gap:6px">'
-        f'<span style="width:12px;height:12px;border-radius:3px;flex:none;box-sizing:border-box;'
-        f'{square(s)}"></span>'
-        f"<span>{common.SCENE_STATES[s]}</span>"
-        f'<b style="margin-left:auto;padding-right:10px">{counts[s]}</b></div>'
-        for s in SHOWN
-        if s not in ("failed", "missing", "on_hold", "validating") or counts[s]
-    )
-    return (
-        '<div style="display:grid;grid-template-columns:1fr 1fr;gap:3px 4px;font-size:13px;'
-        f'margin:2px 12px 6px">{cells}</div>'
-    )
-
 
 PROBLEMS = 6
 """Problems of the file that are listed; the others are counted."""
@@ -77,7 +49,6 @@ class SceneCard:
         def button(label: str, action: Callable[[], None], icon: Any, **look: Any) -> Any:
             return push_button(tab, label, action, icon=icon, **look)
 
-        self._legend = gui.add_html("")
         self._original = gui.add_checkbox(
             words.ORIGINAL_COLORS, False, hint=words.ORIGINAL_COLORS_HINT
         )
@@ -145,8 +116,6 @@ class SceneCard:
         put(self._play, color="blue" if joints else "gray")
         put(self._play, icon=viser.Icon.PLAYER_STOP if moving else viser.Icon.PLAYER_PLAY)
         self._draw_chosen(selected)
-        counts = Counter(r.shown for r in rows)
-        put(self._legend, content=legend(counts, self._picture.original_colors))
         saved = workspace.document.saved
         put(self._saved, visible=saved is not None)
         if saved is not None:
