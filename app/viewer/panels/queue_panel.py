@@ -210,6 +210,7 @@ def _page_words(*, in_scene: bool) -> dict[str, Any]:
     filters = palette.SCENE_COLORS if in_scene else words.STATE_ORDER
     return {
         **words.PAGE_WORDS,
+        "acceptSure": str(words.accept_sure),
         "found": str(words.found),
         "because": str(words.on_hold_because),
         "states": [[s, states[s]] for s in filters],

@@ -60,7 +60,6 @@ PAGE_WORDS: Final[dict[str, str]] = {
     "setCategory": "Set the category of the selected objects",
     "predict": "Predict",
     "accept": "Accept from",
-    "acceptSure": "Accept {count} from",
     "exportThem": "Export…",
     "assign": "Assign to",
     "assignHint": "Assign the selected objects",
@@ -68,6 +67,7 @@ PAGE_WORDS: Final[dict[str, str]] = {
     "project": "Project",
 }
 """Words of the queue that the page's own script shows, by its names for them."""
+accept_sure = Message("Accept {count} from")
 found = Message("{count} objects · {today} accepted today")
 SORTS: Final[dict[str, str]] = {
     "order": "Order",
