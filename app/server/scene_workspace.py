@@ -468,14 +468,6 @@ class SceneGallery(Gallery):
         found = [self._rows[i].work for i in ids if i in self._rows]
         return list(dict.fromkeys(i for i in found if i is not None))
 
-    def object(self, place: int) -> str:
-        """The id in the scene of an object of the list."""
-        return list(self._scene.items)[place]
-
-    def place(self, id: str | None) -> int | None:
-        """The id in the list of an object of the scene."""
-        return list(self._scene.items).index(id) if id in self._scene.items else None
-
     def names(self, records: Sequence[ObjectRecord]) -> dict[int, str]:
         """See the base class."""
         return {r.id: r.name for r in records}

@@ -9,7 +9,6 @@ import viser
 
 from app.server.app_state import AppState
 from app.server.open_object import OpenObject
-from app.server.scene_workspace import SceneGallery
 from app.viewer.commands import Commands, bindings
 from app.viewer.input.keys import DecisionGuard, KeySheet, add_keys
 from app.viewer.input.pointing import PointerActions, Pointing
@@ -131,18 +130,18 @@ class ClientApp:
 
     def _open_listed(self, id: int) -> None:
         """Open an object of the list, or choose it in the scene."""
-        gallery = self._app_state.gallery
-        if self.scene is not None and isinstance(gallery, SceneGallery):
-            self.scene.choice.choose(gallery.object(id), look=True)
-        else:
+        if self._app_state.scene is None or self.scene is None:
             self._navigation.open(id)
+        else:
+            self.scene.choice.choose(list(self._app_state.scene.items)[id], look=True)
 
     def _listed(self) -> int | None:
         """The id in the list of the open or chosen object."""
-        gallery, obj = self._app_state.gallery, self.tab.selection.object
-        if self.scene is not None and isinstance(gallery, SceneGallery):
-            return gallery.place(self.scene.choice.selected)
-        return None if obj is None else obj.record.id
+        scene, obj = self._app_state.scene, self.tab.selection.object
+        if scene is None or self.scene is None:
+            return None if obj is None else obj.record.id
+        chosen = self.scene.choice.selected
+        return list(scene.items).index(chosen) if chosen in scene.items else None
 
     def _rail_actions(self) -> RailActions:
         return RailActions(

@@ -23,7 +23,7 @@ from app.server.app_state import AppState
 from app.server.config import ServeConfig
 from app.server.job import Job
 from app.server.scene_state import Row, decided_text, order
-from app.server.scene_workspace import SceneGallery, SceneWorkspace
+from app.server.scene_workspace import SceneWorkspace
 from app.viewer.panels.joint_tree import joint_lines
 from app.viewer.steps.scene_selection import count_text
 from model.core.articulated_object import Prediction
@@ -158,20 +158,19 @@ def test_objects_are_predicted_once_for_all_their_twins(world: World) -> None:
 def test_the_list_of_a_scene_is_a_queue_of_its_objects(world: World) -> None:
     state, scene = world.app_state, world.scene_workspace
     assert state is not None
-    gallery = state.gallery
-    assert isinstance(gallery, SceneGallery)
-    found = gallery.rows({"current": str(gallery.place("twin"))})
+    gallery, ids = state.gallery, list(scene.items)
+    found = gallery.rows({"current": str(ids.index("twin"))})
     assert [r["name"] for r in found["rows"]] == [r.id for r in scene.rows()]
     assert found["states"] == {"predicted": 3, "static": 2, "failed": 1, "missing": 1}
     assert found["rows"][found["at"]]["name"] == "twin"
     predicted = gallery.rows({"state": "predicted", "ids": "1"})["ids"]
-    works = {scene.work(gallery.object(i)).id for i in predicted}  # type: ignore[union-attr]
+    works = {scene.work(ids[i]).id for i in predicted}  # type: ignore[union-attr]
     assert set(gallery.sessions(predicted)) == works and len(works) == 2
     least = min(r.confidence for r in scene.rows() if r.status == "predicted")
     above = gallery.rows({"ids": "1", "above": str(int(100 * least))})["ids"]
     assert above == predicted and gallery.rows({"ids": "1", "above": "101"})["ids"] == []
     assert [r["name"] for r in gallery.rows({"search": "floor"})["rows"]] == ["slab"]
-    assert gallery.thumbnail(gallery.place("slab") or 0) is None
+    assert gallery.thumbnail(ids.index("slab")) is None
 
 
 def test_a_language_model_decides_where_its_address_is_given(
