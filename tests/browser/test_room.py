@@ -4,6 +4,7 @@ in place, and the room is saved with them where they stood."""
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from pathlib import Path
 from typing import Any
@@ -195,7 +196,11 @@ class RoomTab(SceneTab):
             self.clicks += 1
             wait_until(lambda seen=report: obj.validation.report is not seen, "the gate asks again")
         assert report.severity != Severity.ERROR
-        accept = self.page.get_by_role("button", name="ccept").locator("visible=true").first
+        accept = (
+            self.page.get_by_role("button", name=re.compile("^Accept"))
+            .locator("visible=true")
+            .first
+        )
         accept.click()
         if report.severity == Severity.WARNING:  # it is shown first
             self.clicks += 1
