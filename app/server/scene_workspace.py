@@ -9,6 +9,7 @@ accepted as such.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -435,6 +436,9 @@ class SceneWorkspace(SceneState):
             self.notify("Failed", message, "red")
 
 
+_BLANK = ObjectRecord(0, Path(), "", None, "todo", 0, 0, None, "", "", "", None, 0)
+
+
 class SceneGallery(Gallery):
     """The objects of a scene as a queue, those to decide first; ids are places in the scene."""
 
@@ -458,10 +462,16 @@ class SceneGallery(Gallery):
         item, work = self._scene.items[row.id], self._scene.work(row.id)
         review = ReviewRecord() if work is None else work.document.review
         path = item.path if work is None or work.drawn is None else item.copy
-        return ObjectRecord(
-            place, path or Path(), row.id, None, cast(Any, row.shown), 0, 0, item.category,
-            review.by.replace(AUTHOR, ""), review.at, "", None, 0,
-        )  # fmt: skip
+        return replace(
+            _BLANK,
+            id=place,
+            path=path or Path(),
+            name=row.id,
+            state=cast(Any, row.shown),
+            category=item.category,
+            who=review.by.replace(AUTHOR, ""),
+            updated=review.at,
+        )
 
     def sessions(self, ids: Sequence[int]) -> list[int]:
         """See the base class: instances share one, static objects have none."""
