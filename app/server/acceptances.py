@@ -125,6 +125,8 @@ class PendingAcceptances:
     def end(self, object_id: int) -> None:
         """Store that the acceptance ended, decided or not."""
         self._store.end_acceptance(object_id)
+        if self._pending.pop(object_id, None) is not None:
+            self._notify()
 
     def hold(self, object_id: int, pending: PendingAcceptance) -> None:
         """Put an acceptance on hold, also for later runs."""

@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import replace
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 from app.server.acceptances import acceptance_record, carry_out
 from app.server.names import display_text
@@ -25,6 +27,27 @@ from sessions.state import Context, SessionState, apply
 from sessions.store import PendingAcceptance
 
 
+@dataclass(frozen=True, eq=False)
+class Order:
+    """A decision about several objects that an acceptance carries out.
+
+    Attributes:
+        at: its time, or "".
+        looked: whether the person was shown the warnings.
+        lock: held while the acceptance is recorded.
+        stands: whether it wasn't taken back yet.
+    """
+
+    at: str = ""
+    looked: bool = False
+    lock: AbstractContextManager[Any] = field(default_factory=nullcontext)
+    stands: Callable[[], bool] = lambda: True
+
+
+ALONE = Order()
+"""Order of an acceptance that a person asks for at the object."""
+
+
 def accept(
     obj: OpenObject,
     comment: str,
@@ -34,6 +57,7 @@ def accept(
     seen: ValidationReport | None = None,
     refused: Callable[[CommandError], None] | None = None,
     state: SessionState | None = None,
+    order: Order = ALONE,
 ) -> None:
     """Write the asset, read it back, and only then record the decision.
 
@@ -43,6 +67,7 @@ def accept(
         refused: gets what prevents the acceptance where that is found only later; where it is
             None, all tabs show it.
         state: the state that the person decided about; None is the present one.
+        order: the decision that it is part of.
 
     Raises:
         CommandError: where something is missing, there are errors and no reason, or the object
@@ -51,7 +76,7 @@ def accept(
     """
     state = obj.state if state is None else state
     pending = PendingAcceptance(state.seq, comment, override)
-    _Acceptance(obj, pending, who, seen, refused, state).begin()
+    _Acceptance(obj, pending, who, seen, refused, state, order).begin()
 
 
 class _Acceptance(AcceptanceRequest):
@@ -65,10 +90,11 @@ class _Acceptance(AcceptanceRequest):
         seen: ValidationReport | None,
         refused: Callable[[CommandError], None] | None,
         state: SessionState,
+        order: Order,
     ) -> None:
-        super().__init__(pending.override, seen, state)
+        super().__init__(pending.override, seen, state, looked=order.looked)
         self._obj, self._pending, self._who, self._refused = obj, pending, who, refused
-        self._begun = time.time()
+        self._order, self._begun = order, time.time()
 
     def begin(self) -> None:
         """Write the asset, or wait for the report; see :func:`accept`."""
@@ -95,6 +121,7 @@ class _Acceptance(AcceptanceRequest):
             self._write()
             return
         obj.notify("Accepting", waiting_text, "blue")
+        validation.update()  # of an object that nobody opened
         obj.services.queue.changed()
         obj.changed()
 
@@ -116,7 +143,7 @@ class _Acceptance(AcceptanceRequest):
             if obj.validation.admits(self):
                 self._write()
         except CommandError as error:
-            self._hold(str(error))
+            hold(self._obj, str(error), self._pending)
             self._refuse(error)
 
     def _check(self) -> None:
@@ -138,46 +165,50 @@ class _Acceptance(AcceptanceRequest):
         obj, state, who, override = self._obj, self.state, self._who, self.override
         services, report, doc = obj.services, obj.validation.report, state.present
         assert doc.tree is not None
-        source = obj.source(doc)
-        command = cmd.Accept(self._pending.comment, obj.validation.known_problems(), override)
+        source, read = obj.source(doc), obj.read_source(doc)
+        assert read is not None
+        command = cmd.Accept(
+            self._pending.comment, obj.validation.known_problems(), override, self._order.at
+        )
         record = acceptance_record(
             apply(state, command, Context(who, "")),
             services.store.history(obj.record.id),
-            obj.need_asset().source,
+            read[1],
             report,
             override,
-            warnings_seen=report is not None and report is self.seen,
-            scene=None if obj.in_scene is None else obj.in_scene.source(),
+            warnings_seen=self.has_seen(report),
+            scene=obj.scene_source,
         )
         services.acceptances.begin(obj.record.id, self._pending)
         job = services.drafts.finish(source, doc.tree, obj.jobs.progress("save"))
 
         def keep(draft: Path) -> None:
-            try:
-                written = carry_out(obj.live, state, command, who, draft, record)
-            except CommandError as error:
-                self._refuse(error)
-                return
+            with self._order.lock:
+                if not self._order.stands():
+                    return
+                try:
+                    written = carry_out(obj.live, state, command, who, draft, record)
+                except CommandError as error:
+                    self._refuse(error)
+                    return
             obj.record_job(ACCEPT, self._begun, time.time() - self._begun)
             obj.notify("Accepted", f"Saved in {written}", "green")
 
         obj.start("save", job, keep)
         obj.changed()
 
-    def _hold(self, reason: str) -> None:
-        """Put it on hold until it is decided or the object changes."""
-        obj = self._obj
-        reason = display_text(obj.document, reason)
-        if obj.in_scene is not None:
-            obj.in_scene.hold(reason, obj.validation.report)
-        held = replace(self._pending, seq=obj.state.seq, hold_reason=reason)
-        obj.services.acceptances.hold(obj.record.id, held)
-
     def _refuse(self, error: CommandError) -> None:
         if self._refused is None:
             self._obj.notify("Not accepted", str(error), "yellow")
         else:
             self._refused(error)
+
+
+def hold(obj: OpenObject, reason: str, pending: PendingAcceptance | None = None) -> None:
+    """Put an acceptance on hold until the object is decided or changes."""
+    held = PendingAcceptance(0) if pending is None else pending
+    held = replace(held, seq=obj.state.seq, hold_reason=display_text(obj.document, reason))
+    obj.services.acceptances.hold(obj.record.id, held)
 
 
 def acceptance_over(obj: OpenObject) -> bool:

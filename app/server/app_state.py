@@ -17,10 +17,10 @@ from app.server.config import ServeConfig
 from app.server.ending import WorkspaceLease
 from app.server.gallery import Gallery, ReviewOrder
 from app.server.learning import Learning
-from app.server.object_context import SceneMember, Services
+from app.server.object_context import Services
 from app.server.object_queue import ObjectQueue
 from app.server.open_object import OpenObject
-from app.server.scene_workspace import SceneWorkspace
+from app.server.scene_workspace import SceneGallery, SceneWorkspace
 from app.server.workers import Workers
 from sessions.accounts import Account
 from sessions.live import LiveSession, SessionHub
@@ -125,7 +125,9 @@ class AppState:
         self._lock = threading.RLock()
         self._open: OrderedDict[int, OpenObject] = OrderedDict()  # the one used last is last
         self._closed = threading.Event()
-        self.gallery = Gallery(self._services, self.review_order.confidence, self.shown_state)
+        self.gallery = Gallery(
+            self._services, self.review_order.confidence, self.shown_state, self._exceptions
+        )
         self.bulk = BulkWork(self._services, self.object)
         self.learning = Learning(self.workspace, config.database, self.workers.template)
         self.presence = PresenceBoard(store.people.work)
@@ -140,7 +142,8 @@ class AppState:
         self, path: Path, folders: tuple[Path, ...], format: str | None = None
     ) -> SceneWorkspace:
         """Open a scene with the assets in ``folders``; it is read in the background."""
-        self.scene = SceneWorkspace(self._services, path, folders, format, self.is_accepting)
+        self.scene = SceneWorkspace(self._services, path, folders, format)
+        self.gallery = SceneGallery(self.scene)
         return self.scene
 
     def _queue_changed(self) -> None:
@@ -162,11 +165,10 @@ class AppState:
             keep: seconds for which it stays in use from now on, where no tab shows it.
         """
         with self._lock:
-            if object_id not in self._open:
-                self._open[object_id] = OpenObject(
-                    self.store.object(object_id), self._services, lambda: self._member(object_id)
-                )
-            opened = self._open[object_id]
+            opened = self._known(object_id)
+            if opened is None:
+                opened = OpenObject(self.store.object(object_id), self._services)
+            self._open[object_id] = opened
             opened.kept_until = max(opened.kept_until, time.monotonic() + keep)
             self._open.move_to_end(object_id)
             self._release_unused()
@@ -185,22 +187,24 @@ class AppState:
             if not self._open[i].in_use:
                 self._open.pop(i).release()
 
-    def _member(self, object_id: int) -> SceneMember | None:
-        return None if self.scene is None else self.scene.member(object_id)
+    def _known(self, object_id: int) -> OpenObject | None:
+        """Return an object that was opened, or belongs to the scene."""
+        in_scene = None if self.scene is None else self.scene.works.get(object_id)
+        return self._open.get(object_id, in_scene)
 
     def display_name(self, record: ObjectRecord) -> str:
         """Return an object's name; in a scene the one it has there."""
-        member = self._member(record.id)
-        return record.name if member is None else member.name
+        opened = self._known(record.id)
+        return record.name if opened is None else opened.display_name
 
     def is_predicting(self, object_id: int) -> bool:
         """True while the joints of an object are predicted here."""
-        opened = self._open.get(object_id)
+        opened = self._known(object_id)
         return opened is not None and "predict" in opened.jobs
 
     def is_accepting(self, object_id: int) -> bool:
         """True while an object is being accepted here."""
-        opened = self._open.get(object_id)
+        opened = self._known(object_id)
         return opened is not None and opened.being_accepted
 
     def was_interrupted(self, record: ObjectRecord) -> bool:
@@ -228,7 +232,7 @@ class AppState:
             return "on_hold", held
         return ("interrupted" if self.was_interrupted(record) else record.state), ""
 
-    def exceptions(self) -> dict[int, tuple[str, str]]:
+    def _exceptions(self) -> dict[int, tuple[str, str]]:
         """Return the shown states of the few objects whose record doesn't say it all."""
         few = {*self.queue.unreadable, *self.acceptances.ids, *list(self._open)}
         return {r.id: self.shown_state(r) for r in self.queue.records() if r.id in few}

@@ -100,7 +100,8 @@ MOST_WAITING = 60
 """Thumbnails to draw: those that were asked for before are off the screen by now."""
 DRAW_SECONDS = 120.0
 """Longest drawing of one."""
-_STATES = ("rejected", "in_progress", "todo", "predicted", "submitted", "accepted")
+_STATES = ("rejected", "in_progress", "todo", "predicted", "on_hold", "validating", "submitted")
+"""In the order of their sorting; what is decided or static comes after them."""
 SORTS: Final[tuple[str, ...]] = tuple("order name category state who confidence recent".split())
 
 
@@ -110,6 +111,7 @@ class Gallery:
     Args:
         confidence: returns that of a predicted object, 0..1.
         shown: gives the state of an object with what runs on it, and why it needs attention.
+        exceptions: gives these of the few objects whose record doesn't say it all, by id.
     """
 
     def __init__(
@@ -117,8 +119,10 @@ class Gallery:
         services: Services,
         confidence: Callable[[ObjectRecord], float],
         shown: Callable[[ObjectRecord], tuple[str, str]],
+        exceptions: Callable[[], Mapping[int, tuple[str, str]]],
     ) -> None:
-        self._services, self._confidence, self._shown = services, confidence, shown
+        self._services, self._confidence, self.shown = services, confidence, shown
+        self.exceptions = exceptions
         self._lock = Lock()
         self._names: tuple[tuple[int, ...], dict[int, str]] = ((), {})
         self._drawn: dict[tuple[int, str], tuple[Any, Path | None]] = {}
@@ -126,21 +130,33 @@ class Gallery:
 
     # --- the list
 
+    def records(self) -> list[ObjectRecord]:
+        """All objects, in their own order."""
+        return self._services.queue.records()
+
+    def sessions(self, ids: Sequence[int]) -> list[int]:
+        """The sessions of objects; several may share one."""
+        return list(ids)
+
     def rows(self, query: Mapping[str, str]) -> dict[str, Any]:
         """A piece of the list.
 
         Args:
             query: "first" and "count" of the piece; "search", "state" and "sort" of the list;
-                "current" is the id of an object whose place is asked for; "ids" for all ids.
+                "current" is the id of an object whose place is asked for; "ids" for all ids, of
+                predictions with a confidence of at least "above" percent.
         """
-        records = self._services.queue.records()
-        chosen = self.chosen(query.get("search", ""), query.get("state", ""), query.get("sort", ""))
+        records = self.records()
+        names = self.names(records)
+        chosen = self._chosen(records, names, query)
         if query.get("ids"):
-            return {"ids": [r.id for r in chosen]}
+            above = whole_number(query.get("above"), -1)
+            sure = (r for r in chosen if above < 0 or 100 * (self.confidence(r) or -1) >= above)
+            return {"ids": [r.id for r in sure]}
         first = max(whole_number(query.get("first"), 0), 0)
         count = min(max(whole_number(query.get("count"), 60), 1), MOST_ROWS)
         current = whole_number(query.get("current"), -1)
-        names, today = self.names(), datetime.now(UTC).date().isoformat()
+        today = datetime.now(UTC).date().isoformat()
         assigned = self._services.store.people.work.assigned()
         return {
             "total": len(chosen),
@@ -149,37 +165,43 @@ class Gallery:
             "today": sum(r.state == "accepted" and r.updated[:10] == today for r in records),
             "at": next((i for i, r in enumerate(chosen) if r.id == current), -1),
             "rows": [
-                self._row(r, names[r.id]) | {"assigned": assigned.get(r.id) or r.assigned_to or ""}
+                self._row(r, names[r.id]) | {"assigned": self._assigned(r, assigned)}
                 for r in chosen[first : first + count]
             ],
         }
 
-    def names(self) -> dict[int, str]:
-        """Id → name of all objects of the queue."""
-        records = self._services.queue.records()
+    def names(self, records: Sequence[ObjectRecord]) -> dict[int, str]:
+        """Id → name of all objects."""
         ids = tuple(r.id for r in records)
         if ids != self._names[0]:
             self._names = ids, queue_names(records)
         return self._names[1]
 
-    def chosen(self, search: str, state: str, sort: str) -> list[ObjectRecord]:
+    def _chosen(
+        self, records: Sequence[ObjectRecord], names: dict[int, str], query: Mapping[str, str]
+    ) -> list[ObjectRecord]:
         """The objects whose name or category holds the words, in order."""
-        names, words = self.names(), search.lower().split()
+        words, state = query.get("search", "").lower().split(), query.get("state", "")
+        sort = query.get("sort", "")
         found = [
             r
-            for r in self._services.queue.records()
+            for r in records
             if (not state or r.state == state)
-            and all(w in f"{names.get(r.id, '')} {r.category or ''}".lower() for w in words)
+            and all(w in self.text(r, names.get(r.id, "")).lower() for w in words)
         ]
         key = self._key(sort, names)
         return found if key is None else sorted(found, key=key, reverse=sort == "recent")
+
+    def text(self, record: ObjectRecord, name: str) -> str:
+        """The text that a search looks through."""
+        return f"{name} {record.category or ''}"
 
     def _key(self, sort: str, names: dict[int, str]) -> Callable[[ObjectRecord], Any] | None:
         return {
             "order": lambda r: r.state != "rejected",  # what came back comes first
             "name": lambda r: names.get(r.id, "").lower(),
             "category": lambda r: (r.category is None, r.category or ""),
-            "state": lambda r: _STATES.index(r.state),
+            "state": lambda r: (*_STATES, r.state).index(r.state),
             "who": lambda r: (not r.who, r.who),
             "confidence": lambda r: (r.state != "predicted", self.confidence(r) or 0.0),
             "recent": lambda r: r.updated,
@@ -191,8 +213,12 @@ class Gallery:
             return None
         return self._confidence(record)
 
+    def _assigned(self, record: ObjectRecord, assigned: Mapping[int, str]) -> str:
+        found = [assigned[i] for i in self.sessions([record.id]) if i in assigned]
+        return found[0] if found else record.assigned_to or ""
+
     def _row(self, record: ObjectRecord, name: str) -> dict[str, Any]:
-        shown, why = self._shown(record)
+        shown, why = self.shown(record)
         return {
             "id": record.id,
             "name": name,
@@ -200,7 +226,7 @@ class Gallery:
             "shown": shown,
             "why": why,
             "category": record.category or "",
-            "who": record.who if record.seq else "",
+            "who": record.who,
             "confidence": self.confidence(record),
         }
 
@@ -208,8 +234,8 @@ class Gallery:
 
     def thumbnail(self, object_id: int) -> bytes | None:
         """The picture of an object; None while it is drawn, or where it can't be."""
-        record = next((r for r in self._services.queue.records() if r.id == object_id), None)
-        if record is None:
+        record = next((r for r in self.records() if r.id == object_id), None)
+        if record is None or record.path == Path():
             return None
         key, now = (object_id, record.state), stamp_if_there(record.path)
         with self._lock:

@@ -1,11 +1,11 @@
-"""Surroundings of an open object: the server's services, its place in the open scene, and what it
-shares with its segmentation and its validation.
+"""Surroundings of an open object: the server's services, and what it shares with its segmentation
+and its validation.
 """
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,32 +22,17 @@ from app.server.observable import Observable, RunningJobs
 from app.server.part_tasks import PartSource, source_of
 from app.server.tasks import ReadOptions
 from app.server.workers import Lane, Workers
+from model.core.asset import Source
 from model.core.errors import CommandError
 from model.prediction import DEFAULT
 from model.prediction.experience import in_use
 from model.segmentation.prompts import BASE
-from model.validation.report import ValidationReport
 from sessions import command_log
 from sessions import commands as cmd
 from sessions.document import Document
 from sessions.live import LiveSession, SessionHub
 from sessions.state import SessionState
 from sessions.store import ObjectRecord, Store
-
-
-@dataclass(frozen=True, eq=False)
-class SceneMember:
-    """An object that belongs to a scene.
-
-    Attributes:
-        name: of the object in the scene.
-        source: returns its source for ``provenance.json``.
-        hold: puts its acceptance on hold in the scene, with the reason and the report.
-    """
-
-    name: str
-    source: Callable[[], Mapping[str, Any]]
-    hold: Callable[[str, ValidationReport | None], None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,6 +117,13 @@ class ObjectContext(Observable):
             doc.frame,
         )
 
+    def read_source(self, document: Document) -> tuple[Path, Source] | None:
+        """Return the folder of the asset's arrays and its source, once the document's parts can be
+        cut."""
+        asset = self.asset
+        ready = asset is not None and document.segmentation is not None
+        return (asset.folder, asset.source) if asset is not None and ready else None
+
     def source(self, document: Document | None = None) -> PartSource:
         """Return the parts of the document as the workers cut them.
 
@@ -139,10 +131,11 @@ class ObjectContext(Observable):
             CommandError: where nothing is segmented yet.
         """
         doc = document or self.document
-        if self.asset is None or doc.segmentation is None:
+        read = self.read_source(doc)
+        if read is None:
             raise CommandError("no part is there yet: click on a part that moves")
         # A working copy's folder is named after its content, too.
-        return source_of(doc, self.asset.folder, self.services.workspace, self.record.name)
+        return source_of(doc, read[0], self.services.workspace, self.record.name)
 
     def part_of(self, element: int) -> int | None:
         """Return the part of a source element, displayed or not; None before segmentation."""

@@ -19,7 +19,7 @@ from app.server.display_tasks import OpenedAsset, PartPayload
 from app.server.job import OutOfTimeError
 from app.server.jobs import CLICKS, EDITS, Job, JobFailed
 from app.server.learning import Likeness
-from app.server.object_context import ObjectContext, SceneMember, Services
+from app.server.object_context import ObjectContext, Services
 from app.server.observable import Listener, Notice
 from app.server.preparing import Preparing
 from app.server.segmenting import Segmenting
@@ -41,22 +41,16 @@ INTERRUPTED = "Its server ended, or another one still works on it. Press Y to ac
 class OpenObject(ObjectContext):
     """One object as all its tabs see it: asset, session, labels, running jobs.
 
-    Args:
-        in_scene: the object's place in the open scene, if it has one.
-
     Attributes:
+        in_scene: whether it belongs to the open scene.
         present: the people with accounts who have it open, in any server.
         kept_until: until then (monotonic clock) a script is taken to work on it.
     """
 
-    def __init__(
-        self,
-        record: ObjectRecord,
-        services: Services,
-        in_scene: Callable[[], SceneMember | None] = lambda: None,
-    ) -> None:
+    in_scene = False
+
+    def __init__(self, record: ObjectRecord, services: Services) -> None:
         super().__init__(record, services)
-        self._in_scene = in_scene
         self.present: tuple[Presence, ...] = ()
         self.kept_until = 0.0
         self.problem: str | None = None
@@ -75,15 +69,14 @@ class OpenObject(ObjectContext):
     # --- state
 
     @property
-    def in_scene(self) -> SceneMember | None:
-        """The object's place in the open scene; None where it has none."""
-        return self._in_scene()
-
-    @property
     def display_name(self) -> str:
         """The object's name; in a scene the one it has there."""
-        member = self.in_scene
-        return self.record.name if member is None else member.name
+        return self.record.name
+
+    @property
+    def scene_source(self) -> dict[str, Any]:
+        """Its source in ``provenance.json`` where it belongs to a scene; else empty."""
+        return {}
 
     @property
     def being_accepted(self) -> bool:
@@ -145,8 +138,12 @@ class OpenObject(ObjectContext):
     def release(self) -> None:
         """Drop what can be computed again; the decisions are on disk."""
         self._unsubscribe()
+        self.unload()
+
+    def unload(self) -> None:
+        """Drop the asset, until it is opened again."""
         self.services.workers.lanes.leave(self)
-        self.asset = None  # now: the garbage collector may take long
+        self.asset = self._frame = None  # now: the garbage collector may take long
         self.payloads.clear()
         self.segmenting.forget()
 
@@ -219,7 +216,7 @@ class OpenObject(ObjectContext):
         for warning in asset.warnings:
             self.notify("Opened with a warning", warning, "orange")
         self._prepare_clicks(asset)
-        if self.in_scene is None and asset.source_labels is None:
+        if not self.in_scene and asset.source_labels is None:
             self.preparing.propose_on_opening()
         self._state_changed()
 
@@ -237,8 +234,11 @@ class OpenObject(ObjectContext):
         self._state_changed()
 
     def _state_changed(self) -> None:
-        self.ensure_open()
-        if self.asset is not None:
+        if self._frame is not None:
+            self.ensure_open()
+        if self.asset is None:
+            self.validation.drop_stale_request()
+        else:
             self.segmenting.update()
             self.likeness.update()
             self.validation.update()

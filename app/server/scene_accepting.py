@@ -1,33 +1,27 @@
-"""Accepting and rejecting objects from the scene, one after the other, in the background.
+"""Decisions about objects of a scene, carried out one after the other in the background.
 
-The scene's session records the decisions; here they are carried out in the objects' own sessions.
-An object with errors isn't accepted: it waits for a person who fixes it or gives a reason. Nor is
-one with warnings, unless the person was shown them. The decisions of a server that died are carried
-out when the scene is opened again.
+The scene's session records the decisions; here they are carried out in the objects' own sessions,
+as for any open object. One with errors is put on hold: it waits for a person who fixes it or gives
+a reason. So is one with warnings, unless the person was shown them. The decisions of a server that
+died are carried out when the scene is opened again, undone ones are reverted.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Literal
 
-from app.server.acceptances import acceptance_record, carry_out
-from app.server.jobs import CLICKS
-from app.server.names import joint_title
+from app.server.accepting import Order, accept, acceptance_over, hold, withdraw
+from app.server.names import display_text, joint_title
 from app.server.observable import Notice
-from app.server.part_tasks import PartSource, validate_joints
 from app.server.scene_state import HELD, SceneState, Work
-from app.server.validating import problems_of, required_problem, unknown_names
-from model.core.errors import CommandError
-from model.validation.examine import with_low_confidence, with_unknown_names
+from model.core.errors import ArtiworldError, CommandError
 from model.validation.report import Severity, ValidationReport
 from sessions import commands as cmd
-from sessions.document import DecisionRecord, Document, review_problems
+from sessions.document import DecisionRecord
 from sessions.scene_commands import Decided, DecideObjects
-from sessions.state import Context, SessionState, apply
+from sessions.state import SessionState
 from sessions.store import clean_who
 
 Mark = Literal["", "validating", "on_hold"]
@@ -41,12 +35,10 @@ class Refusal:
 
     Attributes:
         why: in a sentence, with the joint that it is about.
-        document: the object's document then.
         report: the validation report; None where something else was the reason.
     """
 
     why: str
-    document: Document
     report: ValidationReport | None = None
 
     @property
@@ -72,18 +64,10 @@ class _Outcome:
 
 
 class Accepting:
-    """The decisions about a scene's objects that are being carried out.
+    """The decisions about a scene's objects that are being carried out."""
 
-    Args:
-        is_accepting: whether an object is being accepted as an open object, by session id.
-
-    Attributes:
-        refused: session id → why the object wasn't accepted.
-    """
-
-    def __init__(self, scene: SceneState, is_accepting: Callable[[int], bool]) -> None:
+    def __init__(self, scene: SceneState) -> None:
         self._scene = scene
-        self._is_accepting = is_accepting
         self._queue: dict[Entry, SessionState] = {}  # and the object's state at the decision
         self._known: tuple[DecisionRecord, ...] = scene.document.decided
         self._total = 0
@@ -91,16 +75,20 @@ class Accepting:
         self._running: Entry | None = None
         self._outcomes: list[_Outcome] = []
         self._expected: dict[tuple[str, Decided, tuple[int, ...]], Notice] = {}
-        self._ineffective: set[Entry] = set()
         self._elsewhere: set[DecisionRecord] = set()  # carried out by other servers
-        self.refused: dict[int, Refusal] = {}
 
-    def refusal(self, work: Work) -> Refusal | None:
+    @staticmethod
+    def refusal(work: Work) -> Refusal | None:
         """Return why the present object wasn't accepted, or None."""
-        refusal = self.refused.get(work.id)
-        if refusal is None or not _same(refusal.document, work.document):
+        why, doc = work.hold_reason, work.document
+        if not why or doc.review.state in ("accepted", "rejected"):
             return None
-        return None if work.document.review.state in ("accepted", "rejected") else refusal
+        report = work.validation.report
+        if report is not None and report.severity != Severity.OK:
+            worst = report.joints[0]
+            if display_text(doc, worst.message) in why:
+                return Refusal(f"{joint_title(doc, worst.child)}: {worst.message}", report)
+        return Refusal(why)
 
     def why_refused(self, work: Work) -> str:
         """Like :meth:`refusal`, in a sentence, or ""."""
@@ -109,7 +97,7 @@ class Accepting:
 
     def mark(self, work: Work) -> Mark:
         """Return whether the object is being validated, or on hold."""
-        if work.id in self.waiting or self._is_accepting(work.id):
+        if work.id in self.waiting or work.being_accepted:
             return "validating"
         return "" if self.refusal(work) is None else "on_hold"
 
@@ -118,22 +106,14 @@ class Accepting:
         """Session ids of objects that are being accepted."""
         return frozenset(i for i, _ in self._queue)
 
-    def hold(self, work: Work, reason: str, report: ValidationReport | None) -> None:
-        """Put on hold the acceptance of an object that was opened, and then left.
-
-        Args:
-            reason: used where validation reports nothing.
-        """
-        if report is not None and report.severity != Severity.OK:
-            reason = self._worst(work.document, report)
-        self.refused[work.id] = Refusal(reason, work.document, report)
-        self._scene.changed()
-
-    @staticmethod
-    def _worst(doc: Document, report: ValidationReport) -> str:
-        """Return a report's worst finding, with the joint that it is about."""
-        worst = report.joints[0]
-        return f"{joint_title(doc, worst.child)}: {worst.message}"
+    @property
+    def busy(self) -> dict[str, tuple[float, str]]:
+        """Progress (0..1) and message of the acceptance under way; empty without one."""
+        if self._running not in self._queue or self._running is None:
+            return {}
+        work = self._scene.works[self._running[0]]
+        step = "saving" if "save" in work.jobs else "checking"
+        return {"accept": (self._done / max(1, self._total), f"{step} {work.display_name}")}
 
     def expect(self, command: DecideObjects, who: str, notice: Notice) -> None:
         """Report the outcome of a decision that follows to ``notice``."""
@@ -144,10 +124,7 @@ class Accepting:
     def had_no_effect(self, record: DecisionRecord) -> bool:
         """True if it was an acceptance and accepted none of its objects."""
         here = record.decision == "accept" and record not in self._elsewhere
-        return here and all(
-            (i, record) in self._ineffective or not self._carried_out(i, record)
-            for i in record.objects
-        )
+        return here and not any(self._carried_out(i, record) for i in record.objects)
 
     def _carried_out(self, i: int, record: DecisionRecord) -> bool:
         """True if the decision, maybe of an earlier server, has accepted an object, or will."""
@@ -193,7 +170,7 @@ class Accepting:
                     outcome.notice("Not accepted", f"undone: {self.describe(record)}", "yellow")
                     self._outcomes.remove(outcome)
                 for i in record.objects:
-                    self.refused.pop(i, None)
+                    self._forget_hold(i)
         for record in self._known:
             if record not in before:
                 if here:
@@ -211,7 +188,7 @@ class Accepting:
                 self._total = self._done = 0
             self._outcomes.append(_Outcome(record, notice, set(objects)))
             for i in objects:
-                self.refused.pop(i, None)
+                self._forget_hold(i)
                 for outcome in [o for o in self._outcomes if o.record.by == record.by]:
                     outcome.refused.pop(i, None)
                 self._queue[i, record] = self._scene.works[i].live.state
@@ -241,108 +218,71 @@ class Accepting:
             with suppress(CommandError):  # decided again, or another server was first
                 work.live.do(cmd.Undo() if undoes else cmd.Reopen(), record.by, since=now)
 
+    def _forget_hold(self, i: int) -> None:
+        work = self._scene.works.get(i)
+        if work is not None and work.hold_reason:
+            work.services.acceptances.end(i)
+
     # --- one after the other
 
     def go_on(self) -> None:
         """Drop what is decided otherwise, and start with the next object that is ready."""
-        scene = self._scene
+        scene, running = self._scene, self._running
         for entry, asked in list(self._queue.items()):
             work = scene.works[entry[0]]
+            under_way = entry == running and not (work.hold_reason or acceptance_over(work))
+            if under_way or entry not in self._queue:
+                continue
             if work.document.review.state == "accepted":
-                self._ineffective.add(entry)
                 self._accepted(entry)
             elif work.live.state.seq != asked.seq and (moved := work.live.moved_since(asked)):
                 self._refuse(entry, moved)
-        if "accept" in scene.jobs:
-            if self._running not in self._queue:
-                scene.jobs.cancel("accept")
+            elif entry == running:
+                self._refuse(entry, work.failure or "it was cancelled")
+        if running in self._queue:
             return
+        if running is not None and self._running is not None:  # taken back
+            self._stop(scene.works[running[0]])
         self._running = None
         for entry in list(self._queue):
             work = scene.works[entry[0]]
-            doc = work.document
-            problems = work.live.moved_since(self._queue[entry]) or "; ".join(review_problems(doc))
-            if problems:
-                self._refuse(entry, problems)
-                continue
-            assert doc.segmentation is not None
-            if work.drawn is None or work.drawn.labels != doc.segmentation.labels:
-                continue  # its parts are being cut; this is called again
-            self._validate(work, entry)
-            return
+            free = entry in self._queue and not work.being_accepted
+            if free and work.read_source(work.document) is not None:
+                self._begin(work, entry)
+                if self._running is not None:
+                    return
 
-    def _progress(self, work: Work, step: str) -> tuple[float, str]:
-        return self._done / max(1, self._total), f"{step} {work.item.obj.id}"
+    @staticmethod
+    def _stop(work: Work) -> None:
+        withdraw(work)
+        work.jobs.cancel("save")
+        if not work.is_shown:
+            work.jobs.cancel("check")
+            work.validation.forget_request()
 
-    def _is_current(self, work: Work, entry: Entry) -> bool:
-        """True if the object is unchanged and the decision is still to be carried out."""
-        return entry in self._queue and not work.live.moved_since(self._queue[entry])
+    def _begin(self, work: Work, entry: Entry) -> None:
+        scene, record = self._scene, entry[1]
+        order = Order(record.at, record.looked, scene.lock, lambda: entry in self._queue)
 
-    def _validate(self, work: Work, entry: Entry) -> None:
-        scene, doc = self._scene, work.document
-        source, tree = work.part_source(scene.services.workspace), doc.tree
-        assert source is not None and tree is not None
-        job = scene.services.workers.prediction.submit(
-            validate_joints, source, tree, priority=6, preempted_by=CLICKS
-        )
+        def refused(error: ArtiworldError) -> None:
+            with scene.lock:
+                if entry in self._queue:
+                    self._refuse(entry, str(error))
 
-        def keep(answer: ValidationReport) -> None:
-            if not self._is_current(work, entry):
-                return  # go_on says so
-            report = with_low_confidence(answer, tree, doc.predicted_confidence)
-            settings = scene.services.store.project.settings
-            report = with_unknown_names(report, tree, *unknown_names(doc, settings))
-            required = required_problem(doc, report, settings.required)
-            if (
-                required
-                or report.severity == Severity.ERROR
-                or (report.severity == Severity.WARNING and not entry[1].looked)
-            ):
-                self._refuse(entry, required or self._worst(doc, report), report)
-            else:
-                self._save(work, entry, source, report)
+        self._running, work.failure = entry, ""
+        try:
+            accept(work, "", record.by, refused=refused, state=self._queue[entry], order=order)
+        except CommandError as error:
+            self._refuse(entry, str(error))
 
-        self._running = entry
-        scene.start("accept", job, keep, self._progress(work, "checking"), work)
-
-    def _save(self, work: Work, entry: Entry, source: PartSource, report: ValidationReport) -> None:
-        scene, drawn, asked, record = self._scene, work.drawn, self._queue[entry], entry[1]
-        assert asked.present.tree is not None and drawn is not None
-        command = cmd.Accept("", problems_of(report), decided_at=record.at)
-        provenance = acceptance_record(
-            apply(asked, command, Context(record.by, "")),
-            scene.services.store.history(work.id),
-            drawn.source,
-            report,
-            warnings_seen=record.looked,
-            scene=work.source(scene.path, scene.services.workspace),
-        )
-        job = scene.services.drafts.finish(source, asked.present.tree, _silent)
-
-        def keep(draft: Path) -> None:
-            if not self._is_current(work, entry):
-                return
-            self._drop(entry)
-            carry_out(work.live, asked, command, record.by, draft, provenance)
-            self._ineffective.discard(entry)
-            self._accepted(entry)
-            scene.live.refresh()  # another server may have undone the decision just now
-
-        self._running = entry
-        scene.start("accept", job, keep, self._progress(work, "saving"), work)
-
-    def failed(self, message: str) -> None:
-        """Refuse the object whose validation or writing failed."""
-        if self._running is not None:
-            self._refuse(self._running, message)
-
-    def _refuse(self, entry: Entry, why: str, report: ValidationReport | None = None) -> None:
+    def _refuse(self, entry: Entry, why: str) -> None:
         i, record = entry
-        refusal = self.refused[i] = Refusal(why, self._scene.works[i].document, report)
+        work = self._scene.works[i]
+        if work.document.review.state not in ("accepted", "rejected") and not work.hold_reason:
+            hold(work, why)
         self._drop(entry)
-        self._ineffective.add(entry)
         for outcome in self._outcomes_of(record):
-            outcome.refused[i] = refusal
+            outcome.refused[i] = self.refusal(work) or Refusal(why)
             self._settle(outcome, i)
 
     def _accepted(self, entry: Entry) -> None:
@@ -355,6 +295,8 @@ class Accepting:
     def _drop(self, entry: Entry) -> None:
         if self._queue.pop(entry, None) is not None:
             self._done += 1
+        if entry == self._running:
+            self._running = None
 
     def _outcomes_of(self, record: DecisionRecord) -> list[_Outcome]:
         return [o for o in self._outcomes if o.record == record]
@@ -392,19 +334,5 @@ class Accepting:
         )
 
 
-def _same(one: Document, other: Document) -> bool:
-    """True if both have the same validation report."""
-    return (one.tree, one.segmentation, one.parts, one.predicted_confidence) == (
-        other.tree,
-        other.segmentation,
-        other.parts,
-        other.predicted_confidence,
-    )
-
-
 def _objects(count: int) -> str:
     return f"{count} object{'s'[: count != 1]}"
-
-
-def _silent(fraction: float, message: str) -> None:
-    """Ignore progress: the scene reports which object is saved; its steps are too quick to read."""

@@ -4,9 +4,10 @@ saving them in worker processes.
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import chain, count
 from pathlib import Path
 from typing import Any, Literal
@@ -18,15 +19,16 @@ from app.server.job import Job
 from app.server.jobs import CLICKS
 from app.server.object_context import Services
 from app.server.observable import Observable, RunningJobs
-from app.server.part_tasks import PartSource, source_of
+from app.server.open_object import OpenObject
 from app.server.scene_saving_tasks import Decided, MovingCopy, ReportRow, save_scene, write_report
 from app.server.scene_tasks import DrawnParts, OpenedScene, SceneItem, Shape, placed
+from model.core.asset import Source
 from model.core.errors import CommandError, InputFileError
 from model.scenes.asset_parts import asset_digest
 from model.scenes.jobs import ACCEPTED, PREDICTED, REJECTED, TODO
 from sessions import commands as cmd
 from sessions.document import Document
-from sessions.live import LiveSession
+from sessions.store import ObjectRecord
 
 Status = Literal["static", "todo", "predicted", "accepted", "rejected", "failed", "missing"]
 HELD = "on hold"
@@ -47,71 +49,90 @@ SHOWN: tuple[Shown, ...] = (
 """In the order of a reviewer's interest."""
 
 
-@dataclass(eq=False)
-class Work:
-    """One working copy and the objects of the scene that share it.
+class Work(OpenObject):
+    """A working copy, which objects of the scene share; it is read once somebody opens it.
+
+    Args:
+        item: the first object with it.
+        scene: the scene's file.
+        ended: gets the kind of each of its jobs that ended.
 
     Attributes:
-        id: id of its session.
-        item: the first object with it.
         ids: the objects in the scene.
-        live: its session.
-        name: name of its session, and of the object in saved files.
         reason: why it is left for the annotator, or what failed, else "".
         prepared: whether its prediction was tried.
-        drawn: its parts as the browser shows them, or None.
+        drawn: its parts as the scene shows them, or None.
         undrawable: reference of labels whose parts couldn't be drawn, else "".
+        failure: why its last acceptance failed, else "".
     """
 
-    id: int
-    item: SceneItem
-    live: LiveSession
-    name: str
-    ids: list[str] = field(default_factory=list)
-    reason: str = ""
-    prepared: bool = False
-    drawn: DrawnParts | None = None
-    undrawable: str = ""
+    in_scene = True
+
+    def __init__(
+        self,
+        record: ObjectRecord,
+        services: Services,
+        item: SceneItem,
+        scene: Path,
+        ended: Callable[[str], None],
+    ) -> None:
+        super().__init__(record, services)
+        self.item, self._scene, self._job_ended = item, scene, ended
+        self.ids: list[str] = []
+        self.reason = self.undrawable = self.failure = ""
+        self.prepared = False
+        self.drawn: DrawnParts | None = None
 
     @property
-    def document(self) -> Document:
-        """The present decisions."""
-        return self.live.state.present
+    def id(self) -> int:
+        """Id of its session."""
+        return self.record.id
 
-    def part_source(self, workspace: Path) -> PartSource | None:
-        """Return its parts as workers cut them; None before they are drawn."""
-        if self.drawn is None or self.document.segmentation is None:
-            return None
-        source = source_of(self.document, self.drawn.folder, workspace, self.name)
-        return replace(source, labels=self.drawn.labels)
+    @property
+    def display_name(self) -> str:
+        """See the base class."""
+        return self.item.obj.id
 
-    def source(self, scene: Path, workspace: Path) -> dict[str, Any]:
-        """Return its source for ``provenance.json``: the asset, not the copy in the workspace.
+    def read_source(self, document: Document) -> tuple[Path, Source] | None:
+        """See the base class; the parts that the scene shows do as well as an open asset."""
+        labels = None if document.segmentation is None else document.segmentation.labels
+        if self.drawn is None or self.drawn.labels != labels:
+            return super().read_source(document)
+        return self.drawn.folder, self.drawn.source
 
-        Args:
-            scene: the scene's file.
-            workspace: folder of the copies.
-        """
+    @property
+    def scene_source(self) -> dict[str, Any]:
+        """The asset, not its copy in the workspace."""
         obj, path = self.item.obj, self.item.path
         assert path is not None
-        if path.is_relative_to(workspace / "scenes"):  # geometry inside the scene's file
-            path = scene
+        if path.is_relative_to(self.services.workspace / "scenes"):  # inside the scene's file
+            path = self._scene
         sha256 = None
         with suppress(InputFileError):  # the file is gone
             sha256 = asset_digest(path)
         return {
             "path": str(path),
             "sha256": sha256,
-            "scene": str(scene),
+            "scene": str(self._scene),
             "objects": list(self.ids),
-            "asset": obj.asset or self.name,
+            "asset": obj.asset or self.record.name,
             "scale": obj.scale.tolist(),
         }
+
+    def release(self) -> None:
+        """See the base class; it stays an object of the scene."""
+        self.unload()
+
+    def _ended(self, what: str, job: Job[Any], keep: Callable[[Any], None]) -> None:
+        if what == "save":
+            self.failure = "" if job.error is None else str(job.error)
+        super()._ended(what, job, keep)
+        self._job_ended(what)
 
 
 def names_for(items: Iterable[SceneItem], works: Iterable[Work]) -> list[str]:
     """Return a name for each new working copy, after its asset; another size is ``kettle_2``."""
-    taken, out = {work.name for work in works}, []
+    taken, out = {work.record.name for work in works}, []
     for item in items:
         stem = "object" if item.copy is None else item.copy.name.rpartition("-")[0]
         new = chain([stem], (f"{stem}_{n}" for n in count(2)))
@@ -174,6 +195,7 @@ class SceneState(Observable):
         items: id → object, those that were picked out of others among them.
         shapes: asset → its geometry as drawn, or why there is none.
         works: session id → working copy.
+        lock: held while decisions are recorded, and jobs begin and end.
     """
 
     def __init__(self, services: Services, path: Path) -> None:
@@ -188,6 +210,7 @@ class SceneState(Observable):
         self.shapes: dict[Path, Shape | str] = {}
         self.works: dict[int, Work] = {}
         self.jobs = RunningJobs("the scene", self.changed)
+        self.lock = threading.RLock()
         self._work_of: dict[Path, Work] = {}
 
     @property
@@ -365,10 +388,9 @@ class Saving:
         if doc.tree is None or state not in (("accepted", "predicted") if loose else ("accepted",)):
             return None
         shape = None if work.item.path is None else scene.shapes.get(work.item.path)
-        source = work.part_source(scene.services.workspace)
-        if source is None or shape is None or isinstance(shape, str):
+        if work.read_source(doc) is None or shape is None or isinstance(shape, str):
             raise CommandError(f"{work.item.obj.id} is still being prepared; save in a moment")
-        return MovingCopy(source, doc, shape.bounds.tolist())
+        return MovingCopy(work.source(doc), doc, shape.bounds.tolist())
 
     def report(self, done: Callable[[Path], None]) -> None:
         """Write the report; ``done`` gets the path of the page."""
@@ -398,8 +420,8 @@ class Saving:
         scene, work = self._scene, self._scene.work(item.obj.id)
         row, doc = self._list_row(item), None if work is None else work.document
         source = None
-        if work is not None and doc is not None and doc.tree is not None:
-            source = work.part_source(scene.services.workspace)
+        if work is not None and doc is not None and doc.tree and work.read_source(doc):
+            source = work.source(doc)
         notes = [] if work is None else [work.reason, self._why_refused(work)]
         notes.append(scene.missing_reason(item))
         return ReportRow(

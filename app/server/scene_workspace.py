@@ -8,18 +8,18 @@ accepted as such.
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from app.server import scene_tasks
-from app.server.gallery import confidence
+from app.server.gallery import Gallery, confidence
 from app.server.job import Job, OutOfTimeError, WorkerDied
 from app.server.jobs import CLICKS
-from app.server.object_context import SceneMember, Services
+from app.server.object_context import Services
 from app.server.observable import Notice
 from app.server.scene_accepting import Accepting
 from app.server.scene_picking import Picking
@@ -40,8 +40,10 @@ from model.core.errors import CommandError
 from model.core.progress import Cancelled
 from sessions import commands as cmd
 from sessions.document import Document
+from sessions.review import ReviewRecord
 from sessions.scene_commands import DecideObjects, PickOut, SetArticulable
 from sessions.state import SessionState
+from sessions.store import ObjectRecord
 
 AUTHOR = "scene"
 """Recorded as the author of automatic results."""
@@ -54,11 +56,7 @@ MIN_ASSET_FACES = 1500
 
 
 class SceneWorkspace(SceneState):
-    """The scene of a server, shared by all its tabs.
-
-    Args:
-        is_accepting: whether an object is being accepted as an open object, by session id.
-    """
+    """The scene of a server, shared by all its tabs."""
 
     def __init__(
         self,
@@ -66,7 +64,6 @@ class SceneWorkspace(SceneState):
         path: Path,
         folders: tuple[Path, ...],
         format: str | None,
-        is_accepting: Callable[[int], bool],
     ) -> None:
         super().__init__(services, path)
         self.problem: str | None = None
@@ -75,8 +72,7 @@ class SceneWorkspace(SceneState):
         self._preferred: int | None = None
         self._closed = False
         self._max_faces = MAX_SCENE_FACES
-        self._lock = threading.RLock()
-        self.accepting = Accepting(self, is_accepting)
+        self.accepting = Accepting(self)
         self.saving = Saving(self, self.row, self.accepting.why_refused)
         self.picking = Picking(self)
         self.live.subscribe(self._decided)
@@ -118,7 +114,7 @@ class SceneWorkspace(SceneState):
     @property
     def busy(self) -> dict[str, tuple[float, str]]:
         """Progress (0..1) and message of each running job."""
-        return self.jobs.busy
+        return {**self.accepting.busy, **self.jobs.busy}
 
     def status(self, item: SceneItem) -> Status:
         """Return the state of an object."""
@@ -144,17 +140,6 @@ class SceneWorkspace(SceneState):
         """Return all objects: those to decide first, the least confident of them before others."""
         rows = [self.row(item) for item in self.items.values()]
         return sorted(rows, key=lambda r: (SHOWN.index(r.shown), r.confidence))
-
-    def member(self, object_id: int) -> SceneMember | None:
-        """Return the place in the scene of a session's object; None where it has none."""
-        work = self.works.get(object_id)
-        if work is None:
-            return None
-        return SceneMember(
-            work.item.obj.id,
-            lambda: work.source(self.path, self.services.workspace),
-            lambda why, report: self.accepting.hold(work, why, report),
-        )
 
     # --- decisions
 
@@ -192,8 +177,10 @@ class SceneWorkspace(SceneState):
         self.do(SetArticulable(id, None if same else articulable), who)
 
     def prefer(self, id: str | None) -> None:
-        """Predict this object next: somebody selected it."""
+        """Predict this object next, or check one on hold again: somebody selected it."""
         work = None if id is None else self.work(id)
+        if work is not None and work.hold_reason and work.read_source(work.document):
+            work.validation.update()
         self._preferred = None if work is None else work.id
 
     def open_work(self, id: str, done: Callable[[Work], None]) -> None:
@@ -221,7 +208,7 @@ class SceneWorkspace(SceneState):
         )
         self._arrange()
         self.scene = scene  # last: tabs show its objects from here on
-        with self._lock:
+        with self.lock:
             self.accepting.resume()
         self.go_on()
 
@@ -231,7 +218,7 @@ class SceneWorkspace(SceneState):
 
     def _arrange(self) -> None:
         """Bring the objects up to date with the scene's session."""
-        with self._lock:
+        with self.lock:
             self.items = self.picking.arranged(self.read)
             for work in self.works.values():
                 work.ids = [i for i, item in self.items.items() if item.copy == work.item.copy]
@@ -239,7 +226,7 @@ class SceneWorkspace(SceneState):
 
     def _find_works(self) -> None:
         """Open a session for each required working copy that has none yet."""
-        with self._lock:
+        with self.lock:
             wanted: dict[Path, SceneItem] = {}
             for item in self.items.values():
                 if item.copy is not None and self.articulable(item):
@@ -253,11 +240,10 @@ class SceneWorkspace(SceneState):
             )
             for item, record in zip(fresh, records, strict=True):
                 assert item.copy is not None
-                live = self.services.hub.session(record.id)
-                work = Work(record.id, item, live, record.name)
+                work = Work(record, self.services, item, self.path, self._work_ended)
                 work.ids = [i.obj.id for i in self.items.values() if i.copy == item.copy]
                 self.works[work.id] = self._work_of[item.copy] = work
-                live.subscribe(lambda state, command: self.go_on())
+                work.live.subscribe(lambda state, command: self.go_on())
 
     def _decided(self, state: SessionState, command: cmd.Command) -> None:
         here = self.live.issued_here(state.seq)
@@ -267,7 +253,7 @@ class SceneWorkspace(SceneState):
             return
         if isinstance(command, (SetArticulable, PickOut, cmd.Undo, cmd.Redo)):
             self._arrange()
-        with self._lock:
+        with self.lock:
             self.accepting.update(state.present.decided, here=here)
         self.go_on()
 
@@ -276,7 +262,7 @@ class SceneWorkspace(SceneState):
     def go_on(self) -> None:
         """Start the next jobs, one of a kind at a time, and redraw."""
         if self.scene is not None and not self._closed:
-            with self._lock:
+            with self.lock:
                 self._draw_shapes()
                 self._draw_parts()
                 self._prepare()
@@ -393,6 +379,12 @@ class SceneWorkspace(SceneState):
         if prepared.prediction is not None:
             do(cmd.RecordPrediction(prepared.prediction, prepared.labels), AUTHOR)
 
+    def _work_ended(self, kind: str) -> None:
+        if kind == "save":
+            self.live.refresh()  # another server may have undone the decision just now
+        if kind in ("check", "save"):
+            self.go_on()
+
     def awaits_prediction(self, row: Row) -> bool:
         """True while an object waits for its prediction rather than for a person."""
         work = None if row.work is None else self.works.get(row.work)
@@ -413,7 +405,7 @@ class SceneWorkspace(SceneState):
         work: Work | None,
         files: Sequence[Path],
     ) -> None:
-        with self._lock:  # no undo while a result is recorded
+        with self.lock:  # no undo while a result is recorded
             error = self.jobs.deliver(kind, job, keep)
         at = _stopped_at(job, files)
         if isinstance(error, Cancelled):
@@ -432,8 +424,6 @@ class SceneWorkspace(SceneState):
             self.problem = message
         elif kind == "prepare" and work is not None:
             work.prepared, work.reason = True, message
-        elif kind == "accept" and work is not None:
-            self.accepting.failed(message)
         else:
             if kind == "parts" and work is not None and work.document.segmentation is not None:
                 work.undrawable = work.document.segmentation.labels
@@ -444,6 +434,73 @@ class SceneWorkspace(SceneState):
                     self._stopped.add(at)
                 self.shapes = {**self.shapes, **dict.fromkeys(left, message)}
             self.notify("Failed", message, "red")
+
+
+_BLANK = ObjectRecord(0, Path(), "", None, "todo", 0, 0, None, "", "", "", None, 0)
+
+
+class SceneGallery(Gallery):
+    """The objects of a scene as a queue, those to decide first; ids are places in the scene."""
+
+    def __init__(self, scene: SceneWorkspace) -> None:
+        super().__init__(scene.services, self._sure, self._state, self._marked)
+        self._scene = scene
+        self._rows: dict[int, Row] = {}
+        self._known: tuple[Any, list[ObjectRecord]] = None, []
+
+    def records(self) -> list[ObjectRecord]:
+        """See the base class; made anew where something changed."""
+        rows = self._scene.rows()
+        now = rows, [work.state.seq for work in self._scene.works.values()]
+        if now != self._known[0]:
+            places = {id: k for k, id in enumerate(self._scene.items)}
+            self._rows = {places[r.id]: r for r in rows if r.id in places}
+            self._known = now, [self._record(place, row) for place, row in self._rows.items()]
+        return self._known[1]
+
+    def _record(self, place: int, row: Row) -> ObjectRecord:
+        item, work = self._scene.items[row.id], self._scene.work(row.id)
+        review = ReviewRecord() if work is None else work.document.review
+        path = item.path if work is None or work.drawn is None else item.copy
+        return replace(
+            _BLANK,
+            id=place,
+            path=path or Path(),
+            name=row.id,
+            state=cast(Any, row.shown),
+            category=item.category,
+            who=review.by.replace(AUTHOR, ""),
+            updated=review.at,
+        )
+
+    def sessions(self, ids: Sequence[int]) -> list[int]:
+        """See the base class: instances share one, static objects have none."""
+        found = [self._rows[i].work for i in ids if i in self._rows]
+        return list(dict.fromkeys(i for i in found if i is not None))
+
+    def names(self, records: Sequence[ObjectRecord]) -> dict[int, str]:
+        """See the base class."""
+        return {r.id: r.name for r in records}
+
+    def text(self, record: ObjectRecord, name: str) -> str:
+        """See the base class."""
+        return f"{super().text(record, name)} {self._scene.items[record.name].obj.description}"
+
+    def _key(self, sort: str, names: dict[int, str]) -> Callable[[ObjectRecord], Any] | None:
+        return None if sort in ("", "order") else super()._key(sort, names)
+
+    def _sure(self, record: ObjectRecord) -> float:
+        return self._rows[record.id].confidence
+
+    def _state(self, record: ObjectRecord) -> tuple[str, str]:
+        work = self._scene.work(record.name)
+        why = "" if work is None else self._scene.accepting.why_refused(work)
+        return self._rows[record.id].shown, why
+
+    def _marked(self) -> dict[int, tuple[str, str]]:
+        return {
+            r.id: self._state(r) for r in self.records() if r.state in ("validating", "on_hold")
+        }
 
 
 def _stopped_at(job: Job[Any], files: Sequence[Path]) -> Path | None:

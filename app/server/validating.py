@@ -58,10 +58,22 @@ class AcceptanceRequest:
         override: reason for accepting it despite errors, else "".
         seen: the report whose warnings the person was shown, or None.
         state: the state that the person decided about.
+        looked: whether the person was shown the warnings, whatever the report.
     """
 
-    def __init__(self, override: str, seen: ValidationReport | None, state: SessionState) -> None:
-        self.override, self.seen, self.state = override, seen, state
+    def __init__(
+        self,
+        override: str,
+        seen: ValidationReport | None,
+        state: SessionState,
+        *,
+        looked: bool = False,
+    ) -> None:
+        self.override, self.seen, self.state, self.looked = override, seen, state, looked
+
+    def has_seen(self, report: ValidationReport | None) -> bool:
+        """True if the person was shown the warnings of a report."""
+        return self.looked or (report is not None and report is self.seen)
 
     def report_ended(self) -> None:
         """The report is there, where it wasn't yet, or won't come."""
@@ -125,9 +137,7 @@ class Validation:
         """Start validating where the present joints have no report yet."""
         obj = self._obj
         revision = self._revision(obj.document)
-        waiting = self._waiting
-        if waiting is not None and obj.live.moved_since(waiting.state):
-            self._retry_acceptance()  # which fails
+        self.drop_stale_request()
         if revision is None:
             self._requested = None
             return
@@ -149,6 +159,12 @@ class Validation:
             preempted_by=CLICKS,
         )
         obj.start("check", job, lambda report: self._keep(revision, report))
+
+    def drop_stale_request(self) -> None:
+        """End the acceptance that waits where the object was edited or decided meanwhile."""
+        waiting = self._waiting
+        if waiting is not None and self._obj.live.moved_since(waiting.state):
+            self._retry_acceptance()  # which fails
 
     def forget_request(self) -> None:
         """Validation was stopped to make room for other work; start it again at the next update."""
@@ -209,7 +225,7 @@ class Validation:
             raise CommandError(refusal)
         if report.severity == Severity.ERROR and not request.override.strip():
             raise CommandError(f"{self._summary(report)} Fix it, or give a reason for the override")
-        if report.severity == Severity.WARNING and request.seen is not report:
+        if report.severity == Severity.WARNING and not request.has_seen(report):
             raise UnseenWarningsError(f"{self._summary(report)} Press Y again to accept it anyway")
         return True
 

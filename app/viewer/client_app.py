@@ -47,7 +47,7 @@ class ClientApp:
         pointing: what clicks and drags mean.
         prepare, annotate, joints, review: the steps of the work.
         scene: the scene, or None where single objects are open.
-        queue: their queue, or None.
+        queue: the list of all objects.
         guard: lets decisions through about what was seen.
         comments: of reviewers, with their markers.
         light: of the picture.
@@ -101,20 +101,19 @@ class ClientApp:
         tab, app_state, gui = self.tab, self._app_state, self.tab.client.gui
         gui.set_panel_label("ArtiWorld")
         self.scene: SceneStep | None = None
-        self.queue: QueuePanel | None = None
-        if app_state.scene is None:
-            self.queue = QueuePanel(
-                tab,
-                app_state,
-                self._presses,
-                self._navigation.open,
-                self._navigation.step,
-                self._remember,
-                self._exporting.ask,
-            )
-        else:
+        self.queue = QueuePanel(
+            tab,
+            app_state,
+            self._presses,
+            self._open_listed,
+            self.commands.step,
+            self._remember,
+            self._exporting.ask,
+            self._listed,
+        )
+        if app_state.scene is not None:
             host = SceneHost(
-                self._show_session, self._remember, self._accept_seen, self._reject_seen
+                self._navigation.open, self._remember, self._accept_seen, self._reject_seen
             )
             self.scene = SceneStep(tab, app_state.scene, self.commands.rejecting, host)
         self._object_folder = gui.add_folder(None, visible=self.scene is None)
@@ -127,6 +126,21 @@ class ClientApp:
         self.theme = Theme(tab, self._presses, (self.picture, *scene))
         gui.main_panel.dock_right()
         gui.main_panel.set_width(340)
+
+    def _open_listed(self, id: int) -> None:
+        """Open an object of the list, or choose it in the scene."""
+        if self._app_state.scene is None or self.scene is None:
+            self._navigation.open(id)
+        else:
+            self.scene.choice.choose(list(self._app_state.scene.items)[id], look=True)
+
+    def _listed(self) -> int | None:
+        """The id in the list of the open or chosen object."""
+        scene, obj = self._app_state.scene, self.tab.selection.object
+        if scene is None or self.scene is None:
+            return None if obj is None else obj.record.id
+        chosen = self.scene.choice.selected
+        return list(scene.items).index(chosen) if chosen in scene.items else None
 
     def _rail_actions(self) -> RailActions:
         return RailActions(
@@ -213,20 +227,11 @@ class ClientApp:
             comment_placed=self.review.pin,
         )
 
-    def _show_session(self, session: int | None, review: bool) -> None:
-        if session is None:
-            self._navigation.close_object()
-            return
-        self._navigation.open(session)
-        if review:
-            self.tab.selection.set_step("Review")
-            self.review.validation_list.show_worst()
-
     def _dismiss(self) -> bool:
         """Close the sheet of keys and the question for a reason; whether one was open."""
         asking = self.commands.rejecting.asking
         self.commands.rejecting.cancel()
-        page = self.queue is not None and self.queue.project.close()
+        page = self.queue.project.close()
         return self._exporting.close() or self._sheet.close() or page or asking
 
     def _click_scene(self, origin: Point, direction: Point) -> bool:
@@ -236,7 +241,7 @@ class ClientApp:
         return True
 
     def _name_of(self, obj: OpenObject) -> str:
-        return (None if self.scene is None else self.scene.edit.inside) or obj.record.name
+        return (None if self.scene is None else self.scene.choice.inside) or obj.record.name
 
     # --- life
 
@@ -247,13 +252,11 @@ class ClientApp:
         if self.tab.account is None:  # else the browser has no say in who signs
             self.tab.user = memory.user or self.tab.user
         self._tour.over = bool(memory.toured)
-        if self.queue is not None:
-            self.queue.user_name.show()
+        self.queue.user_name.show()
+        if self.scene is None:
             self._navigation.start(memory.object)
-        elif self.scene is not None:
-            self.scene.list.user_name.show()
-            if memory.inside or memory.chosen:
-                self.scene.restore(memory.inside, memory.chosen)
+        elif memory.inside or memory.chosen:
+            self.scene.restore(memory.inside, memory.chosen)
 
     def _remember(self) -> None:
         """Keep the user's name, place and light in the browser."""
@@ -261,7 +264,7 @@ class ClientApp:
         Memory(
             user=self.tab.user,
             object="" if obj is None else str(obj.record.id),
-            inside="" if scene is None else scene.edit.inside or "",
+            inside="" if scene is None else scene.choice.inside or "",
             light=PLAIN if self.light.plain else "",
             chosen="" if scene is None else scene.choice.selected or "",
             toured="yes" if self._tour.over else "",
@@ -295,10 +298,9 @@ class ClientApp:
 
     def _draw_panels(self) -> None:
         selection = self.tab.selection
-        if self.queue is not None:
-            self.queue.draw()
         if self.scene is not None:
             self.scene.draw()
+        self.queue.draw()
         obj = selection.object
         self._tour.draw(obj)
         put(self._object_folder, visible=obj is not None)
@@ -345,7 +347,7 @@ class ClientApp:
 
     def _asset_shown(self, stays: bool) -> None:
         if self.scene is not None:
-            self.scene.edit.look_as_before()
+            self.scene.choice.look_as_before()
         self.prepare.asset_shown()
         self.pointing.begin(same=stays)
 

@@ -100,7 +100,7 @@ class Commands:
         """
         selection = self._tab.selection
         if self._scene is not None:
-            self._scene.edit.enter()
+            self._scene.choice.enter()
             return
         obj = selection.object
         if obj is None or selection.step != "Annotate":
@@ -182,7 +182,7 @@ class Commands:
         if self._scene is None:
             self._navigation.go_on()
         else:
-            self._scene.edit.leave()
+            self._scene.choice.leave()
             self._scene.choice.step(1)
 
     # --- numbers and choices
@@ -299,7 +299,7 @@ def bindings(
     enter = words.PREPARE if scene is None else words.EDIT_IN_SCENE
     yield Binding(enter, "enter", by_step(prepare.apply, commands.enter))
     if scene is not None:
-        yield Binding(words.BACK, "backspace", scene.edit.leave)
+        yield Binding(words.BACK, "backspace", scene.choice.leave)
     for step in STEPS if scene is None else STEPS[1:]:
         yield Binding(words.step(step), None, _with(tab.selection.set_step, step))
 

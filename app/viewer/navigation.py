@@ -100,9 +100,14 @@ class Navigation:
         else:
             self.open(([r.id for r in records if r.state in _WAITING] or ids)[0])
 
-    def open(self, object_id: int) -> None:
-        """Show another object."""
+    def open(self, object_id: int | None) -> None:
+        """Show another object, or none."""
         tab = self._tab
+        if object_id is None:
+            self._leave(tab.selection.object)
+            self._app_state.presence.leave(tab)
+            tab.selection.open(None)
+            return
         self._skipped.discard(object_id)
         self._leave(tab.selection.object)
         obj = self._app_state.object(object_id)
@@ -114,12 +119,6 @@ class Navigation:
         self._remember()
         if obj.problem:
             tab.notify(words.CANNOT_OPEN, obj.problem, "red")
-
-    def close_object(self) -> None:
-        """Show no object."""
-        self._leave(self._tab.selection.object)
-        self._app_state.presence.leave(self._tab)
-        self._tab.selection.open(None)
 
     def _leave(self, obj: OpenObject | None) -> None:
         self._unwatch()
@@ -202,7 +201,7 @@ class Navigation:
         if left:
             self.open(left[ids.index(current) % len(left)] if current in ids else left[0])
         else:
-            self.close_object()
+            self.open(None)
 
     def go_on(self) -> None:
         """Open the next object to decide."""

@@ -247,7 +247,6 @@ def start_again(servers: list[Server]) -> None:
         while server.scene.document.decided:
             server.scene.live.do(cmd.Undo(), "nobody")
         finish(server)
-        server.scene.accepting.refused.clear()
         server.told.clear()
     for work in servers[0].works:
         work.live.refresh()
@@ -485,6 +484,12 @@ class Asked:
     accepted: int | None = None
 
 
+def is_broken(server: Server, number: int) -> bool:
+    """True if the checks found errors on the present joints."""
+    report = server.works[number].validation.report
+    return report is not None and report.severity == Severity.ERROR
+
+
 class Interleaved(RuleBasedStateMachine):
     """Everything that two people do, and the ends of the jobs that it takes."""
 
@@ -567,7 +572,10 @@ class Interleaved(RuleBasedStateMachine):
             DecideObjects("accept", ids), who, lambda *n: notes.append(": ".join(n[:2]))
         )
         at = server.scene.document.decided[-1].at
-        self.asked += [Asked(who, o, k, notes, at) for o, k in zip(objects, known, strict=True)]
+        self.asked += [
+            Asked(who, o, k, notes, at, is_broken(server, o))
+            for o, k in zip(objects, known, strict=True)
+        ]
 
     @rule(s=indices, who=people, o=indices)
     def reject_in_scene(self, s: int, who: str, o: int) -> None:
@@ -634,7 +642,7 @@ class Interleaved(RuleBasedStateMachine):
             [self.ids[o] for o in objects], who, lambda *n: notes.append(": ".join(n[:2]))
         )
         self.rest()
-        self.asked += [Asked(who, o, known[o], notes) for o in objects]
+        self.asked += [Asked(who, o, known[o], notes, failed=is_broken(server, o)) for o in objects]
 
     @rule(s=indices, who=people)
     def save_scene(self, s: int, who: str) -> None:

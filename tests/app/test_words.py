@@ -32,7 +32,6 @@ SAMPLES: dict[str, tuple[Any, ...]] = {
 NAMED_SAMPLES = {
     ("common", "job"): {"name": ("predict",)},
     ("scene", "job"): {"name": ("read",)},
-    ("scene", "state"): {"state": ("on_hold",)},
     ("prepare", "kind"): {"kind": (1, 2, 3)},
     ("joints", "tree_line"): {"confidence": ("", "87 %", "edited")},
 }
@@ -109,8 +108,8 @@ def test_labels_are_in_sentence_case(name: str) -> None:
 
 def test_counts_have_their_plural() -> None:
     scene, review = module_of("scene"), module_of("review")
-    assert scene.about("home", 1).endswith("1 object")
-    assert scene.about("home", 2).endswith("2 objects")
+    assert scene.to_decide(0, 0, 0, 0, 1) == "1 needs annotation (✎)."
+    assert scene.to_decide(0, 0, 0, 0, 2) == "2 need annotation (✎)."
     found = dict(zip(reversed(Severity), (1, 4, 3), strict=True))
     assert review.checks(found) == "**Checks: ✖ 1 error · ▲ 4 warnings · ✓ 3 OK**"
     assert review.moment("detached", 0.29) == "290 mm gap"

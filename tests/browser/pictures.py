@@ -6,7 +6,6 @@ some of them), and look at what git shows as changed. Data and cameras are the s
 
 import argparse
 import io
-import re
 import sys
 import tempfile
 from collections.abc import Callable
@@ -289,10 +288,11 @@ def scene(taking: Taking) -> None:
         "all are predicted",
         LONG,
     )
-    tab.set_slider("Minimum [%]", 50)
-    wait_until(lambda: tab.scene.card.above == 0.5, "the slider is heard")
-    tab.page.wait_for_timeout(1000)  # the button counts anew
-    tab.page.get_by_role("button", name=re.compile(r"^Accept \d")).click()
+    tab.button("Gallery or list").click()
+    tab.page.locator(".aw-bulk button").first.click()
+    tab.page.get_by_label("Minimum confidence in percent").fill("50")
+    tab.button("Accept from").click()
+    tab.page.keyboard.press("Escape")
     wait_until(
         lambda: scene_workspace.accepting.waiting or "accept" in scene_workspace.busy, "it begins"
     )

@@ -2,6 +2,7 @@
 in place, and the room is saved with them where they stood."""
 
 import json
+import re
 import shutil
 from pathlib import Path
 from typing import Any
@@ -43,7 +44,7 @@ class RoomTab(SceneTab):
     @property
     def origin(self) -> np.ndarray:
         """Of the open object's frame in the room; it isn't turned there."""
-        scene, id = self.scene_workspace, self.scene.edit.inside
+        scene, id = self.scene_workspace, self.scene.choice.inside
         world = wait_until(
             lambda: (found := scene.world_from_copy(scene.items[id])) is not None and (found,),
             "its size is known",
@@ -159,12 +160,12 @@ class RoomTab(SceneTab):
         self.field("Name").fill(name)
         self.press("Extract")
         wait_until(
-            lambda: (self.scene.edit.inside or "").startswith(name) and self.app.drawing.drawn,
+            lambda: (self.scene.choice.inside or "").startswith(name) and self.app.drawing.drawn,
             "it is open",
         )
         self.wait_node("/scan")
         wait_until(lambda: "encode" not in self.object.busy, "it can be clicked on")
-        return self.scene.edit.inside
+        return self.scene.choice.inside
 
     def swing_open(self, degrees: int) -> None:
         """Predict the door's joint, limit it, accept it, and go back to the room."""
@@ -188,7 +189,11 @@ class RoomTab(SceneTab):
             self.clicks += 1
             wait_until(lambda seen=report: obj.validation.report is not seen, "the gate asks again")
         assert report.severity != Severity.ERROR
-        accept = self.page.get_by_role("button", name="ccept").locator("visible=true").first
+        accept = (
+            self.page.get_by_role("button", name=re.compile("^Accept"))
+            .locator("visible=true")
+            .first
+        )
         accept.click()
         if report.severity == Severity.WARNING:  # it is shown first
             self.clicks += 1
@@ -197,8 +202,8 @@ class RoomTab(SceneTab):
             accept.click()
         self.clicks += 4
         wait_until(lambda: obj.document.review.state == "accepted", "accepted")
-        wait_until(lambda: self.scene.edit.inside is None or self.object is not obj, "it goes on")
-        if self.scene.edit.inside is not None:
+        wait_until(lambda: self.scene.choice.inside is None or self.object is not obj, "it goes on")
+        if self.scene.choice.inside is not None:
             self.press("Back to the scene (Backspace)")
         wait_until(lambda: self.object is None, "back in the room")
 

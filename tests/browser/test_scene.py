@@ -55,6 +55,18 @@ def play_by_keys(tab: SceneTab) -> None:
         wait_until(lambda: not tab.scene.motion.playing, "and stops")
 
 
+def accept_in_gallery(tab: SceneTab) -> None:
+    """All objects above a confidence are one decision, which undo takes back."""
+    tab.button("Gallery or list").click()
+    tab.button("Select all").click()
+    tab.page.get_by_label("Minimum confidence in percent").fill("5")
+    tab.page.get_by_text("Accept 1 from").click()
+    wait_until(lambda: tab.status("cabinet 1") == "accepted", "the predicted one is accepted")
+    tab.key("Escape")
+    tab.button("Undo").first.click()
+    wait_until(lambda: tab.status("cabinet 1") == "predicted", "and not any more")
+
+
 def test_open_choose_work_in_place_accept_and_save(
     start: Any, open_tab: Any, tmp_path: Path
 ) -> None:
@@ -103,13 +115,14 @@ def test_open_choose_work_in_place_accept_and_save(
     assert tab.selection.step == "Joints"
     load_again(tab)
     wait_until(
-        lambda: tab.scene.edit.inside == "cabinet 1" and tab.app.drawing.drawn,
+        lambda: tab.scene.choice.inside == "cabinet 1" and tab.app.drawing.drawn,
         "a reload comes back to it",
     )
     tab.wait_node("/scan")
     tab.button("Back to the scene (Backspace)").click()
-    wait_until(lambda: tab.object is None and tab.scene.edit.inside is None, "back in the scene")
+    wait_until(lambda: tab.object is None and tab.scene.choice.inside is None, "back in the scene")
 
+    accept_in_gallery(tab)
     play_by_keys(tab)
     # All joints at once, then a decision from the scene.
     tab.button("Play all joints (Shift+Space)").click()
@@ -152,7 +165,7 @@ def test_y_inside_needn_t_wait_for_the_gate(start: Any, open_tab: Any, tmp_path:
     tab.wait_seen()
     tab.key("y")
     wait_until(
-        lambda: tab.scene.edit.inside is None and tab.scene.choice.selected == "cabinet 2",
+        lambda: tab.scene.choice.inside is None and tab.scene.choice.selected == "cabinet 2",
         "the next",
     )
     row = tab.scene_workspace.row(tab.scene_workspace.items["cabinet 1"])

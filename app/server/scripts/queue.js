@@ -4,6 +4,7 @@
   const PIECE = 40, LATER_MS = 30, DRAWN_MS = 1200, TRIES = 60;
   const LIST = { width: 0, height: 54 }, GALLERY = { width: 184, height: 182 };
   const view = { search: "", state: "", sort: "order", wide: false };
+  let sure = new Set();  // predicted with at least the confidence of the box
   const picked = new Set(), cards = new Map(), pieces = new Map(), asked = new Set();
   let words = null, answer = { total: 0, all: 0, states: {}, today: 0, at: -1 };
   let current = null, followed = null, serial = 0, timer = 0, root = null, parts = {};
@@ -36,7 +37,13 @@
     } catch { asked.delete(piece); }  // the server is away; it says when it is back
   };
   // What is shown stays until the new answer is there.
-  const again = () => { serial += 1; asked.clear(); draw(); };
+  const again = () => { serial += 1; asked.clear(); draw(); count(); };
+  const count = async () => {
+    if (!picked.size) return;
+    const all = { search: "", state: "", ids: 1, above: parts.above.value || 0 };
+    sure = new Set((await (await fetch(url(all))).json()).ids);
+    draw();
+  };
   const anew = () => { pieces.clear(); parts.scroll.scrollTop = 0; again(); };
   const soon = (action) => { clearTimeout(timer); timer = setTimeout(action, LATER_MS); };
 
@@ -80,6 +87,7 @@
     known.append(...words.categories.map((c) => option([c, c])));
     parts.above = make("input", "aw-input aw-number", { type: "number", min: 0, max: 100, value: 90,
       "aria-label": words.above });
+    parts.above.addEventListener("input", () => soon(count));
     parts.people = make("select", "aw-input aw-people", { "aria-label": words.assignTo });
     parts.bulk = make("div", "aw-bulk", {}, parts.said,
       press(words.pickAll, words.pickAll, "aw-small", pickAll, "pickAll"),
@@ -87,7 +95,7 @@
       parts.category, known,
       press(words.set, words.setCategory, "aw-small", () => bulk("category", parts.category.value)),
       press(words.predict, words.predict, "aw-small", () => bulk("predict")),
-      press(words.accept, words.accept, "aw-small", () => bulk("accept", parts.above.value)),
+      press(words.accept, words.accept, "aw-small", () => bulk("accept", parts.above.value), "accept"),
       parts.above, make("span", "", {}, "%"),
       press(words.exportThem, words.exportThem, "aw-small", () => bulk("export")),
       press(words.assign, words.assignHint, "aw-small aw-people", () => bulk("assign", parts.people.value)),
@@ -106,6 +114,7 @@
   const pickAll = async () => {
     for (const id of (await (await fetch(url({ ids: 1 }))).json()).ids) picked.add(id);
     draw();
+    count();
   };
   const widen = (wide) => {
     view.wide = wide;
@@ -145,6 +154,7 @@
     box.addEventListener("change", () => {
       box.checked ? picked.add(row.id) : picked.delete(row.id);
       draw();
+      count();
     });
     image.addEventListener("load", () => node.classList.add("drawn"));
     image.addEventListener("error", () => {
@@ -157,17 +167,19 @@
   };
   const fill = (card, row) => {
     const src = `/thumbnail?id=${row.id}&v=${row.state}`;
-    if (card.src !== src) { card.src = src; card.tries = 0; card.image.src = src; }
+    if (card.src !== src) { card.src = src; card.tries = 0; card.node.classList.remove("drawn"); card.image.src = src; }
+    const confidence = row.confidence === null ? "" : `${Math.round(100 * row.confidence)} %`;
     const state = words.shown[row.shown], person = row.assigned ? `→ ${row.assigned}` : row.who;
-    const about = [state, row.category, person];
+    const about = [state, words.colors[row.shown] && !view.wide && confidence, row.category, person];
     card.name.textContent = row.name;
     card.about.textContent = about.filter(Boolean).join(" · ");
-    card.sure.textContent = row.confidence === null ? "" : `${Math.round(100 * row.confidence)} %`;
+    card.sure.textContent = confidence;
     card.open.title = `${row.name}: ${row.why ? words.because.replace("{why}", row.why) : state}`;
     card.open.setAttribute("aria-current", row.id === current);
     card.box.checked = picked.has(row.id);
     card.box.setAttribute("aria-label", `${words.pick} ${row.name}`);
     card.node.dataset.state = row.shown;
+    if (words.colors[row.shown]) card.node.style.setProperty("--aw-state", words.colors[row.shown]);
   };
   const draw = () => {
     if (!root || !root.isConnected) return;
@@ -198,6 +210,8 @@
     parts.said.textContent = picked.size ? `${picked.size} ${words.picked}` : words.found
       .replace("{count}", answer.total).replace("{today}", answer.today);
     root.classList.toggle("picking", picked.size > 0);
+    const counted = [...picked].filter((id) => sure.has(id)).length;
+    parts.accept.textContent = words.acceptSure.replace("{count}", counted);
     parts.pickAll.textContent = `${words.pickAll} (${answer.total})`;
   };
 

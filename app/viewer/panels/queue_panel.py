@@ -1,4 +1,4 @@
-"""The queue at the left: progress, the objects as a list or a gallery, uploads, the user's name."""
+"""The objects at the left, of queue or scene: progress, list or gallery, uploads, and the user."""
 
 from __future__ import annotations
 
@@ -19,9 +19,12 @@ from app.viewer.picture import palette
 from app.viewer.tab import Tab
 from app.viewer.words import common
 from app.viewer.words import queue as words
+from app.viewer.words.scene import NONE_ABOVE
+from app.viewer.words.scene import TITLE as SCENE
 from model.core.errors import CommandError
 from model.validation.report import Severity
 from sessions.accounts import Account
+from sessions.scene_commands import DecideObjects
 
 NAME_LENGTH = 22
 _IN_TURN = "*"
@@ -47,22 +50,25 @@ class QueuePanel:
         step: Callable[[int], None],
         remember: Callable[[], None],
         export: Callable[[list[int]], None],
+        current: Callable[[], int | None],
     ) -> None:
         """Make the panel.
 
         Args:
             open_object: gets the id of the object that was chosen.
+            current: returns the id of the chosen object.
             step: goes to the next object (1) or to the one before (-1).
             remember: is called once the user's name changed.
             export: gets the ids of objects to export.
         """
         self._tab, self._app_state, self.open = tab, app_state, open_object
-        self._export = export
+        self._export, self._current = export, current
         self._shown: tuple[Any, ...] | None = None
         self._on_hold = 0
         gui, warning = tab.client.gui, palette.SEVERITY_COLORS[Severity.WARNING]
         panel = gui.add_panel()
-        with panel.add_tab(words.TITLE, viser.Icon.LIST_DETAILS):
+        title = SCENE if tab.in_scene else words.TITLE
+        with panel.add_tab(title, viser.Icon.HOME if tab.in_scene else viser.Icon.LIST_DETAILS):
             self._summary = gui.add_markdown("")
             self._bar = gui.add_progress_bar(0.0, color="green")
             gui.add_html('<div id="artiworld-queue"></div>')
@@ -77,9 +83,11 @@ class QueuePanel:
                 "", icon=viser.Icon.ARROW_BACK_UP, color="gray", visible=False
             )
             navigate = gui.add_button_group(common.NAVIGATE, common.PREVIOUS_NEXT)
-            upload = gui.add_upload_button(
-                words.UPLOAD, icon=viser.Icon.UPLOAD, color="gray", hint=words.UPLOAD_HINT
-            )
+            if not tab.in_scene:
+                upload = gui.add_upload_button(
+                    words.UPLOAD, icon=viser.Icon.UPLOAD, color="gray", hint=words.UPLOAD_HINT
+                )
+                upload.on_upload(lambda e: self._uploaded(e.target.value))
             self.user_name = UserName(tab, remember)
         panel.dock_left()
         panel.set_width(250)
@@ -88,14 +96,14 @@ class QueuePanel:
         )
         self.on_hold.on_click(lambda _: tab.act(lambda: open_object(self._on_hold)))
         self._restore.on_click(lambda _: tab.act(lambda: open_object(app_state.queue.restore())))
-        upload.on_upload(lambda e: self._uploaded(e.target.value))
         presses.on("open", lambda id: open_object(int(id)))
         presses.on("bulk", self._bulk)
         presses.on("people", lambda _: call_page(tab.client, "Queue.people", self._people()))
         self.project = ProjectPage(tab, app_state, presses, open_object)
         settings = app_state.store.project.settings
         names = offered(settings.categories, palette.CATEGORIES, settings.strict)
-        call_page(tab.client, "Queue.start", _page_words() | {"categories": list(names)})
+        page_words = _page_words(in_scene=tab.in_scene)
+        call_page(tab.client, "Queue.start", page_words | {"categories": list(names)})
 
     def _uploaded(self, file: Any) -> None:
         add = self._app_state.add_upload
@@ -104,9 +112,10 @@ class QueuePanel:
     def _bulk(self, message: str) -> None:
         """Begin what the gallery asks for about the selected objects."""
         asked = json.loads(message)
-        known = {r.id: r for r in self._app_state.queue.records()}
-        ids = [i for i in map(int, asked["ids"]) if i in known]
-        action, value, bulk = asked["action"], str(asked["value"]), self._app_state.bulk
+        gallery, bulk = self._app_state.gallery, self._app_state.bulk
+        known = {r.id: r for r in gallery.records()}
+        places = [i for i in map(int, asked["ids"]) if i in known]
+        action, value, ids = asked["action"], str(asked["value"]), gallery.sessions(places)
         if action == "category":
             if not value.strip():
                 raise CommandError(words.NO_CATEGORY)
@@ -115,13 +124,26 @@ class QueuePanel:
             bulk.predict(ids, self._tab.user, self._notify)
         elif action == "accept":
             least = _share(value)
-            sure = {i for i in ids if (self._app_state.gallery.confidence(known[i]) or 0) >= least}
-            ids = [i for i in ids if i in sure and known[i].state == "predicted"]
-            bulk.accept(ids, self._tab.user, self._notify)
+            sure = [
+                i
+                for i in places
+                if known[i].state == "predicted" and (gallery.confidence(known[i]) or 0) >= least
+            ]
+            self._accept(gallery.sessions(sure), least)
         elif action == "export":
             self._export(ids)
         elif action == "assign":
             self._assign(ids, value)
+
+    def _accept(self, ids: list[int], least: float) -> None:
+        """Accept objects that have at least that confidence, 0..1; in a scene as one decision."""
+        scene, user = self._app_state.scene, self._tab.user
+        if scene is None:
+            self._app_state.bulk.accept(ids, user, self._notify)
+            return
+        if not ids:
+            raise CommandError(NONE_ABOVE)
+        scene.do(DecideObjects("accept", tuple(ids), above=least), user, self._tab.notify)
 
     def _people(self) -> list[tuple[str, str]]:
         """Values and names of whom objects may be assigned to; empty for who may not do so."""
@@ -143,23 +165,17 @@ class QueuePanel:
         whom = {_IN_TURN: words.IN_TURN, "": words.NOBODY}.get(to, to)
         self._notify(words.TITLE, words.assigned(len(ids), whom), "green")
         self._app_state.queue.changed()
-        call_page(self._tab.client, "Queue.changed", self._current)
+        call_page(self._tab.client, "Queue.changed", self._current())
 
     def _notify(self, title: str, text: str, color: str) -> None:
         self._tab.notify(title, text, color, elsewhere=True)
 
-    @property
-    def _current(self) -> int | None:
-        """Id of the open object."""
-        obj = self._tab.selection.object
-        return None if obj is None else obj.record.id
-
     def draw(self) -> None:
         """Bring the panel up to date; nothing is sent where nothing changed."""
-        app_state, current = self._app_state, self._current
-        records = app_state.queue.records()
+        app_state, current, gallery = self._app_state, self._current(), self._app_state.gallery
+        records = gallery.records()
         shown = tuple((r.id, r.state, r.category) for r in records)
-        exceptions = app_state.exceptions()
+        exceptions = gallery.exceptions()
         now = shown, exceptions, current, app_state.queue.removed, app_state.bulk.progress
         if now == self._shown:
             return
@@ -167,15 +183,16 @@ class QueuePanel:
         counts = Counter(r.state for r in records)
         today = datetime.now(UTC).date().isoformat()
         accepted = sum(r.state == "accepted" and r.updated[:10] == today for r in records)
+        total = counts.total() - sum(counts[s] for s in words.UNDECIDABLE)
         put(self._summary, content=words.progress(dict(counts), accepted))
-        put(self._bar, value=round(100 * counts["accepted"] / max(len(records), 1), 1))
+        put(self._bar, value=round(100 * counts["accepted"] / max(total, 1), 1))
         removed = app_state.queue.removed
         put(self._restore, visible=bool(removed))
         if removed:
             name = app_state.store.object(removed[-1]).name
             put(self._restore, label=words.restore(clipped(name, NAME_LENGTH - 4)))
         on_hold = [i for i, (state, _) in exceptions.items() if state == "on_hold" and i != current]
-        self._draw_on_hold(on_hold, app_state.gallery.names())
+        self._draw_on_hold(on_hold, gallery.names(records))
         call_page(self._tab.client, "Queue.changed", current)
 
     def _draw_on_hold(self, ids: list[int], names: Mapping[int, str]) -> None:
@@ -187,14 +204,19 @@ class QueuePanel:
             self._on_hold = ids[0]
 
 
-def _page_words() -> dict[str, Any]:
+def _page_words(*, in_scene: bool) -> dict[str, Any]:
+    states = common.SCENE_STATES if in_scene else words.SHOWN
+    colors = palette.SCENE_COLORS if in_scene else {}
+    filters = palette.SCENE_COLORS if in_scene else words.STATE_ORDER
     return {
         **words.PAGE_WORDS,
+        "acceptSure": str(words.accept_sure),
         "found": str(words.found),
         "because": str(words.on_hold_because),
-        "states": [[s, common.STATES[s]] for s in words.STATE_ORDER],
+        "states": [[s, states[s]] for s in filters],
         "sorts": list(words.SORTS.items()),
-        "shown": words.SHOWN,
+        "shown": states,
+        "colors": {s: f"rgb{c}" for s, c in colors.items()},
         "icon": icon(viser.Icon.LAYOUT_GRID),
         "projectIcon": icon(viser.Icon.CHART_BAR),
     }

@@ -5,6 +5,7 @@ from __future__ import annotations
 import colorsys
 from typing import Final
 
+from app.server.scene_saving_tasks import STATES
 from model.validation.report import Severity
 
 Rgb = tuple[int, int, int]
@@ -41,15 +42,8 @@ CATEGORIES: Final[tuple[str, ...]] = (
     *"USB WashingMachine Window".split(),
 )
 SCENE_COLORS: Final[dict[str, Rgb]] = {
-    "predicted": (128, 90, 213),
-    "on_hold": (168, 92, 26),
-    "todo": (237, 160, 40),
+    **{state: color for state, (_, color) in STATES.items()},
     "validating": (150, 205, 110),
-    "rejected": (224, 49, 49),
-    "accepted": (47, 158, 68),
-    "static": (196, 200, 206),
-    "failed": (90, 96, 104),
-    "missing": (90, 96, 104),
 }
 """Objects of a scene by state; "to do" must differ from "static"."""
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any
 
 import viser
@@ -11,11 +10,11 @@ from app.server.scene_state import Work
 from app.server.scene_workspace import SceneWorkspace
 from app.viewer.panels.extracting import PickPanel
 from app.viewer.panels.reviewing import Rejecting
-from app.viewer.panels.scene_panels import SceneCard, SceneList
+from app.viewer.panels.scene_panels import SceneCard
 from app.viewer.panels.widgets import push_button, put
 from app.viewer.picture.motion import SceneMotion
 from app.viewer.picture.scene_picture import ScenePicture
-from app.viewer.steps.scene_selection import SceneEdit, SceneHost, SceneReview
+from app.viewer.steps.scene_selection import SceneChoice, SceneHost, SceneReview
 from app.viewer.tab import Tab
 from app.viewer.words import scene as words
 from app.viewer.words.common import NO_JOINTS
@@ -25,11 +24,10 @@ class SceneStep:
     """The screens of a scene.
 
     Attributes:
-        edit: opens objects in place; its ``choice`` is the selected one.
+        choice: the selected object, and the one that is open in place.
         review: decides about them.
         picture: what is drawn.
         motion: joints that play.
-        list: the left side.
         card: the right side.
     """
 
@@ -42,15 +40,19 @@ class SceneStep:
         self._moment: Any = None
         self.picture = ScenePicture(tab.client, workspace)
         self.motion = SceneMotion(self.picture.pose)
-        self.edit = SceneEdit(tab, workspace, self.picture, host, self.motion.stop)
-        self.choice = self.edit.choice
+        self.choice = SceneChoice(tab, workspace, self.picture, host, self.motion.stop)
         self.review = SceneReview(tab, workspace, self.choice)
-        choose = partial(self.choice.choose, look=True)
-        self.list = SceneList(tab, workspace, self.picture, choose, host.remember)
         self._folder = tab.client.gui.add_folder(None)
         with self._folder:
             self.card = SceneCard(
-                tab, workspace, rejecting, self.edit, self.review, host, self._play_from_card
+                tab,
+                workspace,
+                rejecting,
+                self.choice,
+                self.review,
+                host,
+                self.picture,
+                self._play_from_card,
             )
         self._pick_panel: PickPanel | None = None
         self._unwatch = workspace.watch(tab.invalidate, tab.notify)
@@ -58,8 +60,8 @@ class SceneStep:
     def build_object_widgets(self) -> None:
         """Make the widgets above everything else about one object."""
         icon = viser.Icon.ARROW_LEFT
-        push_button(self._tab, words.BACK, self.edit.leave, icon=icon, color="dark")
-        self._pick_panel = PickPanel(self._tab, self.edit.take_out)
+        push_button(self._tab, words.BACK, self.choice.leave, icon=icon, color="dark")
+        self._pick_panel = PickPanel(self._tab, self.choice.take_out)
 
     @property
     def in_front(self) -> bool:
@@ -87,33 +89,31 @@ class SceneStep:
             (inside, chosen), self._wanted = self._wanted, None
             if inside in workspace.items and workspace.work(inside) is not None:
                 choice.selected = inside
-                self._tab.act(self.edit.enter)
+                self._tab.act(self.choice.enter)
             elif chosen in workspace.items:
                 self._tab.act(lambda: choice.choose(chosen))
         self.picture.draw(choice.rows, choice.selected)
         self._show_moment()
-        self.list.draw(choice.rows, choice.selected)
         if self._pick_panel is not None:
             self._pick_panel.draw()
         put(self._folder, visible=self.in_front)
-        if self.edit.inside is None:
+        if self.choice.inside is None:
             self.card.draw(choice.rows, choice.selected, self.motion.playing)
 
     def _show_moment(self) -> None:
         """Show the worst finding of the selected object; everything else rests."""
         workspace, selected = self._workspace, self.choice.selected
-        work = None if selected is None or self.edit.inside else workspace.work(selected)
+        work = None if selected is None or self.choice.inside else workspace.work(selected)
         refusal = None if work is None else workspace.accepting.refusal(work)
         if self.motion.playing:
             self._moment = None
             return
-        if refusal is self._moment:
+        report = None if refusal is None else refusal.report
+        if report is self._moment:
             return
-        self._moment = refusal
-        report, tree = None, None
-        if refusal is not None:
-            report, tree = refusal.report, refusal.document.tree
+        self._moment = report
         worst = None if report is None else report.joints[0].worst
+        tree = None if work is None else work.document.tree
         if work is None or worst is None or tree is None:
             self.picture.pose({})
         else:

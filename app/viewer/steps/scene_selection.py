@@ -4,7 +4,8 @@ and decisions without opening it.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,44 +30,52 @@ class SceneHost:
     """Callbacks of a scene.
 
     Attributes:
-        show: gets the session of an object to open, or None to close it, and whether its worst
-            finding is shown.
+        show: gets the session of an object to open, or None to close it.
         remember: keeps in the browser where its user is.
         accept, reject: what the buttons do, once the object has been seen.
     """
 
-    show: Callable[[int | None, bool], None]
+    show: Callable[[int | None], None]
     remember: Callable[[], None]
     accept: Callable[[], None]
     reject: Callable[[], None]
 
 
-def _at_the_end(workspace: SceneWorkspace) -> tuple[str, str, str]:
-    """Why nothing waits for a decision: title, text, color."""
+def decisions_text(workspace: SceneWorkspace, rows: Sequence[Row]) -> str:
+    """Number of open decisions, or why there are none, as text."""
     if workspace.scene is None:
-        if workspace.problem:
-            return words.READ_NOTHING, workspace.problem, "red"
-        return *words.STILL_READING, "gray"
-    rows = [r for r in workspace.rows() if r.work is not None]
-    if not workspace.items:
-        return words.READ_NOTHING, words.NO_OBJECTS, "yellow"
-    if not rows:
-        return *words.NOTHING_TO_DECIDE, "gray"
-    checking = sum(r.mark == "validating" for r in rows)
-    if checking:
-        return *words.still_checking(checking), "gray"
-    return *words.done(decided_text(rows)), "green"
+        return workspace.problem or words.STILL_READING
+    coming = sum(workspace.awaits_prediction(r) for r in rows)
+    return count_text(rows, coming)
+
+
+def count_text(rows: Sequence[Row], coming: int = 0) -> str:
+    """Number of open decisions, as text; ``coming`` objects are to be predicted."""
+    shown = Counter(r.shown for r in rows)
+    text = words.to_decide(
+        shown["predicted"],
+        shown["validating"],
+        shown["on_hold"],
+        coming,
+        shown["todo"] - coming,
+    )
+    if not text and any(r.work is not None for r in rows):
+        text = words.sentence(decided_text(rows))
+    if len(rows) == 1 and rows[0].status == "static":
+        return text or words.EXTRACT_FIRST
+    return text or words.NOTHING_ARTICULABLE
 
 
 class SceneChoice:
-    """Chooses objects of a scene, by a click, from the list, or one after the other.
+    """Chooses objects of a scene, by a click, from the list, or one after the other; opens them in
+    place, and goes back.
 
     Args:
-        leave_other: gets each choice first; leaves what is worked on where that is another object.
-        remember: keeps the choice in the browser.
+        stop: ends what moves in the scene.
 
     Attributes:
         selected: the selected object, or None.
+        inside: the object that is worked on, or None.
         rows: all objects as they were drawn last.
     """
 
@@ -75,13 +84,15 @@ class SceneChoice:
         tab: Tab,
         workspace: SceneWorkspace,
         picture: ScenePicture,
-        leave_other: Callable[[str | None], None],
-        remember: Callable[[], None],
+        host: SceneHost,
+        stop: Callable[[], None],
     ) -> None:
         self._tab, self._workspace, self._picture = tab, workspace, picture
-        self._leave_other, self._remember = leave_other, remember
+        self._host, self._stop = host, stop
         self.selected: str | None = None
+        self.inside: str | None = None
         self.rows: list[Row] = []
+        self._eye: Any = None
 
     def refresh(self) -> None:
         """Take in what changed in the scene."""
@@ -95,9 +106,10 @@ class SceneChoice:
 
     def choose(self, id: str | None, *, look: bool = False) -> None:
         """Choose an object, or none; ``look`` turns the camera to it."""
-        self._leave_other(id)
+        if id not in (None, self.inside):
+            self.leave()
         self.selected = id
-        self._remember()
+        self._host.remember()
         self._workspace.prefer(id)
         if look and id is not None and self._tab.selection.object is None:
             self._picture.frame([id], front=True)
@@ -115,7 +127,8 @@ class SceneChoice:
 
     def say_end(self) -> None:
         """Say why no object is left to decide."""
-        self._tab.notify(*_at_the_end(self._workspace))
+        text = decisions_text(self._workspace, self._workspace.rows())
+        self._tab.notify(words.NOTHING_TO_DECIDE, text, "gray")
 
     def need(self) -> str:
         """The selected object.
@@ -138,39 +151,9 @@ class SceneChoice:
             raise CommandError(words.is_static(self.need()))
         return work
 
-
-class SceneEdit:
-    """Opens objects of a scene, and goes back to it.
-
-    Args:
-        stop: ends what moves in the scene.
-
-    Attributes:
-        choice: the selected object.
-        inside: the object that is worked on, or None.
-    """
-
-    def __init__(
-        self,
-        tab: Tab,
-        workspace: SceneWorkspace,
-        picture: ScenePicture,
-        host: SceneHost,
-        stop: Callable[[], None],
-    ) -> None:
-        self._tab, self._workspace, self._picture = tab, workspace, picture
-        self._host, self._stop = host, stop
-        self.inside: str | None = None
-        self.choice = SceneChoice(tab, workspace, picture, self._leave_other, host.remember)
-        self._eye: Any = None
-
-    def _leave_other(self, id: str | None) -> None:
-        if self.inside is not None and id is not None and id != self.inside:
-            self.leave()
-
     def enter(self) -> None:
         """Work on the selected object."""
-        id = self.choice.need()
+        id = self.need()
         self._stop()
 
         def opened(work: Work) -> None:
@@ -179,25 +162,23 @@ class SceneEdit:
         self._workspace.open_work(id, opened)
 
     def _open(self, id: str, session: int, *, picking: bool = False) -> None:
-        self.inside = self.choice.selected = id
+        self.inside = self.selected = id
         self._tab.selection.picking = picking
         self._picture.ghost(id)
-        work = self._workspace.work(id)
-        refusal = None if work is None or picking else self._workspace.accepting.refusal(work)
-        self._host.show(session, refusal is not None and refusal.report is not None)
+        self._host.show(session)
 
     def leave(self) -> None:
         """Go back to the scene."""
         if self.inside is None:
             return
         self.inside, self._tab.selection.picking = None, False
-        self._host.show(None, False)
+        self._host.show(None)
         self._picture.unghost()
         self._host.remember()
 
     def pick(self) -> None:
         """Open the selected object as a whole, to pick another one out of it."""
-        id = self.choice.need()
+        id = self.need()
         self._stop()
         self._workspace.picking.open(
             id, lambda session: self._tab.act(lambda: self._open(id, session, picking=True))
@@ -222,7 +203,7 @@ class SceneEdit:
     def _taken(self, id: str) -> None:
         eye = self._picture.in_scene(np.array(self._tab.client.camera.position))
         self.leave()
-        self.choice.choose(id)
+        self.choose(id)
         self._eye = eye
         self.enter()
 
@@ -247,7 +228,7 @@ class SceneEdit:
 
 
 class SceneReview:
-    """Accepts and rejects the selected object, or all above a confidence."""
+    """Accepts and rejects the selected object, and undoes decisions about the scene."""
 
     def __init__(self, tab: Tab, workspace: SceneWorkspace, choice: SceneChoice) -> None:
         self._tab, self._workspace, self._choice = tab, workspace, choice
@@ -264,20 +245,17 @@ class SceneReview:
             self._choice.need(),
             self._workspace.accepting,
         )
-        if work.document.tree is None:
-            raise CommandError(words.no_joints(id))
         if work.document.review.state == "accepted":
             raise CommandError(words.already_accepted(id))
         if accepting.mark(work) == "validating":
             raise CommandError(words.already_checking(id))
-        problems = review_problems(work.document)
-        if problems:
+        if problems := review_problems(work.document):
             raise CommandError(words.has_problems(id, "; ".join(problems)))
         refusal = accepting.refusal(work)
-        if refusal is not None and refusal.report is not None and not refusal.only_warnings:
+        looked = refusal is not None and refusal.only_warnings
+        if refusal is not None and refusal.report is not None and not looked:
             raise CommandError(words.has_errors(id, refusal.why))
-        confirmed = refusal is not None and refusal.only_warnings
-        self._decide(DecideObjects("accept", (work.id,), looked=confirmed))
+        self._decide(DecideObjects("accept", (work.id,), looked=looked))
 
     def reject(self, reason: RejectReason) -> None:
         """Reject the selected object, and go to the next one."""
@@ -291,40 +269,10 @@ class SceneReview:
         mine = set(workspace.twins(choice.need()))
         workspace.do(command, tab.user, tab.notify)
         ahead = [i for i in [*ids[at + 1 :], *ids[: max(at, 0)]] if i not in mine]
-        following = next((i for i in ahead if self._waits(i)), None)
-        if following is not None:
-            choice.choose(following, look=True)
-        elif ahead:
-            coming = sum(workspace.awaits_prediction(r) for r in workspace.rows() if r.id in ahead)
-            left = words.remaining(coming, len(ahead) - coming)
-            tab.notify(words.NO_MORE_PREDICTED, left, "gray")
+        if ahead:
+            choice.choose(ahead[0], look=True)
         else:
             choice.say_end()
-
-    def _waits(self, id: str) -> bool:
-        work = self._workspace.work(id)
-        return (
-            work is not None
-            and work.document.review.state == "predicted"
-            and (self._workspace.accepting.mark(work) != "validating")
-        )
-
-    def above(self, confidence: float) -> list[int]:
-        """Sessions of predicted objects of at least that confidence, 0..1, each once."""
-        found = [
-            r.work
-            for r in self._choice.rows
-            if r.shown == "predicted" and r.work is not None and r.confidence >= confidence
-        ]
-        return list(dict.fromkeys(found))
-
-    def accept_above(self, confidence: float) -> None:
-        """Accept all of at least that confidence, 0..1, that pass the checks."""
-        ids = self.above(confidence)
-        if not ids:
-            raise CommandError(words.NONE_ABOVE)
-        command = DecideObjects("accept", tuple(ids), above=confidence)
-        self._workspace.do(command, self._tab.user, self._tab.notify)
 
     def undo(self) -> None:
         """Take back the last decision about the scene."""

@@ -28,7 +28,6 @@ class Message(str):
 
 NONE: Final = "—"
 OTHER: Final = "Other…"
-ALL: Final = "All"
 SELECTED: Final = "▸ "
 CHOSEN: Final = "● "
 EDITED: Final = " ✎"
@@ -38,9 +37,6 @@ PLAY_ONE: Final = "▶ / ■"
 EDIT: Final = "Edit"
 NAVIGATE: Final = "Navigate"
 PREVIOUS_NEXT: Final = ("Previous (B)", "Next (N)")
-PAGE: Final = "Page"
-FILTER: Final = "Show"
-SEARCH: Final = "Search"
 USER_NAME: Final = "Your name"
 USER_NAME_HINT: Final = "Recorded with your decisions"
 

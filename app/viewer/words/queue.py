@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from app.viewer.words.common import STATES, UNREADABLE, Message, plural
+from app.viewer.words.common import HELD, STATES, UNREADABLE, Message, plural
 
 TITLE: Final = "Queue"
 ON_HOLD_HINT: Final = "Accepted before the checks were done, which then found problems"
@@ -16,16 +16,19 @@ UPLOAD_HINT: Final = (
 CHECKING: Final = "checking, then accepted"
 SAVING: Final = "saving"
 INTERRUPTED: Final = "acceptance was interrupted"
-HELD: Final = "on hold"
 EMPTY: Final = ("The queue is empty", "Add files, or start with: artiworld serve PATH")
 ALL_ACCEPTED: Final = "All other objects are accepted"
 restore = Message("Restore {name}")
 STATE_ORDER: Final = ("accepted", "submitted", "predicted", "in_progress", "todo", "rejected")
 
+UNDECIDABLE: Final = ("static", "failed", "missing")
+"""States of a scene's objects about which there is nothing to decide."""
+
 
 def progress(counts: dict[str, int], today: int) -> str:
     """Progress of all objects, and number accepted today."""
-    total, done = sum(counts.values()), counts.get("accepted", 0)
+    total = sum(count for state, count in counts.items() if state not in UNDECIDABLE)
+    done = counts.get("accepted", 0)
     others = [f"{counts[s]} {STATES[s]}" for s in STATE_ORDER[1:] if counts.get(s)]
     first = f"**{done}/{total} accepted**" + (f", {today} today" if today else "")
     return " · ".join([first, *others])
@@ -64,6 +67,7 @@ PAGE_WORDS: Final[dict[str, str]] = {
     "project": "Project",
 }
 """Words of the queue that the page's own script shows, by its names for them."""
+accept_sure = Message("Accept {count} from")
 found = Message("{count} objects · {today} accepted today")
 SORTS: Final[dict[str, str]] = {
     "order": "Order",

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from typing import Final
 
-from app.viewer.words.common import SCENE_STATES, Message, plural
+from app.viewer.words.common import Message
 
 TITLE: Final = "Scene"
 ORIGINAL_COLORS: Final = "Original colors"
 ORIGINAL_COLORS_HINT: Final = (
     "Show all objects in their own colors, instead of the colors of states"
 )
-SEARCH_HINT: Final = "Part of the id or description"
 JOBS: Final[dict[str, str]] = {
     "read": "Reading the scene",
     "shapes": "Reading the assets",
@@ -32,8 +31,6 @@ ARTICULABLE, STATIC = "Articulable", "Static"
 EDIT: Final = "Edit (Enter)"
 PICK: Final = "Extract an object"
 ACCEPT, ACCEPT_ANYWAY, CHECKING = "Accept (Y)", "Accept anyway (Y)", "Checking…"
-BY_CONFIDENCE: Final = "Accept by confidence"
-MINIMUM: Final = "Minimum [%]"
 SAVE_FOLDER: Final = "Save"
 INCLUDE: Final = "Include unreviewed"
 INCLUDE_HINT: Final = "Unreviewed predictions move, too; otherwise these objects are rigid"
@@ -58,19 +55,7 @@ EXTRACT: Final = "Extract"
 EXTRACT_NOTHING: Final = "select an object of the scene and press “Extract an object”"
 
 
-def about(name: str, count: int) -> str:
-    """Above the list."""
-    return f"**{name}** · {count} {plural('object', count)}"
-
-
-def row(name: str, selected: bool, confidence: str) -> str:
-    """An object in the list."""
-    return "▸ " * selected + name + (f" · {confidence}" if confidence else "")
-
-
-def state(name: str, state: str) -> str:
-    """An object and its state."""
-    return f"{name}: {SCENE_STATES[state]}"
+about = Message("**{name}** · {decisions}")
 
 
 def job(name: str, detail: str) -> str:
@@ -85,11 +70,6 @@ def file_problems(lines: list[str], more: int) -> str:
 
 
 more_joints = Message("… and {count} with higher confidence.")
-
-
-def accept_count(count: int) -> str:
-    """The button that accepts all above a confidence."""
-    return f"Accept {count} {plural('object', count)}" if count else "Accept"
 
 
 def kind_set(articulable: bool) -> str:
@@ -118,21 +98,17 @@ def decided(state: str, user: str, reason: str) -> str:
     return f"{state.capitalize()} by {user}{f': {reason}' * bool(reason)}"
 
 
-def to_decide(
-    predicted: int, above: int, minimum: float, checking: int, held: int, coming: int, clicks: int
-) -> str:
+def to_decide(predicted: int, checking: int, held: int, coming: int, clicks: int) -> str:
     """Number of open decisions; "" for none.
 
     Args:
-        predicted: objects to review; ``above`` of them have a confidence of at least ``minimum``.
+        predicted: objects to review.
         checking: whose checks run. held: whose acceptance is on hold. coming: to be predicted.
         clicks: that need annotation.
     """
     lines = [f"{checking} checking."] if checking else []
     if predicted:
-        lines.append(
-            f"**{above}** of {predicted} predicted objects: {100 * minimum:.0f} % or more."
-        )
+        lines.append(f"**{predicted}** predicted.")
     if held:
         lines.append(f"{held} on hold (⚠).")
     if coming:
@@ -148,37 +124,12 @@ EXTRACT_FIRST: Final = "Extract an object first."
 
 # --- notes
 
-READ_NOTHING: Final = "Nothing could be read"
-STILL_READING: Final = ("Not yet", "The scene is still being read")
-NO_OBJECTS: Final = "The scene has no objects"
-NOTHING_TO_DECIDE: Final = ("Nothing to decide", "No object is articulable")
-DONE: Final = "All objects are decided"
-NO_MORE_PREDICTED: Final = "No more predictions"
+STILL_READING: Final = "The scene is still being read."
+NOTHING_TO_DECIDE: Final = "Nothing to decide"
 NONE_ABOVE: Final = "no predicted object has that confidence"
 NEED_SELECTION: Final = "select an object first: click it, or press N"
 undone = Message("Undone: {what}")
-
-
-def still_checking(count: int) -> tuple[str, str]:
-    """Only checks are left: title and text."""
-    return "Nothing else to decide", f"{count} checking"
-
-
-def done(decided: str) -> tuple[str, str]:
-    """All is decided: title and text."""
-    return DONE, f"{decided}. Save the scene"
-
-
-def remaining(coming: int, left: int) -> str:
-    """Number of objects left after the last predicted one."""
-    lines = [f"{coming} to be predicted"] if coming else []
-    if left:
-        lines.append(f"{left} {'needs' if left == 1 else 'need'} annotation: N, then Enter")
-    return "; ".join(lines)
-
-
 is_static = Message("{id} is static: there is nothing to decide")
-no_joints = Message("{id} has no joints yet: press Enter to edit it")
 already_accepted = Message("{id} is already accepted")
 already_checking = Message("{id} is already being checked")
 has_problems = Message("{id}: {problems}. Press Enter to edit it")
