@@ -16,7 +16,7 @@ from app.server.login import Attempts, Login, cookie_name
 from app.server.network import is_loopback
 from app.server.oidc import OidcLogin
 from model.core.errors import ConfigurationError
-from sessions.accounts import Account
+from sessions.accounts import Account, TooManyAttempts
 from sessions.credentials import SCOPES, SESSION_SECONDS, Person
 from sessions.people import People
 
@@ -80,10 +80,6 @@ def _netloc(text: str) -> str:
 
 CHECK_SECONDS = 1.0
 """Period of asking whether accounts were made meanwhile, as on the command line."""
-
-
-class TooManyAttempts(ConfigurationError):
-    """An address or a name had too many wrong passwords lately."""
 
 
 class Entrance:
@@ -161,12 +157,14 @@ class Entrance:
         with self._lock:
             if any(self._attempts.guessing(key) for key in keys):
                 raise TooManyAttempts("Too many wrong passwords; wait a minute.")
+            for key in keys:  # those that wait count, too
+                self._attempts.failed(key)
         account = people.accounts.check(name, password)
         if account is not None:
+            with self._lock:
+                for key in keys:
+                    self._attempts.right(key)
             return people.credentials.begin_session(account, address)
-        with self._lock:
-            for key in keys:
-                self._attempts.failed(key)
         # A password is typed into the wrong box now and then, so unknown names aren't kept.
         known = any(a.name.casefold() == name.casefold() for a in people.accounts.all())
         people.audit.add("login_failed", "", name if known else "unknown name", address=address)

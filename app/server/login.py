@@ -38,11 +38,12 @@ a.button { display: block; text-align: center; padding: .5rem .7rem; border-radi
 p { color: #b3261e; min-height: 1.5em; margin: .5rem 0 0; }
 """
 
-_PAGE = """<!doctype html>
+_HEAD = """<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><title>ArtiWorld: log in</title>
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <style nonce="{nonce}">{style}</style></head><body>
-<form action="/login" method="get" autocomplete="off"><h1>ArtiWorld</h1>
+"""
+_PAGE = """<form action="/login" method="get" autocomplete="off"><h1>ArtiWorld</h1>
 <label>Token<input type="password" name="token" required autofocus></label>
 <button>Log in</button><p id="problem" role="alert">{problem}</p></form>
 <script nonce="{nonce}">
@@ -74,8 +75,13 @@ class Attempts:
         """True after so many attempts that even the right secret is refused."""
         return self.recent(key) >= GUESSES
 
+    def right(self, key: str) -> None:
+        """Take back the last note of a wrong one."""
+        if times := self._failures.get(key):
+            times.pop()
+
     def failed(self, key: str) -> None:
-        """Note a wrong one."""
+        """Note a wrong one, or one that waits to be checked."""
         now = time.monotonic()
         recent = [t for t in self._failures.get(key, []) if now - t < ATTEMPT_SECONDS]
         self._failures[key] = [*recent, now]
@@ -161,29 +167,19 @@ def new_token() -> str:
 
 def login_page(problem: str = "") -> tuple[bytes, str]:
     """Return the page, and the content security policy that allows its script only."""
+    return _filled(_PAGE, problem=html.escape(problem))
+
+
+def _filled(page: str, **values: str) -> tuple[bytes, str]:
     nonce = secrets.token_urlsafe(16)
-    page = _PAGE.format(nonce=nonce, style=_STYLE, problem=html.escape(problem))
-    return page.encode(), page_policy(nonce)
-
-
-def page_style() -> str:
-    """Return the CSS of the pages shown before login."""
-    return _STYLE
-
-
-def page_policy(nonce: str) -> str:
-    """Return the content security policy that allows the script of ``nonce`` only."""
-    return (
+    text = (_HEAD + page).format(nonce=nonce, style=_STYLE, **values)
+    return text.encode(), (
         f"default-src 'none'; style-src 'nonce-{nonce}'; script-src 'nonce-{nonce}'; "
         "connect-src 'self'; form-action 'self'; base-uri 'none'; frame-ancestors 'none'"
     )
 
 
-_ACCOUNT_PAGE = """<!doctype html>
-<html lang="en"><head><meta charset="utf-8"><title>ArtiWorld: your account</title>
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<style nonce="{nonce}">{style}</style></head><body>
-<form hidden id="login"><h1>ArtiWorld</h1>
+_ACCOUNT_PAGE = """<form hidden id="login"><h1>ArtiWorld</h1>
 <label>Name<input name="name" autocomplete="username" required autofocus></label>
 <label>Password<input type="password" name="password" autocomplete="current-password" required>
 </label><button>Log in</button><p role="alert"></p>{provider}</form>
@@ -227,10 +223,7 @@ document.getElementById("logout").addEventListener("click", async () => {{
 </script></body></html>
 """
 
-_ANSWER = """<!doctype html>
-<html lang="en"><head><meta charset="utf-8"><title>ArtiWorld: log in</title>
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<style nonce="{nonce}">{style}</style></head><body>
+_ANSWER = """
 <form><h1>ArtiWorld</h1><p role="alert">{problem}</p><a class="button" href="{target}">Go on</a>
 </form><script nonce="{nonce}">{wait}</script></body></html>
 """
@@ -245,15 +238,12 @@ def answer_page(problem: str = "") -> tuple[bytes, str]:
     Args:
         problem: why nobody is logged in, or "".
     """
-    nonce = secrets.token_urlsafe(16)
-    page = _ANSWER.format(
-        nonce=nonce,
-        style=page_style(),
+    return _filled(
+        _ANSWER,
         problem=html.escape(problem),
         target="/login" if problem else "/",
         wait="" if problem else "location.replace('/');",
     )
-    return page.encode(), page_policy(nonce)
 
 
 def account_page(name: str, provider: str = "") -> tuple[bytes, str]:
@@ -263,14 +253,11 @@ def account_page(name: str, provider: str = "") -> tuple[bytes, str]:
         name: who is logged in, or "".
         provider: label of the button to the organisation's provider; "" for none.
     """
-    nonce = secrets.token_urlsafe(16)
     person = json.dumps(name).replace("<", "\\u003c")
     link = f'<a class="button" href="{API}/oidc/login">{html.escape(provider)}</a>'
-    page = _ACCOUNT_PAGE.format(
-        nonce=nonce,
-        style=page_style(),
+    return _filled(
+        _ACCOUNT_PAGE,
         api=json.dumps(API),
         person=person,
         provider=link if provider else "",
     )
-    return page.encode(), page_policy(nonce)

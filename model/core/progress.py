@@ -12,11 +12,15 @@ import logging
 import os
 import signal
 import sys
-from collections.abc import Callable, Mapping
+import time
+from collections.abc import Callable, Hashable, Iterable, Mapping
 from pathlib import Path
 from typing import Protocol, TypeVar
 
+from model.core.errors import ArtiworldError
+
 T = TypeVar("T")
+H = TypeVar("H", bound=Hashable)
 
 log = logging.getLogger(__name__)
 
@@ -59,6 +63,55 @@ def attempt(remarks: list[str], name: str, step: Callable[[], T], default: T) ->
         log.exception("an optional step failed: %s", name)
         remarks.append(f"{name} failed ({type(error).__name__}: {error}): left out")
         return default
+
+
+def each(
+    items: Iterable[T], step: Callable[[T], object], failed: Callable[[T, Exception], object]
+) -> None:
+    """Call ``step`` for each stored item; one that raises goes to ``failed``, and the rest go on.
+
+    Raises:
+        Cancelled: where a step was cancelled.
+    """
+    for item in items:
+        try:
+            step(item)
+        except Cancelled:
+            raise
+        except Exception as error:
+            if not isinstance(error, ArtiworldError | OSError):
+                log.exception("work on %s failed", item)
+            failed(item, error)
+
+
+MOST_TRIES, ASIDE_SECONDS = 3, 600.0
+
+
+class StoredWork:
+    """Work that is repeated for stored items; one that fails too often is set aside for a while.
+
+    Attributes:
+        aside: (work, item) → failures in a row, the last error, and when it is tried again, in
+            seconds of :func:`time.monotonic`.
+    """
+
+    def __init__(self) -> None:
+        self.aside: dict[tuple[str, Hashable], tuple[int, str, float]] = {}
+
+    def each(self, work: str, items: Iterable[H], step: Callable[[H], object]) -> None:
+        """Call ``step`` for each item that isn't set aside."""
+        now, none = time.monotonic(), (0, "", 0.0)
+
+        def one(item: H) -> None:
+            step(item)
+            self.aside.pop((work, item), None)
+
+        def failed(item: H, error: Exception) -> None:
+            count = self.aside.get((work, item), none)[0] + 1
+            again = now + ASIDE_SECONDS if count >= MOST_TRIES else now
+            self.aside[work, item] = count, f"{type(error).__name__}: {error}", again
+
+        each([i for i in items if self.aside.get((work, i), none)[2] <= now], one, failed)
 
 
 NAMES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")

@@ -18,15 +18,17 @@ from app.server.api.people import people_router
 from app.server.api.project import project_router, statistics_router, webhooks_router
 from app.server.api.sessions import reviews_router, sessions_router
 from app.server.app_state import AppState
-from app.server.entrance import Entrance, Origins, TooManyAttempts
+from app.server.entrance import Entrance, Origins
 from app.server.network import API
-from model.core.errors import ArtiworldError, CommandError, StoreError
+from model.core.errors import ArtiworldError, CommandError, NoSpaceError, StoreError, no_space
+from sessions.accounts import TooManyAttempts
 from sessions.review import NotPermittedError
 
 _STATUS: tuple[tuple[type[ArtiworldError], int], ...] = (
     (TooManyAttempts, 429),
     (NotPermittedError, 403),
     (CommandError, 409),
+    (NoSpaceError, 507),
     (StoreError, 503),
     (ArtiworldError, 400),
 )
@@ -76,6 +78,7 @@ def make_application(app_state: AppState, entrance: Entrance, origins: Origins) 
     app.add_api_route(f"{API}/docs", _page, include_in_schema=False)
     app.add_api_route(f"{API}/docs/{{name}}", _document, include_in_schema=False)
     app.add_exception_handler(ArtiworldError, _refused)
+    app.add_exception_handler(OSError, _failed)
     app.add_exception_handler(HTTPException, _http_error)
     app.add_exception_handler(404, _http_error)
     app.add_exception_handler(405, _http_error)
@@ -108,6 +111,13 @@ def _document(name: str, person: Reader) -> Response:
 def _refused(request: Request, error: Exception) -> Response:
     status = next(status for kind, status in _STATUS if isinstance(error, kind))
     return JSONResponse({"error": str(error)}, status)
+
+
+def _failed(request: Request, error: Exception) -> Response:
+    assert isinstance(error, OSError)
+    if (full := no_space(error.filename or "the workspace", error)) is None:
+        raise error
+    return _refused(request, full)
 
 
 def _http_error(request: Request, error: Exception) -> Response:

@@ -11,11 +11,12 @@ from fastapi.responses import HTMLResponse, RedirectResponse
 from pydantic import BaseModel, Field
 
 from app.server.api.guard import State, TheEntrance, Visitor
-from app.server.entrance import TooManyAttempts, session_cookie
+from app.server.entrance import session_cookie
 from app.server.login import answer_page, cookie_name
 from app.server.network import API, url
 from app.server.oidc import OidcLogin
 from model.core.errors import ConfigurationError
+from sessions.accounts import TooManyAttempts
 from sessions.credentials import LOGIN_SECONDS
 
 entry_router = APIRouter(tags=["login"])
@@ -149,11 +150,11 @@ def come_back(
     try:
         account = oidc.finish(dict(request.query_params), browser, _redirect(request, state))
     except ConfigurationError as error:
-        people.audit.add("login_failed", "", "provider", str(error), _address_of(request))
+        people.audit.add("login_failed", "", "provider", str(error), _address(request))
         return _page(str(error), 403)
     answer = _page("", 200)
     secure = request.headers.getlist("X-Forwarded-Proto") == ["https"]
-    secret = entrance.begin(account, _address_of(request))
+    secret = entrance.begin(account, _address(request))
     port = request.app.state.origins.port
     answer.headers.append("Set-Cookie", session_cookie(secret, port, secure=secure))
     answer.headers.append("Set-Cookie", _cookie(request, ""))
@@ -190,7 +191,3 @@ def _cookie(request: Request, secret: str) -> str:
 def _page(problem: str, status: int) -> Response:
     body, policy = answer_page(problem)
     return HTMLResponse(body, status, headers={"Content-Security-Policy": policy})
-
-
-def _address_of(request: Request) -> str:
-    return "" if request.client is None else request.client.host
