@@ -12,6 +12,7 @@ from __future__ import annotations
 import asyncio
 import json
 import logging
+import time
 from collections.abc import AsyncIterator, Callable
 from contextlib import suppress
 from dataclasses import dataclass
@@ -97,8 +98,8 @@ def limited_server(application: ASGIApp) -> uvicorn.Server:
 
 HEARTBEAT_SECONDS = 1.0
 """Period of lines to a waiting client; also how soon a client that left is noticed."""
-BODY_SECONDS = 60.0
-"""Longest pause in the middle of a request."""
+BODY_SECONDS, LEAST_RATE = 10.0, 4096
+"""Longest time of a request's body, and the bytes a second that lengthen it."""
 REQUEST_SECONDS = 600.0
 """Longest time for a whole request."""
 
@@ -225,11 +226,12 @@ class Backend:
         limit = self.settings.max_bytes
         declared = request.headers.get("content-length", "0")
         out = bytearray()
-        stream = request.stream()
+        stream, begun = request.stream(), time.monotonic()
         try:
             async with asyncio.timeout(REQUEST_SECONDS):
                 while not (declared.isdigit() and int(declared) > limit):
-                    async with asyncio.timeout(BODY_SECONDS):
+                    most = BODY_SECONDS + len(out) / LEAST_RATE
+                    async with asyncio.timeout(begun + most - time.monotonic()):
                         out += await anext(stream)
                     if len(out) > limit:
                         break

@@ -33,11 +33,12 @@ from app.server.login import Login, account_page, login_page
 from app.server.network import (
     ApiConnections,
     OncePerMinute,
+    Places,
     SharedConnection,
     check_address,
     is_loopback,
 )
-from app.server.page import Page, attach_camera_guard
+from app.server.page import Page, attach_camera_guard, excuse_malformed
 from app.server.uploads import UploadGuard
 from model.core.errors import ConfigurationError, StoreError
 from model.core.packages import install_command
@@ -148,7 +149,8 @@ def guarded_server(
     page = Page(label or "ArtiWorld", max_upload_bytes)
     origins = Origins(host, allowed_origins)
     connections = None if api is None else ApiConnections(api(origins), trusted_proxies)
-    guard = _Guard(Login(token), entrance, origins, page, dict(routes or {}), connections)
+    places, found = Places(trusted_proxies), dict(routes or {})
+    guard = _Guard(Login(token), entrance, origins, page, found, connections, places)
     with _wrapped_serve(guard), contextlib.redirect_stdout(io.StringIO()):
         server = viser.ViserServer(host=host, port=port, label=label, verbose=False)
     endpoint = server._websock_server
@@ -163,6 +165,8 @@ def guarded_server(
     uploads.attach(endpoint)
     endpoint.on_client_connect(uploads.attach_client)
     endpoint.on_client_connect(attach_camera_guard)
+    endpoint.on_client_connect(excuse_malformed)
+    excuse_malformed(endpoint)
     endpoint.on_client_connect(guard.attach_person)
     endpoint.on_client_disconnect(uploads.forget)
     endpoint.on_client_disconnect(entrance.forget_tab)
@@ -183,7 +187,7 @@ def _wrapped_serve(guard: _Guard) -> Iterator[None]:
         guard.wrapped = True
         settings["max_size"] = MAX_MESSAGE_BYTES
         settings["create_connection"] = type(
-            "Connection", (SharedConnection,), {"api": guard.api, "open": set()}
+            "Connection", (SharedConnection,), {"api": guard.api, "places": guard.places}
         )
         return real(
             guard.limited(handler),
@@ -213,6 +217,7 @@ class _Guard:
     page: Page
     routes: Mapping[str, Route]
     api: ApiConnections | None
+    places: Places
     ready: bool = False
     wrapped: bool = False
     _open: dict[ServerConnection, Person] = field(default_factory=dict)
@@ -285,6 +290,7 @@ class _Guard:
                 answer.headers["Refresh"] = "1"  # the browser asks again after a second
                 return answer
             person = await self._person(request)
+            connection.known = person is not None  # type: ignore[attr-defined]
             login = self.entrance.needed
             problem = self.origins.problem(request.headers.get_all, login=login)
             if problem:

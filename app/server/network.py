@@ -14,6 +14,7 @@ import logging
 import os
 import socket
 import time
+from collections.abc import Callable
 from typing import Any, ClassVar, cast
 
 from uvicorn.config import Config
@@ -95,7 +96,45 @@ def free_port(host: str) -> int:
 
 MAX_SOCKETS = 256
 """Most connections at a time, those without a complete request included; a process may have 1024
-open files by default."""
+open files by default. One address may have half of them."""
+
+
+class Places:
+    """The connections of one port. Where all places are taken, or those of an address, the next
+    one takes that of its oldest stranger; people who are logged in stay.
+
+    Args:
+        proxies: addresses or networks that may have all places, as many people come through them.
+    """
+
+    def __init__(self, proxies: tuple[str, ...] = ()) -> None:
+        self._proxies = [ipaddress.ip_network(proxy, strict=False) for proxy in proxies]
+        self._known: dict[asyncio.Transport, Callable[[], bool]] = {}
+
+    def take(self, transport: asyncio.Transport, known: Callable[[], bool]) -> bool:
+        """Return whether a connection has a place; ``known`` tells whether it is a person's.
+
+        May be called again with another ``known``.
+        """
+        if transport not in self._known:
+            places = {t: k for t, k in self._known.items() if not t.is_closing()}
+            self._known, peer = places, _peer(transport)
+            same = [t for t in places if _peer(t) == peer]
+            if len(same) < MAX_SOCKETS // 2 or (
+                any(ipaddress.ip_address(peer) in proxy for proxy in self._proxies)
+            ):
+                same = list(places) if len(places) >= MAX_SOCKETS else []
+            stranger = next((t for t in same if not places[t]()), None)
+            if same and stranger is None:
+                return False
+            if stranger is not None:
+                stranger.abort()
+        self._known[transport] = known
+        return True
+
+
+def _peer(transport: asyncio.Transport) -> str:
+    return str((transport.get_extra_info("peername") or ("0.0.0.0",))[0]).partition("%")[0]
 
 
 class OncePerMinute(logging.Filter):
@@ -149,18 +188,16 @@ class ApiConnections:
         self._config.load()
         self._state = ServerState()
 
-    @property
-    def count(self) -> int:
-        """Number of connections."""
-        return len(self._state.connections)
-
-    def take(self, transport: asyncio.Transport, first: bytes) -> None:
+    def take(self, transport: asyncio.Transport, first: bytes, places: Places) -> None:
         """Serve a connection from its first bytes on."""
         loop = asyncio.get_running_loop()
         protocol = H11Protocol(self._config, self._state, {}, loop)
         transport.set_protocol(protocol)
         protocol.connection_made(transport)
         protocol.data_received(first)
+        places.take(
+            transport, lambda: bool((protocol.scope or {"state": {}})["state"].get("person"))
+        )
 
         def end_unless_begun() -> None:
             if protocol.cycle is None:
@@ -172,15 +209,15 @@ class ApiConnections:
 class SharedConnection(ServerConnection):
     """Waits for the first line, which decides who serves the connection.
 
-    A connection beyond :data:`~app.server.network.MAX_SOCKETS` is dropped; those without a
-    complete request count, too.
-
     Attributes:
         api: takes the connections to the API; None: there is none. Set in a subclass.
-        open: connections that aren't the API's. Set in a subclass.
+        places: of the port. Set in a subclass.
+        known: whether a person who is logged in has it.
     """
 
     api: ClassVar[ApiConnections | None] = None
+    places: ClassVar[Places]
+    known = False
     open: ClassVar[set[SharedConnection]]
 
     def __init__(self, *args: Any, **settings: Any) -> None:
@@ -191,10 +228,8 @@ class SharedConnection(ServerConnection):
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """See the base class."""
-        self.open.add(self)
         self._waiting = cast("asyncio.Transport", transport)
-        others = 0 if self.api is None else self.api.count
-        if len(self.open) + others > MAX_SOCKETS:
+        if not self.places.take(self._waiting, lambda: self.known):
             self._waiting.abort()
             return
         self._timer = self.loop.call_later(FIRST_SECONDS, self._waiting.abort)
@@ -211,8 +246,7 @@ class SharedConnection(ServerConnection):
         self._stop_timer()
         transport, self._waiting = self._waiting, None
         if self.api is not None and _is_for_api(line):
-            self.open.discard(self)
-            self.api.take(transport, self._first)
+            self.api.take(transport, self._first, self.places)
         else:
             super().connection_made(transport)
             super().data_received(self._first)
@@ -226,7 +260,6 @@ class SharedConnection(ServerConnection):
     def connection_lost(self, exc: Exception | None) -> None:
         """See the base class."""
         self._stop_timer()
-        self.open.discard(self)
         if self._waiting is None:
             super().connection_lost(exc)
 

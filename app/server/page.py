@@ -7,6 +7,7 @@ from __future__ import annotations
 import base64
 import gzip
 import json
+import logging
 import math
 from dataclasses import dataclass
 from importlib.resources import files
@@ -167,6 +168,24 @@ def attach_camera_guard(connection: infra.WebsockClientConnection) -> None:
             await inner(client, message)
 
     handlers[_messages.ViewerCameraMessage] = [guarded]
+
+
+_log = logging.getLogger("artiworld.http")
+MALFORMED = (AttributeError, IndexError, KeyError, OverflowError, TypeError, ValueError)
+"""Errors where a browser's message is malformed: the page sends what its handlers read."""
+
+
+def excuse_malformed(connection: Any) -> None:
+    """Log one line where a browser's message can't be handled; nothing of it is carried out."""
+    handle = connection._handle_incoming_message
+
+    async def excused(client_id: Any, message: Any) -> None:
+        try:
+            await handle(client_id, message)
+        except (AssertionError, *MALFORMED) as error:
+            _log.warning("%s of a browser can't be handled (%r)", type(message).__name__, error)
+
+    connection._handle_incoming_message = excused
 
 
 def make_possible(message: _messages.ViewerCameraMessage) -> bool:

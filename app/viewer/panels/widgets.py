@@ -4,6 +4,7 @@ for any other one, the buttons that predict joints, the name that signs decision
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from functools import lru_cache
 from html import escape
@@ -12,7 +13,7 @@ from typing import Any
 import viser
 from viser._icons import svg_from_icon
 
-from app.server.page import ArtiworldPressMessage, show_markup
+from app.server.page import MALFORMED, ArtiworldPressMessage, show_markup
 from app.viewer.tab import Tab, plain
 from app.viewer.words import common as words
 from app.viewer.words.common import NONE, OTHER
@@ -28,6 +29,9 @@ def put(handle: Any, name: str, value: Any) -> None:
 def differs(a: tuple[float, ...], b: tuple[float, ...], tolerance: float = 1e-6) -> bool:
     """True if two vectors of a widget differ by more than it shows."""
     return any(abs(x - y) > tolerance for x, y in zip(a, b, strict=True))
+
+
+log = logging.getLogger(__name__)
 
 
 class Presses:
@@ -49,10 +53,17 @@ class Presses:
         if callback is None:
             return
         value = str(message.value)
+
+        def press() -> None:
+            try:
+                callback(value)
+            except MALFORMED as error:
+                log.warning("%.40s can't read %.80r (%r)", message.action, value, error)
+
         if at_once:
-            callback(value)
+            press()
         else:
-            self._tab.act(lambda: callback(value))
+            self._tab.act(press)
 
 
 class Place:
