@@ -148,7 +148,7 @@ class ProjectPage:
         self._modal = modal = gui.add_modal(title)
         with modal:
             said = gui.add_html(f'<p class="aw-project">{words.READING}</p>')
-        job = self._app_state.workers.readers[-1].submit(
+        job = self._app_state.workers.reading.submit(
             read_overview,
             self._app_state.workspace,
             config.database,
