@@ -16,7 +16,7 @@ from app.server.names import display_text
 from app.server.open_object import OpenObject
 from app.server.validating import AcceptanceRequest
 from model.core.asset import Source
-from model.core.errors import CommandError
+from model.core.errors import ArtiworldError, CommandError, NoSpaceError
 from model.validation.report import ValidationReport
 from sessions import commands as cmd
 from sessions.command_log import ACCEPT
@@ -32,7 +32,7 @@ def accept(
     override: str = "",
     *,
     seen: ValidationReport | None = None,
-    refused: Callable[[CommandError], None] | None = None,
+    refused: Callable[[ArtiworldError], None] | None = None,
     asked: float | None = None,
     state: SessionState | None = None,
 ) -> None:
@@ -41,8 +41,8 @@ def accept(
     Args:
         override: reason for accepting it despite errors.
         seen: the report whose warnings the person was shown.
-        refused: gets what prevents the acceptance where that is found only later; where it is
-            None, all tabs show it.
+        refused: gets what prevents the acceptance, or writing its asset, where that is found only
+            later; where it is None, all tabs show it.
         asked: when the person asked for it, seconds since 1970; None is now.
         state: the state that the person decided about; None is the present one.
 
@@ -104,14 +104,21 @@ def accept(
     def keep(draft: Path) -> None:
         try:
             written = carry_out(obj.live, state, command, who, draft, record)
-        except CommandError as error:
+        except (CommandError, NoSpaceError) as error:
             _refuse(obj, error, refused)
             return
         obj.record_job(ACCEPT, begun, time.time() - begun)
         obj.notify("Accepted", f"Saved in {written}", "green")
 
+    if refused is not None:  # before the job's end counts
+        job.add_done_callback(lambda job: _pass_on(job.error, refused))
     obj.start("save", job, keep)
     obj.changed()
+
+
+def _pass_on(error: Exception | None, refused: Callable[[ArtiworldError], None]) -> None:
+    if isinstance(error, ArtiworldError):
+        refused(error)
 
 
 def _role(obj: OpenObject, command: cmd.Accept, who: str) -> Role:
@@ -122,7 +129,7 @@ def acceptance_over(obj: OpenObject) -> bool:
     """True once an acceptance is decided or has failed; its job ends a moment earlier."""
     if obj.being_accepted:
         return False
-    return obj.record.id not in obj.services.store.pending_acceptances()
+    return obj.services.acceptances.is_over(obj.record.id)
 
 
 def withdraw(obj: OpenObject) -> bool:
@@ -190,7 +197,7 @@ def _check_unmoved(obj: OpenObject, state: SessionState) -> None:
 
 
 def _refuse(
-    obj: OpenObject, error: CommandError, refused: Callable[[CommandError], None] | None
+    obj: OpenObject, error: ArtiworldError, refused: Callable[[ArtiworldError], None] | None
 ) -> None:
     if refused is None:
         obj.notify("Not accepted", str(error), "yellow")

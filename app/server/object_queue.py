@@ -12,6 +12,7 @@ from app.server.observable import Listener
 from app.server.tasks import stamp_if_there
 from app.server.uploads import keep_upload
 from model.core.errors import CommandError
+from model.core.progress import StoredWork, each
 from model.io.model_files import asset_name, find_assets, refusal
 from sessions.store import ObjectRecord, Store
 
@@ -75,7 +76,13 @@ class ObjectQueue:
     def _enter(self, paths: list[Path]) -> list[int]:
         records = self._store.open_objects((p, None, asset_name(p)) for p in paths)
         ids = [r.id for r in records]
-        refused = {r.id for r, p in zip(records, paths, strict=True) if refusal(p) is not None}
+        refused: set[int] = set()
+
+        def check(place: int) -> None:
+            if refusal(paths[place]) is not None:
+                refused.add(ids[place])
+
+        each(range(len(ids)), check, lambda place, _: refused.add(ids[place]))
         with self._lock:
             self.unreadable |= refused
             self._ids = list(dict.fromkeys([*self._ids, *ids]))
@@ -86,7 +93,10 @@ class ObjectQueue:
         """Queue those of other runs and servers that are to be listed."""
         self._looked_at |= {r.id for r in records}
         if self._workspace is not None:
-            self._enter([r.path for r in records if _kept(r, self._workspace)])
+            kept: list[Path] = []
+            folder = self._workspace
+            each(records, lambda r: kept.extend([r.path][: _kept(r, folder)]), lambda *_: None)
+            self._enter(kept)
 
     def _leave_out_removed(self) -> None:
         """Leave out what was removed in an earlier run, unless the file changed since.
@@ -150,11 +160,12 @@ class ObjectQueue:
         if before is None or before.state != record.state or self._pending(object_id):
             self.changed()
 
-    def sync(self, last: dict[int, int]) -> None:
+    def sync(self, last: dict[int, int], stored: StoredWork) -> None:
         """Take in what other servers did, and what was imported meanwhile.
 
         Args:
             last: object id → number of its last command.
+            stored: keeps what fails.
         """
         new = set(last) - self._looked_at
         if new:
@@ -162,8 +173,7 @@ class ObjectQueue:
             self.changed()
         with self._lock:
             stale = [i for i in self._ids if last.get(i, 0) > self._records[i].seq]
-        for object_id in stale:
-            self.refresh(object_id)
+        stored.each("queue", stale, self.refresh)
 
     def subscribe(self, listener: Listener) -> Callable[[], None]:
         """Call ``listener`` when a state in the queue changes. Returns its removal."""

@@ -24,13 +24,13 @@ from typing import Any
 import numpy as np
 import torch
 from safetensors.torch import save_file
+from transformers.utils.logging import disable_progress_bar
 
 from app.cli.benchmarks.shapes import chest, joined
 from app.cli.output import Result, print_records
 from app.cli.research_commands import BenchCommand
 from model.core.asset import Asset
 from model.core.errors import ConfigurationError
-from model.core.packages import require
 from model.core.progress import Progress, no_progress
 from model.geometry.sampling import sample_surface
 from model.prediction.arti4urdf.checkpoints import write_random_qwen3, write_random_ulip2
@@ -98,7 +98,7 @@ def networks_bench(options: BenchCommand, progress: Progress) -> Result:
 
 def measure(config: NetworksConfig, progress: Progress = no_progress) -> dict[str, Any]:
     """Seconds, tokens and gigabytes of each network, and the device."""
-    require("transformers.utils.logging", "network", "this benchmark").disable_progress_bar()
+    disable_progress_bar()
     gpu = torch.cuda.is_available()
     device = "cuda" if gpu else "cpu"
     sizes = config.sizes

@@ -3,23 +3,35 @@
 from __future__ import annotations
 
 import asyncio
-import json
+import contextlib
+import functools
 import logging
+import secrets
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import Future
 from http.cookies import CookieError
 from typing import Annotated, Any
+from urllib.parse import unquote
 
 from fastapi import Depends, HTTPException, Request
+from fastapi.responses import JSONResponse
+from pydantic import Field
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from app.server.app_state import AppState
 from app.server.entrance import Entrance, Origins
+from app.server.network import API
 from sessions.credentials import Person
 from sessions.credentials import Scope as TokenScope
 
 log = logging.getLogger(__name__)
-BODY_SECONDS = 30.0
-"""Longest pause in the middle of a request."""
+STRANGER_SECONDS = 10.0
+"""Longest time of the request of somebody who isn't logged in, such as a login."""
+BODY_SECONDS, LEAST_RATE = 30.0, 4096
+"""Longest time of other requests, and the bytes a second that lengthen it."""
 JSON_BYTES = 1_000_000
 """Largest request but for an upload."""
 OWN_HEADER = "X-ArtiWorld"
@@ -34,12 +46,6 @@ _HEADERS = {
     # The next request on a kept connection could be for viser's pages, which others answer.
     "Connection": "close",
 }
-
-
-class _Refused(Exception):
-    def __init__(self, status: int, text: str) -> None:
-        self.status, self.text = status, text
-        super().__init__(text)
 
 
 class ApiGuard:
@@ -75,19 +81,18 @@ class ApiGuard:
             await send(message)
 
         try:
+            if "\0" in unquote(scope["path"] + scope["query_string"].decode("latin-1")):
+                raise HTTPException(400, "the address has a character that no text has")
             headers = Headers(scope=scope)
             person = await self._who(scope, headers)
             scope.setdefault("state", {})["person"] = person
             limit = self._upload_bytes if scope["path"] == self._upload_path else JSON_BYTES
-            await self._app(scope, _limited(receive, limit, headers), answer)
-        except _Refused as refused:
+            await self._app(scope, _limited(receive, limit, headers, person is not None), answer)
+        except HTTPException as refused:
             if begun:
                 raise
-            body = json.dumps({"error": refused.text}).encode()
-            kind = (b"content-type", b"application/json")
-            start = {"type": "http.response.start", "status": refused.status, "headers": [kind]}
-            await answer(start)
-            await answer({"type": "http.response.body", "body": body})
+            refusal = JSONResponse({"error": refused.detail}, refused.status_code)
+            await refusal(scope, receive, answer)
 
     async def _who(self, scope: Scope, headers: Headers) -> Person | None:
         address = str((scope.get("client") or ("",))[0])
@@ -105,40 +110,41 @@ class ApiGuard:
         try:
             person, login = await asyncio.to_thread(find)
         except CookieError as error:
-            raise _Refused(400, "bad cookie") from error
+            raise HTTPException(400, "bad cookie") from error
         problem = self._origins.problem(headers.getlist, login=login)
         if problem:
-            raise _Refused(403, problem)
+            raise HTTPException(403, problem)
         changes = scope["method"] not in ("GET", "HEAD", "OPTIONS")
         if changes and not kind and OWN_HEADER not in headers:
-            raise _Refused(403, f"send the header {OWN_HEADER}: 1, or a token")
+            raise HTTPException(403, f"send the header {OWN_HEADER}: 1, or a token")
         return person
 
 
-def _limited(receive: Receive, limit: int, headers: Headers) -> Receive:
+def _limited(receive: Receive, limit: int, headers: Headers, known: bool) -> Receive:
     declared = headers.get("Content-Length", "0")
     if not declared.isdigit() or int(declared) > limit:
-        raise _Refused(413, f"the request is larger than {limit / 1e6:g} MB")
-    taken = 0
+        raise HTTPException(413, f"the request is larger than {limit / 1e6:g} MB")
+    taken, begun = 0, time.monotonic()
 
     async def next_message() -> Message:
         nonlocal taken
         message = await receive()
         taken += len(message.get("body", b""))
         if taken > limit:
-            raise _Refused(413, f"the request is larger than {limit / 1e6:g} MB")
+            raise HTTPException(413, f"the request is larger than {limit / 1e6:g} MB")
         return message
 
     async def in_time() -> Message:
         if taken and taken >= int(declared) > 0:  # only the end of the connection may come
             return await receive()
         try:
-            async with asyncio.timeout(BODY_SECONDS):
+            most = BODY_SECONDS + taken / LEAST_RATE if known else STRANGER_SECONDS
+            async with asyncio.timeout(begun + most - time.monotonic()):
                 return await next_message()
         except TimeoutError as error:
             if taken >= int(declared):
                 return {"type": "http.disconnect"}
-            raise _Refused(408, "the request timed out") from error
+            raise HTTPException(408, "the request timed out") from error
 
     return in_time
 
@@ -169,6 +175,10 @@ def _entrance(request: Request) -> Entrance:
     return request.app.state.entrance
 
 
+Id = Annotated[int, Field(ge=1, le=2**31 - 1)]
+"""A number that something is stored under; larger ones don't fit into a database's column."""
+Count = Annotated[int, Field(ge=0, le=2**31 - 1)]
+"""How many, or a place from 0."""
 State = Annotated[AppState, Depends(_state)]
 TheEntrance = Annotated[Entrance, Depends(_entrance)]
 Visitor = Annotated[Person, Depends(_person)]
@@ -176,3 +186,64 @@ Reader = Annotated[Person, need("read")]
 Annotator = Annotated[Person, need("annotate")]
 Reviewer = Annotated[Person, need("review")]
 Manager = Annotated[Person, need("manage")]
+
+ANSWER_SECONDS = 1.5
+"""Time after which an answer is a job to ask for."""
+MOST_JOBS = 128
+"""Requests at a time; a person may have a quarter. So many results wait for their people."""
+_jobs: dict[str, tuple[str, Future[Any]]] = {}
+
+
+async def in_time(person: Person, work: Callable[[], Any]) -> Any:
+    """Return the result of ``work``, or after a while an answer with the job to ask for.
+
+    Each has a thread of its own, so quick requests wait for none.
+
+    Raises:
+        HTTPException: 429, where a person, or all of them, have too many.
+    """
+    running = [who for who, answer in _jobs.values() if not answer.done()]
+    if len(running) >= MOST_JOBS or running.count(person.name) >= MOST_JOBS // 4:
+        raise HTTPException(429, "too many requests are being worked on; wait for some")
+    for old in [number for number, (_, answer) in _jobs.items() if answer.done()][:-MOST_JOBS]:
+        del _jobs[old]
+    number, answer = secrets.token_hex(12), Future[Any]()
+    _jobs[number] = person.name, answer
+    answer.set_running_or_notify_cancel()  # who leaves doesn't cancel it
+
+    def run() -> None:
+        try:
+            answer.set_result(work())
+        except BaseException as error:
+            answer.set_exception(error)
+
+    threading.Thread(target=run, name="request", daemon=True).start()
+    return await result_of(person, number)
+
+
+async def result_of(person: Person, number: str) -> Any:
+    """Return the result of a person's job, once; or its number again, where it takes longer.
+
+    Raises:
+        HTTPException: 404, where the person has no such job.
+        Exception: as the work raised it.
+    """
+    who, answer = _jobs.get(number, (None, Future[Any]()))
+    if who != person.name:
+        raise HTTPException(404, "there is no such job of yours, or you have its result")
+    with contextlib.suppress(Exception):  # it is raised below
+        await asyncio.wait_for(asyncio.shield(asyncio.wrap_future(answer)), ANSWER_SECONDS)
+    if not answer.done():
+        return JSONResponse({"job": number}, 202, {"Location": f"{API}/jobs/{number}"})
+    _jobs.pop(number, None)
+    return answer.result()
+
+
+def long(route: Callable[..., Any]) -> Callable[..., Any]:
+    """Decorate a route of a ``person`` that may take long."""
+
+    @functools.wraps(route)
+    async def answered(**values: Any) -> Any:
+        return await in_time(values["person"], functools.partial(route, **values))
+
+    return answered

@@ -4,7 +4,6 @@ and the accepted ones as files.
 
 from __future__ import annotations
 
-import asyncio
 import io
 import secrets
 import shutil
@@ -18,13 +17,24 @@ from typing import Annotated, Any
 from fastapi import APIRouter, HTTPException, Query, Request
 from fastapi.responses import Response
 from pydantic import BaseModel, Field
-from starlette.concurrency import run_in_threadpool
 
-from app.server.api.guard import Annotator, Manager, Reader, State
+from app.server.api.guard import (
+    Annotator,
+    Count,
+    Id,
+    Manager,
+    Reader,
+    State,
+    Visitor,
+    in_time,
+    long,
+    result_of,
+)
 from app.server.app_state import AppState
 from app.server.export_tasks import ExportTask, export_one
 from app.server.open_object import OpenObject
 from model.core import codec
+from model.core.progress import each
 from model.io.export.registry import exporter_names
 from model.physics.simulation_values import PhysicsSettings
 from sessions.accounts import Account
@@ -37,10 +47,10 @@ from sessions.state import SessionState, needed_jobs
 objects_router = APIRouter(tags=["objects"])
 MOST = 500
 """Objects in one answer."""
-OPEN_SECONDS = 60.0
+OPEN_SECONDS = 600.0
 """Longest wait for an object to be read, or for labels that are being computed."""
-POLL_SECONDS, LOOK_SECONDS = 0.05, 0.01
-"""Pause between two looks of a waiting thread, and of the event loop."""
+POLL_SECONDS = 0.02
+"""Pause between two looks of a waiting thread."""
 KEEP_SECONDS = 300.0
 """An object that a script worked on stays open so long after: it would be encoded anew else."""
 
@@ -53,7 +63,7 @@ def list_objects(
     category: str | None = None,
     search: str = "",
     assigned_to: str | None = None,
-    first: Annotated[int, Query(ge=0)] = 0,
+    first: Count = 0,
     count: Annotated[int, Query(ge=1, le=MOST)] = 100,
 ) -> dict[str, Any]:
     """List objects in the order of the queue, filtered."""
@@ -72,16 +82,24 @@ def list_objects(
 
 
 @objects_router.post("/objects", status_code=201)
-async def upload(request: Request, name: str, person: Annotator, state: State) -> dict[str, Any]:
+async def upload(request: Request, name: str, person: Annotator, state: State) -> Any:
     """Add a file, or a zip of one object or several; the body is its content."""
     content = await request.body()
-    object_id = await run_in_threadpool(state.add_upload, name, content)
-    record = await run_in_threadpool(state.store.object, object_id)
-    return _line(record, None)
+
+    def add() -> dict[str, Any]:
+        return _line(state.store.object(state.add_upload(name, content)), None)
+
+    return await in_time(person, add)
+
+
+@objects_router.get("/jobs/{number}")
+async def job(number: str, person: Visitor) -> Any:
+    """The result of a request that was answered with a job, once; 202 while it is worked on."""
+    return await result_of(person, number)
 
 
 @objects_router.get("/objects/{object_id}")
-def one_object(object_id: int, person: Reader, state: State) -> dict[str, Any]:
+def one_object(object_id: Id, person: Reader, state: State) -> dict[str, Any]:
     """Decisions about one object: parts, prompts, joints, review."""
     record = record_of(state, object_id)
     assigned = state.store.people.work.assigned().get(object_id)
@@ -100,14 +118,14 @@ def record_of(state: AppState, object_id: int) -> ObjectRecord:
     return state.store.object(object_id)
 
 
-def opened(state: AppState, object_id: int) -> OpenObject:
+def opened(state: AppState, object_id: int, person: Person) -> OpenObject:
     """Return an object that is read, after a wait if needed.
 
     Raises:
         HTTPException: where it can't be read, or takes too long.
     """
     record_of(state, object_id)
-    obj = state.object(object_id, KEEP_SECONDS)
+    obj = state.object(object_id, KEEP_SECONDS, person.name)
     wait(lambda: obj.asset is not None or obj.problem is not None)
     if obj.problem is not None:
         raise HTTPException(409, f"the object can't be read: {obj.problem}")
@@ -123,10 +141,10 @@ def decide(state: AppState, object_id: int, command: Command, person: Person) ->
     record_of(state, object_id)
     live = state.session(object_id)
     if live.state.seq == 0:
-        opened(state, object_id)
+        opened(state, object_id, person)
     after = live.do(command, person.name, role=person.role)
     if needed_jobs(after):
-        state.object(object_id, KEEP_SECONDS)
+        state.object(object_id, KEEP_SECONDS, person.name)
     return document_json(after)
 
 
@@ -138,22 +156,9 @@ def wait(ready: Callable[[], bool]) -> None:
     """
     end = time.monotonic() + OPEN_SECONDS
     while not ready():
-        _check_time(end)
+        if time.monotonic() > end:
+            raise HTTPException(503, "this takes long; ask again later")
         time.sleep(POLL_SECONDS)
-
-
-async def wait_on_loop(ready: Callable[[], bool]) -> None:
-    """As :func:`wait`, without a thread: all requests share forty. The event loop calls ``ready``,
-    which must only look."""
-    end = time.monotonic() + OPEN_SECONDS
-    while not ready():
-        _check_time(end)
-        await asyncio.sleep(LOOK_SECONDS)
-
-
-def _check_time(end: float) -> None:
-    if time.monotonic() > end:
-        raise HTTPException(503, "this takes long; ask again later")
 
 
 def document_json(state: SessionState) -> dict[str, Any]:
@@ -185,14 +190,8 @@ def joints_json(doc: Document) -> list[dict[str, Any]]:
 
 def _line(record: ObjectRecord, assigned: str | None) -> dict[str, Any]:
     # Without path and digest, which would mark second annotations of the same content.
-    return {
-        "id": record.id,
-        "name": record.name,
-        "state": record.state,
-        "category": record.category,
-        "who": record.who,
-        "updated": record.updated,
-        "created": record.created,
+    plain = ("id", "name", "state", "category", "who", "updated", "created")
+    return {field: getattr(record, field) for field in plain} | {
         "assigned_to": assigned or record.assigned_to,
         "prompt_count": record.prompts,
         "part_count": record.parts,
@@ -205,7 +204,7 @@ work_router = APIRouter(tags=["work"])
 class AssignBody(BaseModel):
     """Objects, and the people who get them in turn; no people: nobody has them any more."""
 
-    objects: list[int] = Field(min_length=1, max_length=10_000)
+    objects: list[Id] = Field(min_length=1, max_length=10_000)
     people: list[str] = Field(max_length=1000)
 
 
@@ -227,14 +226,14 @@ def next_object(person: Annotator, state: State) -> dict[str, Any]:
 
 
 @work_router.get("/objects/{object_id}/presence")
-def presence(object_id: int, person: Reader, state: State) -> list[dict[str, Any]]:
+def presence(object_id: Id, person: Reader, state: State) -> list[dict[str, Any]]:
     """Users who have an object open, and who leased it."""
     record_of(state, object_id)
     return [asdict(one) for one in state.store.people.work.present(object_id)]
 
 
 @work_router.post("/objects/{object_id}/enter")
-def enter(object_id: int, person: Annotator, state: State) -> dict[str, Any]:
+def enter(object_id: Id, person: Annotator, state: State) -> dict[str, Any]:
     """Say that one works on an object; again within a minute."""
     record_of(state, object_id)
     state.store.people.work.enter(object_id, _account(person))
@@ -242,7 +241,7 @@ def enter(object_id: int, person: Annotator, state: State) -> dict[str, Any]:
 
 
 @work_router.post("/objects/{object_id}/leave")
-def leave(object_id: int, person: Annotator, state: State) -> dict[str, Any]:
+def leave(object_id: Id, person: Annotator, state: State) -> dict[str, Any]:
     """Leave an object; others may take it."""
     record_of(state, object_id)
     state.store.people.work.leave(object_id, _account(person))
@@ -264,24 +263,20 @@ DOWNLOAD_BYTES = 400_000_000
 def list_assets(person: Reader, state: State) -> dict[str, Any]:
     """All accepted objects that have an asset, and the formats in which it can be had."""
     found = []
-    for record in state.queue.records():
-        if record.state == "accepted":
-            saved = state.session(record.id).document.saved
-            if saved is not None and state.store.assets.has(saved):
-                found.append(
-                    {
-                        "id": record.id,
-                        "name": record.name,
-                        "category": record.category,
-                        "accepted_by": saved.by,
-                        "at": saved.at,
-                    }
-                )
+
+    def find(record: ObjectRecord) -> None:
+        saved = state.session(record.id).document.saved
+        if saved is not None and state.store.assets.has(saved):
+            line = {f: getattr(record, f) for f in ("id", "name", "category")}
+            found.append(line | {"accepted_by": saved.by, "at": saved.at})
+
+    each([r for r in state.queue.records() if r.state == "accepted"], find, lambda *_: None)
     return {"formats": ["asset", *exporter_names()], "assets": found}
 
 
 @assets_router.get("/assets/{object_id}")
-def download(object_id: int, person: Reader, state: State, format: str = "asset") -> Response:
+@long
+def download(object_id: Id, person: Reader, state: State, format: str = "asset") -> Response:
     """Download an asset as a zip: "asset" as it was accepted, or in a simulator's format."""
     name = record_of(state, object_id).name
     if format not in ("asset", *exporter_names()):

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, HTTPException, Query, Request
 from pydantic import BaseModel, Field
 
-from app.server.api.guard import Manager, State, Visitor
+from app.server.api.guard import Count, Id, Manager, Reader, State, Visitor
 from sessions.account_tables import MOST_EVENTS
 from sessions.credentials import TOKEN_DAYS
 from sessions.review import Role
@@ -34,7 +34,7 @@ class TokenBody(BaseModel):
 
     label: str = Field(max_length=200)
     scopes: list[str] = Field(min_length=1, max_length=10)
-    days: int = TOKEN_DAYS
+    days: Count = TOKEN_DAYS
 
 
 @people_router.get("/users")
@@ -72,7 +72,7 @@ def revoke(name: str, person: Manager, state: State) -> dict[str, Any]:
 
 
 @people_router.get("/tokens")
-def tokens(person: Visitor, state: State) -> list[dict[str, Any]]:
+def tokens(person: Reader, state: State) -> list[dict[str, Any]]:
     """One's own tokens, without their secrets."""
     return [asdict(t) for t in state.store.people.credentials.tokens(person.account)]
 
@@ -88,14 +88,23 @@ def make_token(body: TokenBody, person: Visitor, state: State) -> dict[str, Any]
 
 
 @people_router.delete("/tokens/{token_id}")
-def revoke_token(token_id: int, person: Visitor, state: State) -> dict[str, Any]:
-    """Revoke one of one's own tokens; a manager may revoke any."""
+def revoke_token(token_id: Id, person: Visitor, state: State) -> dict[str, Any]:
+    """Revoke one of one's own tokens in a logged-in browser; a manager may revoke any."""
+    if person.session is None and "manage" not in person.scopes:
+        raise HTTPException(403, "revoke tokens in a browser, or with the scope manage")
     credentials = state.store.people.credentials
     own = None if "manage" in person.scopes else person.account
     if all(t.id != token_id for t in credentials.tokens(own)):
         raise HTTPException(404, f"there is no token {token_id}")
     credentials.revoke_token(token_id, person.name)
     return {"revoked": token_id}
+
+
+@people_router.get("/set-aside")
+def set_aside(person: Manager, state: State) -> list[dict[str, Any]]:
+    """Stored items that this server works on and that failed, with their errors."""
+    aside = [(w, str(i), *why) for (w, i), why in list(state.stored.aside.items())]
+    return [{"work": w, "item": i, "failures": n, "error": text} for w, i, n, text, _ in aside]
 
 
 @people_router.get("/audit")
@@ -105,7 +114,7 @@ def audit(
     name: str | None = None,
     kind: str | None = None,
     since: str | None = None,
-    before: int | None = None,
+    before: Count | None = None,
     count: Annotated[int, Query(ge=1, le=MOST_EVENTS)] = 200,
 ) -> list[dict[str, Any]]:
     """Audit log of accounts, newest first; ``before`` an id gives the next page."""
@@ -119,10 +128,10 @@ def decisions(
     person: Manager,
     state: State,
     who: str | None = None,
-    object_id: Annotated[int | None, Query(alias="object")] = None,
+    object_id: Annotated[Id | None, Query(alias="object")] = None,
     kind: str | None = None,
     since: str | None = None,
-    first: Annotated[int, Query(ge=0)] = 0,
+    first: Count = 0,
     count: Annotated[int, Query(ge=1, le=MOST_EVENTS)] = 200,
 ) -> list[dict[str, Any]]:
     """Decisions about objects with their authors, newest first."""

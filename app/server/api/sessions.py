@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 from fastapi import APIRouter, HTTPException
 from pydantic import BaseModel, Field
-from starlette.concurrency import run_in_threadpool
 
 from app.server.accepting import accept, acceptance_over, withdraw
-from app.server.api.guard import Annotator, Reader, Reviewer, State
+from app.server.api.guard import Annotator, Count, Id, Reader, Reviewer, State, long
 from app.server.api.objects import (
     decide,
     document_json,
@@ -20,13 +19,14 @@ from app.server.api.objects import (
     opened,
     record_of,
     wait,
-    wait_on_loop,
 )
 from app.server.app_state import AppState
-from model.core.errors import CommandError
+from model.core.errors import ArtiworldError, CommandError
 from sessions.commands import (
+    Accept,
     AddComment,
     AddRegion,
+    Command,
     Redo,
     Reject,
     Reopen,
@@ -37,9 +37,10 @@ from sessions.commands import (
     to_json,
 )
 from sessions.credentials import Person
+from sessions.database import now
 from sessions.describe import describe
-from sessions.live import LiveSession
-from sessions.review import RejectReason
+from sessions.review import RejectReason, transition
+from sessions.state import Context, apply
 
 sessions_router = APIRouter(tags=["sessions"])
 KINDS: frozenset[str] = frozenset(
@@ -62,12 +63,12 @@ class CommandBody(BaseModel):
     """
 
     command: dict[str, Any]
-    expected_seq: int | None = None
+    expected_seq: Count | None = None
     labels: bool = False
 
 
 @sessions_router.get("/objects/{object_id}/commands")
-def history(object_id: int, person: Reader, state: State, after: int = 0) -> list[dict[str, Any]]:
+def history(object_id: Id, person: Reader, state: State, after: Count = 0) -> list[dict[str, Any]]:
     """All commands of an object in order, with author and time."""
     record_of(state, object_id)
     return [
@@ -83,26 +84,19 @@ def history(object_id: int, person: Reader, state: State, after: int = 0) -> lis
 
 
 @sessions_router.post("/objects/{object_id}/commands")
-async def give(
-    object_id: int, body: CommandBody, person: Annotator, state: State
-) -> dict[str, Any]:
+@long
+def give(object_id: Id, body: CommandBody, person: Annotator, state: State) -> dict[str, Any]:
     """Give one command; the answer is the object after it."""
-    live, after = await run_in_threadpool(_give, object_id, body, person, state)
-    if body.labels and after["prompts"]:
-        await wait_on_loop(lambda: live.document.segmentation_current)
-        after = await run_in_threadpool(document_json, live.state)
-    return after
-
-
-def _give(
-    object_id: int, body: CommandBody, person: Person, state: AppState
-) -> tuple[LiveSession, dict[str, Any]]:
     kind = body.command.get("kind")
     if kind not in KINDS:
         raise HTTPException(422, f"command.kind: one of {', '.join(sorted(KINDS))}")
     _check_seq(state, object_id, body.expected_seq)
     after = decide(state, object_id, from_json(body.command), person)
-    return state.session(object_id), after
+    live = state.session(object_id)
+    if body.labels and after["prompts"]:
+        wait(lambda: live.document.segmentation_current)
+        after = document_json(live.state)
+    return after
 
 
 class RegionBody(BaseModel):
@@ -115,51 +109,57 @@ class RegionBody(BaseModel):
         expected_seq: as of a command.
     """
 
-    part: int
-    elements: list[int] = Field(min_length=1, max_length=200_000)
+    part: Count
+    elements: list[Count] = Field(min_length=1, max_length=200_000)
     positive: bool = True
-    expected_seq: int | None = None
+    expected_seq: Count | None = None
 
 
 @sessions_router.post("/objects/{object_id}/regions", status_code=201)
-def add_region(object_id: int, body: RegionBody, person: Annotator, state: State) -> dict[str, Any]:
+@long
+def add_region(object_id: Id, body: RegionBody, person: Annotator, state: State) -> dict[str, Any]:
     """Mark a region of an object as part of something; the answer is the object after it."""
-    count = opened(state, object_id).need_asset().element_count
-    elements = np.unique(np.asarray(body.elements, np.int64))
-    if elements[0] < 0 or elements[-1] >= count:
-        raise HTTPException(422, f"elements: the object has those from 0 to {count - 1}")
     _check_seq(state, object_id, body.expected_seq)
     state.store.people.role_for(object_id, Undo(), person.name, person.role)  # before it is stored
+    count = opened(state, object_id, person).need_asset().element_count
+    elements = np.unique(np.asarray(body.elements, np.int64))
+    if elements[-1] >= count:
+        raise HTTPException(422, f"elements: the object has those from 0 to {count - 1}")
     ref = state.store.put_array(elements)
     command = AddRegion(body.part, ref, body.positive, len(elements), "script")
     return decide(state, object_id, command, person)
 
 
 @sessions_router.post("/objects/{object_id}/undo")
-def undo(object_id: int, person: Annotator, state: State) -> dict[str, Any]:
+@long
+def undo(object_id: Id, person: Annotator, state: State) -> dict[str, Any]:
     """Take back the last decision."""
     return decide(state, object_id, Undo(), person)
 
 
 @sessions_router.post("/objects/{object_id}/redo")
-def redo(object_id: int, person: Annotator, state: State) -> dict[str, Any]:
+@long
+def redo(object_id: Id, person: Annotator, state: State) -> dict[str, Any]:
     """Do again what was taken back last."""
     return decide(state, object_id, Redo(), person)
 
 
 @sessions_router.post("/objects/{object_id}/prediction", status_code=202)
-def predict(object_id: int, person: Annotator, state: State) -> dict[str, Any]:
+@long
+def predict(object_id: Id, person: Annotator, state: State) -> dict[str, Any]:
     """Begin to predict the joints; ask for the result until it isn't running any more."""
-    obj = opened(state, object_id)
-    wait(lambda: obj.document.segmentation_current)
+    record_of(state, object_id)
     # Refused now, where the result would be: the job takes a while.
     state.store.people.role_for(object_id, Undo(), person.name, person.role)
+    transition(state.session(object_id).refresh().present.review.state, "predict")
+    obj = opened(state, object_id, person)
+    wait(lambda: obj.document.segmentation_current)
     obj.predict(person.name)
     return {"running": True}
 
 
 @sessions_router.get("/objects/{object_id}/prediction")
-def prediction(object_id: int, person: Reader, state: State) -> dict[str, Any]:
+def prediction(object_id: Id, person: Reader, state: State) -> dict[str, Any]:
     """The last prediction, and whether one is running."""
     record_of(state, object_id)
     doc = state.session(object_id).document
@@ -174,7 +174,18 @@ def prediction(object_id: int, person: Reader, state: State) -> dict[str, Any]:
     }
 
 
-def _check_seq(state: AppState, object_id: int, expected: int | None) -> None:
+def _admitted(state: AppState, object_id: int, command: Command, person: Person) -> None:
+    """Refuse now what would be refused after a wait.
+
+    Raises:
+        CommandError: as of the command, for the present state.
+    """
+    record_of(state, object_id)
+    role = state.store.people.role_for(object_id, command, person.name, person.role)
+    apply(state.session(object_id).refresh(), command, Context(person.name, now(), role))
+
+
+def _check_seq(state: AppState, object_id: Id, expected: int | None) -> None:
     record_of(state, object_id)
     seq = state.session(object_id).state.seq
     if expected is not None and seq != expected:
@@ -230,44 +241,43 @@ class DoneBody(BaseModel):
 
 
 @reviews_router.post("/objects/{object_id}/comments", status_code=201)
+@long
 def add_comment(
-    object_id: int, body: NewCommentBody, person: Reviewer, state: State
+    object_id: Id, body: NewCommentBody, person: Reviewer, state: State
 ) -> dict[str, Any]:
     """Pin a comment to an object; it stays in its state."""
     return decide(state, object_id, AddComment(body.text, body.joint, body.place), person)
 
 
 @reviews_router.put("/objects/{object_id}/comments/{number}")
+@long
 def resolve_comment(
-    object_id: int, number: int, body: DoneBody, person: Annotator, state: State
+    object_id: Id, number: Id, body: DoneBody, person: Annotator, state: State
 ) -> dict[str, Any]:
     """Mark a comment as done, or as open again."""
     return decide(state, object_id, ResolveComment(number, body.done), person)
 
 
 @reviews_router.get("/objects/{object_id}/checks")
-def checks(object_id: int, person: Reader, state: State) -> dict[str, Any]:
+@long
+def checks(object_id: Id, person: Reader, state: State) -> dict[str, Any]:
     """Validation report of the joints, once it is complete."""
-    obj = opened(state, object_id)
-    wait(
-        lambda: (
-            obj.validation.report is not None
-            or bool(obj.validation.problem)
-            or obj.document.tree is None
-        )
-    )
+    obj = opened(state, object_id, person)
+    wait(lambda: not obj.validation.awaited)
     report = obj.validation.report
     found = None if report is None else report.to_json()
     return {"report": found, "problem": obj.validation.problem}
 
 
 @reviews_router.post("/objects/{object_id}/submit")
-def submit(object_id: int, body: CommentBody, person: Annotator, state: State) -> dict[str, Any]:
+@long
+def submit(object_id: Id, body: CommentBody, person: Annotator, state: State) -> dict[str, Any]:
     """Hand an object in for review, once the checks that the project requires found nothing."""
     if state.store.project.settings.required:
-        obj = opened(state, object_id)
+        _admitted(state, object_id, Submit(body.comment), person)
+        obj = opened(state, object_id, person)
         asked, check = obj.live.refresh(), obj.validation
-        wait(lambda: obj.document.tree is None or bool(check.report or check.problem))
+        wait(lambda: not check.awaited)
         if refusal := check.required_problem():
             raise CommandError(refusal)
         command = Submit(body.comment)
@@ -276,15 +286,17 @@ def submit(object_id: int, body: CommentBody, person: Annotator, state: State) -
 
 
 @reviews_router.post("/objects/{object_id}/accept")
+@long
 def accept_object(
-    object_id: int, body: AcceptBody, person: Reviewer, state: State
+    object_id: Id, body: AcceptBody, person: Reviewer, state: State
 ) -> dict[str, Any]:
     """Accept an object; its asset is written and read back first."""
-    obj = opened(state, object_id)
+    _admitted(state, object_id, Accept(body.comment, override=body.override), person)
+    obj = opened(state, object_id, person)
     asked = obj.live.refresh()  # it may have been submitted at another server just now
-    wait(lambda: obj.validation.report is not None or bool(obj.validation.problem))
+    wait(lambda: not obj.validation.awaited)
     seen = obj.validation.report if body.warnings_seen else None
-    refused: list[CommandError] = []
+    refused: list[ArtiworldError] = []
     accept(
         obj,
         body.comment,
@@ -307,13 +319,15 @@ def accept_object(
 
 
 @reviews_router.post("/objects/{object_id}/reject")
-def reject(object_id: int, body: RejectBody, person: Reviewer, state: State) -> dict[str, Any]:
+@long
+def reject(object_id: Id, body: RejectBody, person: Reviewer, state: State) -> dict[str, Any]:
     """Send an object back to its annotator."""
     command = Reject(body.reason, body.comment, "", body.joint, body.place, listed=True)
     return decide(state, object_id, command, person)
 
 
 @reviews_router.post("/objects/{object_id}/reopen")
-def reopen(object_id: int, body: CommentBody, person: Reviewer, state: State) -> dict[str, Any]:
+@long
+def reopen(object_id: Id, body: CommentBody, person: Reviewer, state: State) -> dict[str, Any]:
     """Reopen an accepted or rejected object."""
     return decide(state, object_id, Reopen(body.comment), person)

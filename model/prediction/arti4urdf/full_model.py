@@ -12,9 +12,10 @@ from copy import deepcopy
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
+from tokenizers import AddedToken, Tokenizer
 from torch import Tensor, nn
 from torch.nn import functional
 
@@ -37,9 +38,6 @@ from model.prediction.arti4urdf.point_bert import (
     Projector,
     group_points,
 )
-
-if TYPE_CHECKING:
-    from tokenizers import Tokenizer
 
 GLOBAL, PART = "<g>", "<p>"
 SPECIAL_TOKENS = (
@@ -252,8 +250,6 @@ def make_full_model(
         InputFileError: if weights are absent or don't fit.
         ConfigurationError: if LoRA is asked for and peft isn't installed.
     """
-    from tokenizers import AddedToken
-
     read_qwen3_config(qwen3)
     encoder = load_point_bert(ulip2)
     tokenizer = load_tokenizer(qwen3)
