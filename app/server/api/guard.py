@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import functools
 import logging
 import secrets
@@ -231,8 +230,9 @@ async def result_of(person: Person, number: str) -> Any:
     who, answer = _jobs.get(number, (None, Future[Any]()))
     if who != person.name:
         raise HTTPException(404, "there is no such job of yours, or you have its result")
-    with contextlib.suppress(Exception):  # it is raised below
-        await asyncio.wait_for(asyncio.shield(asyncio.wrap_future(answer)), ANSWER_SECONDS)
+    ended = asyncio.wrap_future(answer)
+    ended.add_done_callback(lambda done: done.cancelled() or done.exception())  # raised below
+    await asyncio.wait([ended], timeout=ANSWER_SECONDS)
     if not answer.done():
         return JSONResponse({"job": number}, 202, {"Location": f"{API}/jobs/{number}"})
     _jobs.pop(number, None)
