@@ -38,12 +38,11 @@ a.button { display: block; text-align: center; padding: .5rem .7rem; border-radi
 p { color: #b3261e; min-height: 1.5em; margin: .5rem 0 0; }
 """
 
-_HEAD = """<!doctype html>
+_PAGE = """<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><title>ArtiWorld: log in</title>
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <style nonce="{nonce}">{style}</style></head><body>
-"""
-_PAGE = """<form action="/login" method="get" autocomplete="off"><h1>ArtiWorld</h1>
+<form action="/login" method="get" autocomplete="off"><h1>ArtiWorld</h1>
 <label>Token<input type="password" name="token" required autofocus></label>
 <button>Log in</button><p id="problem" role="alert">{problem}</p></form>
 <script nonce="{nonce}">
@@ -167,19 +166,29 @@ def new_token() -> str:
 
 def login_page(problem: str = "") -> tuple[bytes, str]:
     """Return the page, and the content security policy that allows its script only."""
-    return _filled(_PAGE, problem=html.escape(problem))
-
-
-def _filled(page: str, **values: str) -> tuple[bytes, str]:
     nonce = secrets.token_urlsafe(16)
-    text = (_HEAD + page).format(nonce=nonce, style=_STYLE, **values)
-    return text.encode(), (
+    page = _PAGE.format(nonce=nonce, style=_STYLE, problem=html.escape(problem))
+    return page.encode(), page_policy(nonce)
+
+
+def page_style() -> str:
+    """Return the CSS of the pages shown before login."""
+    return _STYLE
+
+
+def page_policy(nonce: str) -> str:
+    """Return the content security policy that allows the script of ``nonce`` only."""
+    return (
         f"default-src 'none'; style-src 'nonce-{nonce}'; script-src 'nonce-{nonce}'; "
         "connect-src 'self'; form-action 'self'; base-uri 'none'; frame-ancestors 'none'"
     )
 
 
-_ACCOUNT_PAGE = """<form hidden id="login"><h1>ArtiWorld</h1>
+_ACCOUNT_PAGE = """<!doctype html>
+<html lang="en"><head><meta charset="utf-8"><title>ArtiWorld: your account</title>
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<style nonce="{nonce}">{style}</style></head><body>
+<form hidden id="login"><h1>ArtiWorld</h1>
 <label>Name<input name="name" autocomplete="username" required autofocus></label>
 <label>Password<input type="password" name="password" autocomplete="current-password" required>
 </label><button>Log in</button><p role="alert"></p>{provider}</form>
@@ -223,7 +232,10 @@ document.getElementById("logout").addEventListener("click", async () => {{
 </script></body></html>
 """
 
-_ANSWER = """
+_ANSWER = """<!doctype html>
+<html lang="en"><head><meta charset="utf-8"><title>ArtiWorld: log in</title>
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<style nonce="{nonce}">{style}</style></head><body>
 <form><h1>ArtiWorld</h1><p role="alert">{problem}</p><a class="button" href="{target}">Go on</a>
 </form><script nonce="{nonce}">{wait}</script></body></html>
 """
@@ -238,12 +250,15 @@ def answer_page(problem: str = "") -> tuple[bytes, str]:
     Args:
         problem: why nobody is logged in, or "".
     """
-    return _filled(
-        _ANSWER,
+    nonce = secrets.token_urlsafe(16)
+    page = _ANSWER.format(
+        nonce=nonce,
+        style=page_style(),
         problem=html.escape(problem),
         target="/login" if problem else "/",
         wait="" if problem else "location.replace('/');",
     )
+    return page.encode(), page_policy(nonce)
 
 
 def account_page(name: str, provider: str = "") -> tuple[bytes, str]:
@@ -253,11 +268,14 @@ def account_page(name: str, provider: str = "") -> tuple[bytes, str]:
         name: who is logged in, or "".
         provider: label of the button to the organisation's provider; "" for none.
     """
+    nonce = secrets.token_urlsafe(16)
     person = json.dumps(name).replace("<", "\\u003c")
     link = f'<a class="button" href="{API}/oidc/login">{html.escape(provider)}</a>'
-    return _filled(
-        _ACCOUNT_PAGE,
+    page = _ACCOUNT_PAGE.format(
+        nonce=nonce,
+        style=page_style(),
         api=json.dumps(API),
         person=person,
         provider=link if provider else "",
     )
+    return page.encode(), page_policy(nonce)
