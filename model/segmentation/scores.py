@@ -165,7 +165,7 @@ class Penalties:
 
     @classmethod
     def for_object(cls, *, of_mesh: bool, local: bool) -> Penalties:
-        """Those of objects.
+        """Penalties for objects.
 
         Args:
             of_mesh: whole shells come and go, however near to their border a click is.
@@ -181,7 +181,7 @@ class Penalties:
 
     @classmethod
     def for_room(cls) -> Penalties:
-        """Those of rooms, whose objects are many regions: a click for each is normal."""
+        """Penalties for rooms, whose objects are many regions: a click for each is normal."""
         return cls(streak=0.0, demand_near=1.0)
 
     def of_first(

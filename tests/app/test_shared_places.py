@@ -153,7 +153,7 @@ def an_asset(given: Path, workspace: Path) -> Path:
 def a_part_cut_out(given: Path, workspace: Path) -> Path:
     source = _half_a_box(given, workspace)
     return prepare_tasks.cut_out(
-        source.folder, workspace, source.labels, 1, None, "door"
+        workspace, None, source.folder, source.labels, 1, "door"
     ).path.parent
 
 

@@ -38,7 +38,6 @@ from sessions.commands import (
 )
 from sessions.credentials import Person
 from sessions.database import now
-from sessions.describe import describe
 from sessions.review import RejectReason, transition
 from sessions.state import Context, apply
 
@@ -76,7 +75,7 @@ def history(object_id: Id, person: Reader, state: State, after: Count = 0) -> li
             "seq": e.seq,
             "at": e.at,
             "who": e.who,
-            "text": describe(e.command),
+            "text": e.command.describe(),
             "command": to_json(e.command),
         }
         for e in state.store.history(object_id, after=after)
@@ -90,6 +89,8 @@ def give(object_id: Id, body: CommandBody, person: Annotator, state: State) -> d
     kind = body.command.get("kind")
     if kind not in KINDS:
         raise HTTPException(422, f"command.kind: one of {', '.join(sorted(KINDS))}")
+    if "answer" in body.command:
+        raise HTTPException(422, "command.answer: labels come from the segmenter alone")
     _check_seq(state, object_id, body.expected_seq)
     after = decide(state, object_id, from_json(body.command), person)
     live = state.session(object_id)

@@ -267,13 +267,6 @@ class PartContext:
         back = self.sampled.cover(self.part, -axis, (self.parent,), self.shape.box.axes)
         away = float(axis @ (self.shape.center - self.parent_shape.center))
         score = back - there + 0.6 * np.tanh(6 * away)
-        normal = self.shape.panel.normal
-        along = float(self.shape.box.axes[:, normal] @ axis)
-        if abs(along) > 0.9:
-            for side in (-1.0, 1.0):
-                out = self.shape.panel.beyond(side * np.sign(along))
-                if out is not None and out.share < 0.15:
-                    score += 0.2 * side
         score -= sum(float(np.sign(axis @ away)) for away in self.push_bars)
         return axis if score >= 0 else -axis
 

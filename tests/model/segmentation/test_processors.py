@@ -30,7 +30,7 @@ ROUNDED = 1e-5
 
 
 def answers() -> tuple[list[float], list[str]]:
-    """Scores of one click's masks; digests of edges' strengths, superpoints, three clicks' masks."""
+    """Scores of a click's masks; digests of edge strengths, superpoints, three clicks' masks."""
     cloud, _ = flush_fronts(10_000)
     session = DefaultSegmenter().encode(Asset("panels", cloud=cloud))
     found = [session.encoding.strength, session.encoding.superpoints.of_node]
