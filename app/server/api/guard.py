@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import functools
 import logging
 import secrets
@@ -31,6 +32,8 @@ STRANGER_SECONDS = 10.0
 """Longest time of the request of somebody who isn't logged in, such as a login."""
 BODY_SECONDS, LEAST_RATE = 30.0, 4096
 """Longest time of other requests, and the bytes a second that lengthen it."""
+DISCARD_SECONDS = 1.0
+"""How long the body of a refused request is read, and thrown away."""
 JSON_BYTES = 1_000_000
 """Largest request but for an upload."""
 OWN_HEADER = "X-ArtiWorld"
@@ -79,10 +82,10 @@ class ApiGuard:
                     headers.setdefault(name, value)
             await send(message)
 
+        headers = Headers(scope=scope)
         try:
             if "\0" in unquote(scope["path"] + scope["query_string"].decode("latin-1")):
                 raise HTTPException(400, "the address has a character that no text has")
-            headers = Headers(scope=scope)
             person = await self._who(scope, headers)
             scope.setdefault("state", {})["person"] = person
             limit = self._upload_bytes if scope["path"] == self._upload_path else JSON_BYTES
@@ -90,6 +93,8 @@ class ApiGuard:
         except HTTPException as refused:
             if begun:
                 raise
+            if "Expect" not in headers:  # it waits for the answer before it sends
+                await _discard(receive)
             refusal = JSONResponse({"error": refused.detail}, refused.status_code)
             await refusal(scope, receive, answer)
 
@@ -117,6 +122,14 @@ class ApiGuard:
         if changes and not kind and OWN_HEADER not in headers:
             raise HTTPException(403, f"send the header {OWN_HEADER}: 1, or a token")
         return person
+
+
+async def _discard(receive: Receive) -> None:
+    """Take what is on its way: a client that is cut off while it sends never sees the answer."""
+    with contextlib.suppress(TimeoutError):
+        async with asyncio.timeout(DISCARD_SECONDS):
+            while (await receive()).get("more_body"):
+                pass
 
 
 def _limited(receive: Receive, limit: int, headers: Headers, known: bool) -> Receive:
