@@ -331,18 +331,14 @@ def _check_letters(name: str) -> None:
     Raises:
         ConfigurationError: with what would be right.
     """
-    letters = [(c, unicodedata.name(c, "")) for c in unicodedata.normalize("NFKC", name.strip())]
-    if any(
-        (unicodedata.category(c)[0] in "CZ" and c != " ") or any(u in words for u in _UNSEEN)
-        for c, words in letters
-    ):
+    letters = {c: unicodedata.name(c, "") for c in unicodedata.normalize("NFKC", name.strip())}
+    odd = "".join(c for c in letters if unicodedata.category(c)[0] in "CZ").replace(" ", "")
+    if odd or any(unseen in words for words in letters.values() for unseen in _UNSEEN):
         raise ConfigurationError(f"the name {name[:80]!r} has characters that can't be seen")
-    scripts = {words.split(" ")[0] for c, words in letters if c.isalpha()}
+    scripts = {words.split(" ")[0] for c, words in letters.items() if c.isalpha()}
     if len(scripts) > 1 and scripts - _TOGETHER:
-        raise ConfigurationError(
-            f"the name {name[:80]!r} mixes {', '.join(sorted(scripts)).lower()} letters, of which "
-            "some look alike; use those of one script"
-        )
+        mixed = ", ".join(sorted(scripts)).lower()
+        raise ConfigurationError(f"the name {name[:80]!r} mixes {mixed} letters; use one script")
 
 
 def enter_account(

@@ -17,7 +17,7 @@ from app.server.network import is_loopback
 from app.server.oidc import OidcLogin
 from model.core.errors import ConfigurationError
 from sessions.accounts import Account, TooManyAttempts
-from sessions.credentials import SCOPES, SESSION_SECONDS, Person
+from sessions.credentials import SCOPES, Person
 from sessions.people import People
 
 
@@ -195,10 +195,3 @@ class Entrance:
 
     def _everybody(self) -> Person:
         return Person(None, self._user, frozenset(SCOPES))
-
-
-def session_cookie(secret: str, port: int, *, secure: bool) -> str:
-    """Return the ``Set-Cookie`` header of a browser session; "" as secret ends it."""
-    seconds = int(SESSION_SECONDS) if secret else 0
-    flags = f"; Path=/; HttpOnly; SameSite=Strict; Max-Age={seconds}"
-    return f"{cookie_name(port)}={secret}{flags}" + ("; Secure" if secure else "")

@@ -8,6 +8,7 @@ hands over a connection that becomes a websocket.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import errno
 import ipaddress
 import logging
@@ -17,6 +18,10 @@ import time
 from collections.abc import Callable
 from typing import Any, ClassVar, cast
 
+from cachetools import TTLCache
+from starlette.datastructures import Headers
+from starlette.exceptions import HTTPException
+from starlette.types import Message, Receive
 from uvicorn.config import Config
 from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.server import ServerState
@@ -142,18 +147,67 @@ class OncePerMinute(logging.Filter):
 
     def __init__(self, seconds: float = 60.0) -> None:
         super().__init__()
-        self._seconds = seconds
-        self._last: dict[str, float] = {}
+        self._seen = TTLCache[str, bool](1000, seconds)
 
     def filter(self, record: logging.LogRecord) -> bool:
         """Return whether to log a record."""
-        now, kind = time.monotonic(), str(record.msg)[:80]
-        if now - self._last.get(kind, -self._seconds) < self._seconds:
-            return False
-        if len(self._last) > 1000:
-            self._last.clear()
-        self._last[kind] = now
-        return True
+        kind = str(record.msg)[:80]
+        known = kind in self._seen
+        if not known:
+            self._seen[kind] = True
+        return not known
+
+
+LEAST_RATE = 4096.0
+"""Bytes a second that lengthen the time of a request."""
+DISCARD_SECONDS = 1.0
+"""How long the body of a refused request is read, and thrown away."""
+
+
+async def discard(receive: Receive) -> None:
+    """Take what is on its way: a client that is cut off while it sends never sees the answer."""
+    with contextlib.suppress(TimeoutError):
+        async with asyncio.timeout(DISCARD_SECONDS):
+            while (await receive()).get("more_body"):
+                pass
+
+
+def limited(
+    receive: Receive, headers: Headers, most: int, seconds: float, rate: float = LEAST_RATE
+) -> Receive:
+    """Return ``receive`` of a request whose body has limits; beyond them it raises.
+
+    Args:
+        most: bytes.
+        seconds: longest time of all; each second, ``rate`` bytes lengthen it by one.
+
+    Raises:
+        HTTPException: 413, where the body is declared to be larger.
+    """
+    too_large = HTTPException(413, f"the request is larger than {most / 1e6:g} MB")
+    declared = headers.get("Content-Length", "0")
+    if not declared.isdigit() or int(declared) > most:
+        raise too_large
+    taken, begun = 0, time.monotonic()
+
+    async def in_time() -> Message:
+        nonlocal taken
+        if taken and taken >= int(declared) > 0:  # only the end of the connection may come
+            return await receive()
+        try:
+            async with asyncio.timeout(begun + seconds + taken / rate - time.monotonic()):
+                message = await receive()
+        except TimeoutError as error:
+            if taken >= int(declared):
+                return {"type": "http.disconnect"}
+            raise HTTPException(408, "the request timed out") from error
+        taken += len(message.get("body", b""))
+        if taken > most:
+            await discard(receive)
+            raise too_large
+        return message
+
+    return in_time
 
 
 API = "/api/v1"
@@ -162,6 +216,19 @@ FIRST_SECONDS = 10.0
 _LINE = 4096
 """Bytes; a longer first line isn't for the API, and the other side refuses it."""
 _SPACE = b" "
+
+
+class OnceProtocol(H11Protocol):
+    """HTTP/1.1 for one request, whose headers must come in time."""
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """Take a connection."""
+        super().connection_made(transport)
+        self.loop.call_later(FIRST_SECONDS, self._end_unless_begun)
+
+    def _end_unless_begun(self) -> None:
+        if self.cycle is None:
+            self.transport.abort()
 
 
 class ApiConnections:
@@ -191,19 +258,11 @@ class ApiConnections:
     def take(self, transport: asyncio.Transport, first: bytes, places: Places) -> None:
         """Serve a connection from its first bytes on."""
         loop = asyncio.get_running_loop()
-        protocol = H11Protocol(self._config, self._state, {}, loop)
+        protocol = OnceProtocol(self._config, self._state, {}, loop)
         transport.set_protocol(protocol)
         protocol.connection_made(transport)
         protocol.data_received(first)
-        places.take(
-            transport, lambda: bool((protocol.scope or {"state": {}})["state"].get("person"))
-        )
-
-        def end_unless_begun() -> None:
-            if protocol.cycle is None:
-                transport.abort()
-
-        loop.call_later(FIRST_SECONDS, end_unless_begun)
+        places.take(transport, lambda: bool((protocol.scope or {}).get("state", {}).get("person")))
 
 
 class SharedConnection(ServerConnection):
@@ -218,7 +277,6 @@ class SharedConnection(ServerConnection):
     api: ClassVar[ApiConnections | None] = None
     places: ClassVar[Places]
     known = False
-    open: ClassVar[set[SharedConnection]]
 
     def __init__(self, *args: Any, **settings: Any) -> None:
         super().__init__(*args, **settings)

@@ -7,6 +7,7 @@ import os
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from app.server.observable import Listener, Observable
 from app.server.tasks import stamp_if_there
 from app.server.uploads import keep_upload
 from model.core.errors import CommandError
-from model.core.progress import StoredWork, each
+from model.core.progress import StoredWork, attempt
 from model.io.model_files import asset_name, find_assets, refusal
 from sessions.store import ObjectRecord, Store
 
@@ -78,13 +79,11 @@ class ObjectQueue(Observable):
     def _enter(self, paths: list[Path]) -> list[int]:
         records = self._store.open_objects((p, None, asset_name(p)) for p in paths)
         ids = [r.id for r in records]
-        refused: set[int] = set()
-
-        def check(place: int) -> None:
-            if refusal(paths[place]) is not None:
-                refused.add(ids[place])
-
-        each(range(len(ids)), check, lambda place, _: refused.add(ids[place]))
+        refused = {
+            i
+            for i, p in zip(ids, paths, strict=True)
+            if attempt([], p.name, partial(refusal, p), "it can't be examined") is not None
+        }
         with self._lock:
             self.unreadable |= refused
             self._ids = list(dict.fromkeys([*self._ids, *ids]))
@@ -95,10 +94,9 @@ class ObjectQueue(Observable):
         """Queue those of other runs and servers that are to be listed."""
         self._looked_at |= {r.id for r in records}
         if self._workspace is not None:
-            kept: list[Path] = []
-            folder = self._workspace
-            each(records, lambda r: kept.extend([r.path][: _kept(r, folder)]), lambda *_: None)
-            self._enter(kept)
+            keeps = partial(_kept, workspace=self._workspace)
+            kept = [r for r in records if attempt([], r.name, partial(keeps, r), False)]
+            self._enter([r.path for r in kept])
 
     def _leave_out_removed(self) -> None:
         """Leave out what was removed in an earlier run, unless the file changed since.

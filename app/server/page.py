@@ -9,6 +9,8 @@ import gzip
 import json
 import logging
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.resources import files
 from typing import Any
@@ -171,21 +173,27 @@ def attach_camera_guard(connection: infra.WebsockClientConnection) -> None:
 
 
 _log = logging.getLogger("artiworld.http")
-MALFORMED = (AttributeError, IndexError, KeyError, OverflowError, TypeError, ValueError)
-"""Errors where a browser's message is malformed: the page sends what its handlers read."""
+MALFORMED = (AssertionError, AttributeError, LookupError, OverflowError, TypeError, ValueError)
+
+
+@contextmanager
+def excused(what: str) -> Iterator[None]:
+    """Log one line where ``what`` a browser sent is malformed: the page sends what can be read."""
+    try:
+        yield
+    except MALFORMED as error:
+        _log.warning("%.120s of a browser can't be handled (%r)", what, error)
 
 
 def excuse_malformed(connection: Any) -> None:
-    """Log one line where a browser's message can't be handled; nothing of it is carried out."""
+    """Carry out nothing of a browser's message that can't be handled; see :func:`excused`."""
     handle = connection._handle_incoming_message
 
-    async def excused(client_id: Any, message: Any) -> None:
-        try:
+    async def handle_if_sound(client_id: Any, message: Any) -> None:
+        with excused(type(message).__name__):
             await handle(client_id, message)
-        except (AssertionError, *MALFORMED) as error:
-            _log.warning("%s of a browser can't be handled (%r)", type(message).__name__, error)
 
-    connection._handle_incoming_message = excused
+    connection._handle_incoming_message = handle_if_sound
 
 
 def make_possible(message: _messages.ViewerCameraMessage) -> bool:

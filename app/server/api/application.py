@@ -5,6 +5,7 @@ from __future__ import annotations
 import secrets
 from importlib.metadata import version
 from importlib.resources import files
+from typing import Any
 
 from fastapi import FastAPI, HTTPException, Request
 from fastapi.exceptions import RequestValidationError
@@ -80,8 +81,6 @@ def make_application(app_state: AppState, entrance: Entrance, origins: Origins) 
     app.add_exception_handler(ArtiworldError, _refused)
     app.add_exception_handler(OSError, _failed)
     app.add_exception_handler(HTTPException, _http_error)
-    app.add_exception_handler(404, _http_error)
-    app.add_exception_handler(405, _http_error)
     app.add_exception_handler(RequestValidationError, _invalid)
     limit = app_state.config.max_upload_mb * 1_000_000
     return ApiGuard(app, origins, entrance, f"{API}/objects", limit)
@@ -113,21 +112,18 @@ def _refused(request: Request, error: Exception) -> Response:
     return JSONResponse({"error": str(error)}, status)
 
 
-def _failed(request: Request, error: Exception) -> Response:
-    assert isinstance(error, OSError)
+def _failed(request: Request, error: Any) -> Response:
     if (full := no_space(error.filename or "the workspace", error)) is None:
         raise error
     return _refused(request, full)
 
 
-def _http_error(request: Request, error: Exception) -> Response:
-    assert isinstance(error, HTTPException) or hasattr(error, "status_code")
-    status, detail = error.status_code, error.detail  # type: ignore[attr-defined]
+def _http_error(request: Request, error: Any) -> Response:
+    status, detail = error.status_code, error.detail
     return JSONResponse({"error": str(detail).lower() if status in (404, 405) else detail}, status)
 
 
-def _invalid(request: Request, error: Exception) -> Response:
-    assert isinstance(error, RequestValidationError)
+def _invalid(request: Request, error: Any) -> Response:
     first = error.errors()[0]
     where = ".".join(str(part) for part in first["loc"])
     return JSONResponse({"error": f"{where}: {first['msg']}"}, 422)

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import functools
 import logging
+import math
 import secrets
 import threading
-import time
 from collections.abc import Callable
 from concurrent.futures import Future
 from http.cookies import CookieError
 from typing import Annotated, Any
 from urllib.parse import unquote
 
-from fastapi import Depends, HTTPException, Request
+from fastapi import APIRouter, Depends, HTTPException, Request
 from fastapi.responses import JSONResponse
 from pydantic import Field
 from starlette.datastructures import Headers, MutableHeaders
@@ -23,17 +22,15 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from app.server.app_state import AppState
 from app.server.entrance import Entrance, Origins
-from app.server.network import API
+from app.server.network import API, LEAST_RATE, discard, limited
 from sessions.credentials import Person
 from sessions.credentials import Scope as TokenScope
 
 log = logging.getLogger(__name__)
 STRANGER_SECONDS = 10.0
 """Longest time of the request of somebody who isn't logged in, such as a login."""
-BODY_SECONDS, LEAST_RATE = 30.0, 4096
-"""Longest time of other requests, and the bytes a second that lengthen it."""
-DISCARD_SECONDS = 1.0
-"""How long the body of a refused request is read, and thrown away."""
+BODY_SECONDS = 30.0
+"""Longest time of other requests but for large ones."""
 JSON_BYTES = 1_000_000
 """Largest request but for an upload."""
 OWN_HEADER = "X-ArtiWorld"
@@ -89,12 +86,14 @@ class ApiGuard:
             person = await self._who(scope, headers)
             scope.setdefault("state", {})["person"] = person
             limit = self._upload_bytes if scope["path"] == self._upload_path else JSON_BYTES
-            await self._app(scope, _limited(receive, limit, headers, person is not None), answer)
+            rate = LEAST_RATE if person is not None else math.inf
+            seconds = BODY_SECONDS if person is not None else STRANGER_SECONDS
+            await self._app(scope, limited(receive, headers, limit, seconds, rate), answer)
         except HTTPException as refused:
             if begun:
                 raise
             if "Expect" not in headers:  # it waits for the answer before it sends
-                await _discard(receive)
+                await discard(receive)
             refusal = JSONResponse({"error": refused.detail}, refused.status_code)
             await refusal(scope, receive, answer)
 
@@ -124,43 +123,6 @@ class ApiGuard:
         return person
 
 
-async def _discard(receive: Receive) -> None:
-    """Take what is on its way: a client that is cut off while it sends never sees the answer."""
-    with contextlib.suppress(TimeoutError):
-        async with asyncio.timeout(DISCARD_SECONDS):
-            while (await receive()).get("more_body"):
-                pass
-
-
-def _limited(receive: Receive, limit: int, headers: Headers, known: bool) -> Receive:
-    declared = headers.get("Content-Length", "0")
-    if not declared.isdigit() or int(declared) > limit:
-        raise HTTPException(413, f"the request is larger than {limit / 1e6:g} MB")
-    taken, begun = 0, time.monotonic()
-
-    async def next_message() -> Message:
-        nonlocal taken
-        message = await receive()
-        taken += len(message.get("body", b""))
-        if taken > limit:
-            raise HTTPException(413, f"the request is larger than {limit / 1e6:g} MB")
-        return message
-
-    async def in_time() -> Message:
-        if taken and taken >= int(declared) > 0:  # only the end of the connection may come
-            return await receive()
-        try:
-            most = BODY_SECONDS + taken / LEAST_RATE if known else STRANGER_SECONDS
-            async with asyncio.timeout(begun + most - time.monotonic()):
-                return await next_message()
-        except TimeoutError as error:
-            if taken >= int(declared):
-                return {"type": "http.disconnect"}
-            raise HTTPException(408, "the request timed out") from error
-
-    return in_time
-
-
 def _person(request: Request) -> Person:
     person: Person | None = request.state.person
     if person is None:
@@ -187,6 +149,7 @@ def _entrance(request: Request) -> Entrance:
     return request.app.state.entrance
 
 
+Json = dict[str, Any]
 Id = Annotated[int, Field(ge=1, le=2**31 - 1)]
 """A number that something is stored under; larger ones don't fit into a database's column."""
 Count = Annotated[int, Field(ge=0, le=2**31 - 1)]
@@ -252,11 +215,14 @@ async def result_of(person: Person, number: str) -> Any:
     return answer.result()
 
 
-def long(route: Callable[..., Any]) -> Callable[..., Any]:
-    """Decorate a route of a ``person`` that may take long."""
+class LongRouter(APIRouter):
+    """Its routes have a ``person`` and may take long."""
 
-    @functools.wraps(route)
-    async def answered(**values: Any) -> Any:
-        return await in_time(values["person"], functools.partial(route, **values))
+    def add_api_route(self, path: str, endpoint: Callable[..., Any], **settings: Any) -> None:
+        """See the base class."""
 
-    return answered
+        @functools.wraps(endpoint)
+        async def answered(**values: Any) -> Any:
+            return await in_time(values["person"], functools.partial(endpoint, **values))
+
+        super().add_api_route(path, answered, **settings)

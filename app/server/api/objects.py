@@ -16,18 +16,8 @@ from fastapi import APIRouter, HTTPException, Query, Request
 from fastapi.responses import Response
 from pydantic import BaseModel, Field
 
-from app.server.api.guard import (
-    Annotator,
-    Count,
-    Id,
-    Manager,
-    Reader,
-    State,
-    Visitor,
-    in_time,
-    long,
-    result_of,
-)
+from app.server.api import guard
+from app.server.api.guard import Annotator, Count, Id, Json, LongRouter, Manager, Reader, State
 from app.server.app_state import AppState
 from app.server.export_tasks import ExportTask, export_one, zipped
 from app.server.open_object import OpenObject
@@ -63,7 +53,7 @@ def list_objects(
     assigned_to: str | None = None,
     first: Count = 0,
     count: Annotated[int, Query(ge=1, le=MOST)] = 100,
-) -> dict[str, Any]:
+) -> Json:
     """List objects in the order of the queue, filtered."""
     assigned = state.store.people.work.assigned()
     words = search.lower().split()
@@ -84,20 +74,20 @@ async def upload(request: Request, name: str, person: Annotator, state: State) -
     """Add a file, or a zip of one object or several; the body is its content."""
     content = await request.body()
 
-    def add() -> dict[str, Any]:
+    def add() -> Json:
         return _line(state.store.object(state.add_upload(name, content)), None)
 
-    return await in_time(person, add)
+    return await guard.in_time(person, add)
 
 
 @objects_router.get("/jobs/{number}")
-async def job(number: str, person: Visitor) -> Any:
+async def job(number: str, person: guard.Visitor) -> Any:
     """The result of a request that was answered with a job, once; 202 while it is worked on."""
-    return await result_of(person, number)
+    return await guard.result_of(person, number)
 
 
 @objects_router.get("/objects/{object_id}")
-def one_object(object_id: Id, person: Reader, state: State) -> dict[str, Any]:
+def one_object(object_id: Id, person: Reader, state: State) -> Json:
     """Decisions about one object: parts, prompts, joints, review."""
     record = record_of(state, object_id)
     assigned = state.store.people.work.assigned().get(object_id)
@@ -130,7 +120,7 @@ def opened(state: AppState, object_id: int, person: Person) -> OpenObject:
     return obj
 
 
-def decide(state: AppState, object_id: int, command: Command, person: Person) -> dict[str, Any]:
+def decide(state: AppState, object_id: int, command: Command, person: Person) -> Json:
     """Give a command; returns the object after it.
 
     The asset is read only where that is needed: before the first decision, as a file's own parts
@@ -159,7 +149,7 @@ def wait(ready: Callable[[], bool]) -> None:
         time.sleep(POLL_SECONDS)
 
 
-def document_json(state: SessionState) -> dict[str, Any]:
+def document_json(state: SessionState) -> Json:
     """Return the present decisions as JSON data."""
     doc, review = state.present, state.present.review
     return {
@@ -178,7 +168,7 @@ def document_json(state: SessionState) -> dict[str, Any]:
     }
 
 
-def joints_json(doc: Document) -> list[dict[str, Any]]:
+def joints_json(doc: Document) -> list[Json]:
     """Return the joints with the confidence of those that nobody edited."""
     if doc.tree is None:
         return []
@@ -186,7 +176,7 @@ def joints_json(doc: Document) -> list[dict[str, Any]]:
     return [{**codec.write(j), "confidence": sure.get(j.child)} for j in doc.tree.joints]
 
 
-def _line(record: ObjectRecord, assigned: str | None) -> dict[str, Any]:
+def _line(record: ObjectRecord, assigned: str | None) -> Json:
     # Without path and digest, which would mark second annotations of the same content.
     plain = ("id", "name", "state", "category", "who", "updated", "created")
     return {field: getattr(record, field) for field in plain} | {
@@ -207,7 +197,7 @@ class AssignBody(BaseModel):
 
 
 @work_router.post("/assignments")
-def assign(body: AssignBody, person: Manager, state: State) -> dict[str, Any]:
+def assign(body: AssignBody, person: Manager, state: State) -> Json:
     """Assign objects to one person, or to several in turn."""
     people = state.store.people
     accounts = [people.accounts.find(name) for name in body.people]
@@ -217,21 +207,21 @@ def assign(body: AssignBody, person: Manager, state: State) -> dict[str, Any]:
 
 
 @work_router.post("/next")
-def next_object(person: Annotator, state: State) -> dict[str, Any]:
+def next_object(person: Annotator, state: State) -> Json:
     """Lease the next object: first what came back, then what is assigned, then anything free."""
     found = state.store.people.work.next(_account(person), state.queue.records())
     return {"id": found}
 
 
 @work_router.get("/objects/{object_id}/presence")
-def presence(object_id: Id, person: Reader, state: State) -> list[dict[str, Any]]:
+def presence(object_id: Id, person: Reader, state: State) -> list[Json]:
     """Users who have an object open, and who leased it."""
     record_of(state, object_id)
     return [asdict(one) for one in state.store.people.work.present(object_id)]
 
 
 @work_router.post("/objects/{object_id}/enter")
-def enter(object_id: Id, person: Annotator, state: State) -> dict[str, Any]:
+def enter(object_id: Id, person: Annotator, state: State) -> Json:
     """Say that one works on an object; again within a minute."""
     record_of(state, object_id)
     state.store.people.work.enter(object_id, _account(person))
@@ -239,7 +229,7 @@ def enter(object_id: Id, person: Annotator, state: State) -> dict[str, Any]:
 
 
 @work_router.post("/objects/{object_id}/leave")
-def leave(object_id: Id, person: Annotator, state: State) -> dict[str, Any]:
+def leave(object_id: Id, person: Annotator, state: State) -> Json:
     """Leave an object; others may take it."""
     record_of(state, object_id)
     state.store.people.work.leave(object_id, _account(person))
@@ -252,11 +242,11 @@ def _account(person: Person) -> Account:
     return person.account
 
 
-assets_router = APIRouter(tags=["assets"])
+assets_router = LongRouter(tags=["assets"])
 
 
 @assets_router.get("/assets")
-def list_assets(person: Reader, state: State) -> dict[str, Any]:
+def list_assets(person: Reader, state: State) -> Json:
     """All accepted objects that have an asset, and the formats in which it can be had."""
     found = []
 
@@ -271,7 +261,6 @@ def list_assets(person: Reader, state: State) -> dict[str, Any]:
 
 
 @assets_router.get("/assets/{object_id}")
-@long
 def download(object_id: Id, person: Reader, state: State, format: str = "asset") -> Response:
     """Download an asset as a zip: "asset" as it was accepted, or in a simulator's format."""
     name = record_of(state, object_id).name

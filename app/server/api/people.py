@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi import APIRouter, HTTPException, Query, Request
 from pydantic import BaseModel, Field
 
-from app.server.api.guard import Count, Id, Manager, Reader, State, Visitor
+from app.server.api.guard import Count, Id, Json, Manager, Reader, State, Visitor
 from sessions.account_tables import MOST_EVENTS
 from sessions.credentials import TOKEN_DAYS
 from sessions.review import Role
@@ -38,33 +38,33 @@ class TokenBody(BaseModel):
 
 
 @people_router.get("/users")
-def users(person: Manager, state: State) -> list[dict[str, Any]]:
+def users(person: Manager, state: State) -> list[Json]:
     """All accounts."""
     return [asdict(account) for account in state.store.people.accounts.all()]
 
 
 @people_router.post("/users", status_code=201)
-def invite(body: InviteBody, person: Manager, request: Request, state: State) -> dict[str, Any]:
+def invite(body: InviteBody, person: Manager, request: Request, state: State) -> Json:
     """Invite a person; the code is shown once, and goes behind /login#invitation=."""
     code = state.store.people.accounts.invite(body.name, body.role, person.name)
     return {"code": code, "path": f"/login#invitation={code}"}
 
 
 @people_router.put("/users/{name}/role")
-def set_role(name: str, body: RoleBody, person: Manager, state: State) -> dict[str, Any]:
+def set_role(name: str, body: RoleBody, person: Manager, state: State) -> Json:
     """Change what a person may do, from the next command on."""
     return asdict(state.store.people.accounts.set_role(name, body.role, person.name))
 
 
 @people_router.post("/users/{name}/disable")
-def disable(name: str, person: Manager, state: State) -> dict[str, Any]:
+def disable(name: str, person: Manager, state: State) -> Json:
     """Keep a person out; decisions stay."""
     state.store.people.accounts.disable(name, person.name)
     return {"disabled": name}
 
 
 @people_router.post("/users/{name}/revoke")
-def revoke(name: str, person: Manager, state: State) -> dict[str, Any]:
+def revoke(name: str, person: Manager, state: State) -> Json:
     """End all browser sessions and tokens of a person, who may log in again."""
     people = state.store.people
     people.credentials.revoke(people.accounts.find(name), person.name)
@@ -72,13 +72,13 @@ def revoke(name: str, person: Manager, state: State) -> dict[str, Any]:
 
 
 @people_router.get("/tokens")
-def tokens(person: Reader, state: State) -> list[dict[str, Any]]:
+def tokens(person: Reader, state: State) -> list[Json]:
     """One's own tokens, without their secrets."""
     return [asdict(t) for t in state.store.people.credentials.tokens(person.account)]
 
 
 @people_router.post("/tokens", status_code=201)
-def make_token(body: TokenBody, person: Visitor, state: State) -> dict[str, Any]:
+def make_token(body: TokenBody, person: Visitor, state: State) -> Json:
     """Make a token in a logged-in browser; its secret is shown once."""
     if person.account is None or person.session is None:
         raise HTTPException(403, "make tokens in a browser in which you are logged in")
@@ -88,7 +88,7 @@ def make_token(body: TokenBody, person: Visitor, state: State) -> dict[str, Any]
 
 
 @people_router.delete("/tokens/{token_id}")
-def revoke_token(token_id: Id, person: Visitor, state: State) -> dict[str, Any]:
+def revoke_token(token_id: Id, person: Visitor, state: State) -> Json:
     """Revoke one of one's own tokens in a logged-in browser; a manager may revoke any."""
     if person.session is None and "manage" not in person.scopes:
         raise HTTPException(403, "revoke tokens in a browser, or with the scope manage")
@@ -101,7 +101,7 @@ def revoke_token(token_id: Id, person: Visitor, state: State) -> dict[str, Any]:
 
 
 @people_router.get("/set-aside")
-def set_aside(person: Manager, state: State) -> list[dict[str, Any]]:
+def set_aside(person: Manager, state: State) -> list[Json]:
     """Stored items that this server works on and that failed, with their errors."""
     aside = [(w, str(i), *why) for (w, i), why in list(state.stored.aside.items())]
     return [{"work": w, "item": i, "failures": n, "error": text} for w, i, n, text, _ in aside]
@@ -116,7 +116,7 @@ def audit(
     since: str | None = None,
     before: Count | None = None,
     count: Annotated[int, Query(ge=1, le=MOST_EVENTS)] = 200,
-) -> list[dict[str, Any]]:
+) -> list[Json]:
     """Audit log of accounts, newest first; ``before`` an id gives the next page."""
     log = state.store.people.audit
     events = log.events(name=name, kind=kind, since=since, before=before, count=count)
@@ -133,7 +133,7 @@ def decisions(
     since: str | None = None,
     first: Count = 0,
     count: Annotated[int, Query(ge=1, le=MOST_EVENTS)] = 200,
-) -> list[dict[str, Any]]:
+) -> list[Json]:
     """Decisions about objects with their authors, newest first."""
     log = state.store.people.audit
     found = log.decisions(

@@ -23,7 +23,7 @@ from urllib.parse import SplitResult, quote, urlsplit
 from fastapi import APIRouter, HTTPException, Query
 from pydantic import BaseModel, Field
 
-from app.server.api.guard import Id, Manager, Reader, State, long
+from app.server.api.guard import Id, Json, LongRouter, Manager, Reader, State
 from model.core import codec
 from model.core.errors import ConfigurationError, StoreError
 from model.core.progress import each
@@ -41,31 +41,30 @@ class SettingsBody(BaseModel):
 
 
 @project_router.get("/project")
-def project(person: Reader, state: State) -> dict[str, Any]:
+def project(person: Reader, state: State) -> Json:
     """Name, instructions, labels, required checks and export settings."""
     return codec.write(state.store.project.settings)
 
 
 @project_router.patch("/project")
-def change(body: SettingsBody, person: Manager, state: State) -> dict[str, Any]:
+def change(body: SettingsBody, person: Manager, state: State) -> Json:
     """Change settings; returns all of them."""
     settings = state.store.project.change(body.settings, person.name)
     state.queue.changed()
     return codec.write(settings)
 
 
-statistics_router = APIRouter(tags=["statistics"])
+statistics_router = LongRouter(tags=["statistics"])
 
 
 @statistics_router.get("/statistics")
-@long
 def statistics(
     person: Manager,
     state: State,
     by: Literal["person", "category", "predictor", "step", "object", "day"] = "person",
     since: float | None = None,
     rate: float | None = Query(None, gt=0),
-) -> list[dict[str, Any]]:
+) -> list[Json]:
     """Figures for each person, category, …; ``since`` in Unix seconds, ``rate`` for an hour."""
     log = read_work(state.workspace, state.config.database)
     figures = grouped(log, acts_of(log), by, -math.inf if since is None else since)
@@ -237,7 +236,7 @@ def _cut(connection: http.client.HTTPConnection) -> None:
         connection.sock.shutdown(socket.SHUT_RDWR)
 
 
-webhooks_router = APIRouter(tags=["webhooks"])
+webhooks_router = LongRouter(tags=["webhooks"])
 
 
 class WebhookBody(BaseModel):
@@ -248,14 +247,13 @@ class WebhookBody(BaseModel):
 
 
 @webhooks_router.get("/webhooks")
-def webhooks(person: Manager, state: State) -> list[dict[str, Any]]:
+def webhooks(person: Manager, state: State) -> list[Json]:
     """All webhooks, with what waits for them and why."""
     return [asdict(hook) for hook in state.store.people.webhooks.all()]
 
 
 @webhooks_router.post("/webhooks", status_code=201)
-@long
-def add(body: WebhookBody, person: Manager, state: State) -> dict[str, Any]:
+def add(body: WebhookBody, person: Manager, state: State) -> Json:
     """Add a webhook at a public address; the secret that signs its messages is shown once."""
     if person.account is None:
         raise HTTPException(409, "webhooks belong to accounts, and there are none here")
@@ -265,7 +263,7 @@ def add(body: WebhookBody, person: Manager, state: State) -> dict[str, Any]:
 
 
 @webhooks_router.delete("/webhooks/{webhook_id}")
-def remove(webhook_id: Id, person: Manager, state: State) -> dict[str, Any]:
+def remove(webhook_id: Id, person: Manager, state: State) -> Json:
     """Remove a webhook and what waits for it."""
     state.store.people.webhooks.remove(webhook_id, person.name)
     return {"removed": webhook_id}

@@ -7,41 +7,21 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from fastapi import APIRouter, HTTPException
+from fastapi import HTTPException
 from pydantic import BaseModel, Field
 
 from app.server.accepting import accept, acceptance_over, withdraw
-from app.server.api.guard import Annotator, Count, Id, Reader, Reviewer, State, long
-from app.server.api.objects import (
-    decide,
-    document_json,
-    joints_json,
-    opened,
-    record_of,
-    wait,
-)
+from app.server.api.guard import Annotator, Count, Id, Json, LongRouter, Reader, Reviewer, State
+from app.server.api.objects import decide, document_json, joints_json, opened, record_of, wait
 from app.server.app_state import AppState
 from model.core.errors import ArtiworldError, CommandError
-from sessions.commands import (
-    Accept,
-    AddComment,
-    AddRegion,
-    Command,
-    Redo,
-    Reject,
-    Reopen,
-    ResolveComment,
-    Submit,
-    Undo,
-    from_json,
-    to_json,
-)
+from sessions import commands as cmd
 from sessions.credentials import Person
 from sessions.database import now
 from sessions.review import RejectReason, transition
 from sessions.state import Context, apply
 
-sessions_router = APIRouter(tags=["sessions"])
+sessions_router = LongRouter(tags=["sessions"])
 KINDS: frozenset[str] = frozenset(
     {
         "add_click", "remove_prompt", "clear_prompts", "add_part", "name_part", "delete_part",
@@ -67,7 +47,7 @@ class CommandBody(BaseModel):
 
 
 @sessions_router.get("/objects/{object_id}/commands")
-def history(object_id: Id, person: Reader, state: State, after: Count = 0) -> list[dict[str, Any]]:
+def history(object_id: Id, person: Reader, state: State, after: Count = 0) -> list[Json]:
     """All commands of an object in order, with author and time."""
     record_of(state, object_id)
     return [
@@ -76,15 +56,14 @@ def history(object_id: Id, person: Reader, state: State, after: Count = 0) -> li
             "at": e.at,
             "who": e.who,
             "text": e.command.describe(),
-            "command": to_json(e.command),
+            "command": cmd.to_json(e.command),
         }
         for e in state.store.history(object_id, after=after)
     ]
 
 
 @sessions_router.post("/objects/{object_id}/commands")
-@long
-def give(object_id: Id, body: CommandBody, person: Annotator, state: State) -> dict[str, Any]:
+def give(object_id: Id, body: CommandBody, person: Annotator, state: State) -> Json:
     """Give one command; the answer is the object after it."""
     kind = body.command.get("kind")
     if kind not in KINDS:
@@ -92,7 +71,7 @@ def give(object_id: Id, body: CommandBody, person: Annotator, state: State) -> d
     if "answer" in body.command:
         raise HTTPException(422, "command.answer: labels come from the segmenter alone")
     _check_seq(state, object_id, body.expected_seq)
-    after = decide(state, object_id, from_json(body.command), person)
+    after = decide(state, object_id, cmd.from_json(body.command), person)
     live = state.session(object_id)
     if body.labels and after["prompts"]:
         wait(lambda: live.document.segmentation_current)
@@ -117,41 +96,38 @@ class RegionBody(BaseModel):
 
 
 @sessions_router.post("/objects/{object_id}/regions", status_code=201)
-@long
-def add_region(object_id: Id, body: RegionBody, person: Annotator, state: State) -> dict[str, Any]:
+def add_region(object_id: Id, body: RegionBody, person: Annotator, state: State) -> Json:
     """Mark a region of an object as part of something; the answer is the object after it."""
     _check_seq(state, object_id, body.expected_seq)
-    state.store.people.role_for(object_id, Undo(), person.name, person.role)  # before it is stored
+    # Refused now, before the elements are stored.
+    state.store.people.role_for(object_id, cmd.Undo(), person.name, person.role)
     count = opened(state, object_id, person).need_asset().element_count
     elements = np.unique(np.asarray(body.elements, np.int64))
     if elements[-1] >= count:
         raise HTTPException(422, f"elements: the object has those from 0 to {count - 1}")
     ref = state.store.put_array(elements)
-    command = AddRegion(body.part, ref, body.positive, len(elements), "script")
+    command = cmd.AddRegion(body.part, ref, body.positive, len(elements), "script")
     return decide(state, object_id, command, person)
 
 
 @sessions_router.post("/objects/{object_id}/undo")
-@long
-def undo(object_id: Id, person: Annotator, state: State) -> dict[str, Any]:
+def undo(object_id: Id, person: Annotator, state: State) -> Json:
     """Take back the last decision."""
-    return decide(state, object_id, Undo(), person)
+    return decide(state, object_id, cmd.Undo(), person)
 
 
 @sessions_router.post("/objects/{object_id}/redo")
-@long
-def redo(object_id: Id, person: Annotator, state: State) -> dict[str, Any]:
+def redo(object_id: Id, person: Annotator, state: State) -> Json:
     """Do again what was taken back last."""
-    return decide(state, object_id, Redo(), person)
+    return decide(state, object_id, cmd.Redo(), person)
 
 
 @sessions_router.post("/objects/{object_id}/prediction", status_code=202)
-@long
-def predict(object_id: Id, person: Annotator, state: State) -> dict[str, Any]:
+def predict(object_id: Id, person: Annotator, state: State) -> Json:
     """Begin to predict the joints; ask for the result until it isn't running any more."""
     record_of(state, object_id)
     # Refused now, where the result would be: the job takes a while.
-    state.store.people.role_for(object_id, Undo(), person.name, person.role)
+    state.store.people.role_for(object_id, cmd.Undo(), person.name, person.role)
     transition(state.session(object_id).refresh().present.review.state, "predict")
     obj = opened(state, object_id, person)
     wait(lambda: obj.document.segmentation_current)
@@ -160,7 +136,7 @@ def predict(object_id: Id, person: Annotator, state: State) -> dict[str, Any]:
 
 
 @sessions_router.get("/objects/{object_id}/prediction")
-def prediction(object_id: Id, person: Reader, state: State) -> dict[str, Any]:
+def prediction(object_id: Id, person: Reader, state: State) -> Json:
     """The last prediction, and whether one is running."""
     record_of(state, object_id)
     doc = state.session(object_id).document
@@ -175,7 +151,7 @@ def prediction(object_id: Id, person: Reader, state: State) -> dict[str, Any]:
     }
 
 
-def _admitted(state: AppState, object_id: int, command: Command, person: Person) -> None:
+def _admitted(state: AppState, object_id: int, command: cmd.Command, person: Person) -> None:
     """Refuse now what would be refused after a wait.
 
     Raises:
@@ -193,7 +169,7 @@ def _check_seq(state: AppState, object_id: Id, expected: int | None) -> None:
         raise HTTPException(409, f"the object is at command {seq}, not {expected}")
 
 
-reviews_router = APIRouter(tags=["reviews"])
+reviews_router = LongRouter(tags=["reviews"])
 
 
 class CommentBody(BaseModel):
@@ -242,26 +218,21 @@ class DoneBody(BaseModel):
 
 
 @reviews_router.post("/objects/{object_id}/comments", status_code=201)
-@long
-def add_comment(
-    object_id: Id, body: NewCommentBody, person: Reviewer, state: State
-) -> dict[str, Any]:
+def add_comment(object_id: Id, body: NewCommentBody, person: Reviewer, state: State) -> Json:
     """Pin a comment to an object; it stays in its state."""
-    return decide(state, object_id, AddComment(body.text, body.joint, body.place), person)
+    return decide(state, object_id, cmd.AddComment(body.text, body.joint, body.place), person)
 
 
 @reviews_router.put("/objects/{object_id}/comments/{number}")
-@long
 def resolve_comment(
     object_id: Id, number: Id, body: DoneBody, person: Annotator, state: State
-) -> dict[str, Any]:
+) -> Json:
     """Mark a comment as done, or as open again."""
-    return decide(state, object_id, ResolveComment(number, body.done), person)
+    return decide(state, object_id, cmd.ResolveComment(number, body.done), person)
 
 
 @reviews_router.get("/objects/{object_id}/checks")
-@long
-def checks(object_id: Id, person: Reader, state: State) -> dict[str, Any]:
+def checks(object_id: Id, person: Reader, state: State) -> Json:
     """Validation report of the joints, once it is complete."""
     obj = opened(state, object_id, person)
     wait(lambda: not obj.validation.awaited)
@@ -271,28 +242,24 @@ def checks(object_id: Id, person: Reader, state: State) -> dict[str, Any]:
 
 
 @reviews_router.post("/objects/{object_id}/submit")
-@long
-def submit(object_id: Id, body: CommentBody, person: Annotator, state: State) -> dict[str, Any]:
+def submit(object_id: Id, body: CommentBody, person: Annotator, state: State) -> Json:
     """Hand an object in for review, once the checks that the project requires found nothing."""
     if state.store.project.settings.required:
-        _admitted(state, object_id, Submit(body.comment), person)
+        _admitted(state, object_id, cmd.Submit(body.comment), person)
         obj = opened(state, object_id, person)
         asked, check = obj.live.refresh(), obj.validation
         wait(lambda: not check.awaited)
         if refusal := check.required_problem():
             raise CommandError(refusal)
-        command = Submit(body.comment)
+        command = cmd.Submit(body.comment)
         return document_json(obj.live.do(command, person.name, role=person.role, since=asked))
-    return decide(state, object_id, Submit(body.comment), person)
+    return decide(state, object_id, cmd.Submit(body.comment), person)
 
 
 @reviews_router.post("/objects/{object_id}/accept")
-@long
-def accept_object(
-    object_id: Id, body: AcceptBody, person: Reviewer, state: State
-) -> dict[str, Any]:
+def accept_object(object_id: Id, body: AcceptBody, person: Reviewer, state: State) -> Json:
     """Accept an object; its asset is written and read back first."""
-    _admitted(state, object_id, Accept(body.comment, override=body.override), person)
+    _admitted(state, object_id, cmd.Accept(body.comment, override=body.override), person)
     obj = opened(state, object_id, person)
     asked = obj.live.refresh()  # it may have been submitted at another server just now
     wait(lambda: not obj.validation.awaited)
@@ -320,15 +287,13 @@ def accept_object(
 
 
 @reviews_router.post("/objects/{object_id}/reject")
-@long
-def reject(object_id: Id, body: RejectBody, person: Reviewer, state: State) -> dict[str, Any]:
+def reject(object_id: Id, body: RejectBody, person: Reviewer, state: State) -> Json:
     """Send an object back to its annotator."""
-    command = Reject(body.reason, body.comment, "", body.joint, body.place, listed=True)
+    command = cmd.Reject(body.reason, body.comment, "", body.joint, body.place, listed=True)
     return decide(state, object_id, command, person)
 
 
 @reviews_router.post("/objects/{object_id}/reopen")
-@long
-def reopen(object_id: Id, body: CommentBody, person: Reviewer, state: State) -> dict[str, Any]:
+def reopen(object_id: Id, body: CommentBody, person: Reviewer, state: State) -> Json:
     """Reopen an accepted or rejected object."""
-    return decide(state, object_id, Reopen(body.comment), person)
+    return decide(state, object_id, cmd.Reopen(body.comment), person)

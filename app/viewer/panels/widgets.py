@@ -4,7 +4,6 @@ for any other one, the buttons that predict joints, the name that signs decision
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable
 from functools import lru_cache
 from html import escape
@@ -13,7 +12,7 @@ from typing import Any
 import viser
 from viser._icons import svg_from_icon
 
-from app.server.page import MALFORMED, ArtiworldPressMessage, show_markup
+from app.server.page import ArtiworldPressMessage, excused, show_markup
 from app.viewer.tab import Tab, plain
 from app.viewer.words import common as words
 from app.viewer.words.common import NONE, OTHER
@@ -48,9 +47,6 @@ def differs(a: tuple[float, ...], b: tuple[float, ...], tolerance: float = 1e-6)
     return any(abs(x - y) > tolerance for x, y in zip(a, b, strict=True))
 
 
-log = logging.getLogger(__name__)
-
-
 class Presses:
     """Calls back for the controls of one tab, by their action."""
 
@@ -72,10 +68,8 @@ class Presses:
         value = str(message.value)
 
         def press() -> None:
-            try:
+            with excused(f"{message.action:.40} {value[:80]!r}"):
                 callback(value)
-            except MALFORMED as error:
-                log.warning("%.40s can't read %.80r (%r)", message.action, value, error)
 
         if at_once:
             press()
