@@ -31,6 +31,7 @@ from websockets.http11 import Request, Response
 from app.server.entrance import Entrance, Origins, is_plain_netloc
 from app.server.login import Login, account_page, login_page
 from app.server.network import (
+    HEADERS,
     ApiConnections,
     OncePerMinute,
     Places,
@@ -56,13 +57,7 @@ APP_POLICY = (
     "connect-src 'self' {websocket} blob: data:; worker-src 'self' blob: data:; "
     "object-src 'none'; base-uri 'none'; form-action 'self'; frame-ancestors 'none'"
 )
-_HEADERS = {
-    "X-Content-Type-Options": "nosniff",
-    "X-Frame-Options": "DENY",
-    "Referrer-Policy": "no-referrer",
-    "Cross-Origin-Resource-Policy": "same-origin",
-    "Cross-Origin-Opener-Policy": "same-origin",
-}
+_HEADERS = HEADERS | {"Cross-Origin-Opener-Policy": "same-origin"}
 
 SESSION_CHECK_SECONDS = 2.0
 """Period of asking whether the browser session of a connection was revoked."""
@@ -299,7 +294,7 @@ class _Guard:
                 if self.entrance.with_accounts:
                     oidc = self.entrance.oidc
                     label = "" if oidc is None else oidc.settings.label
-                    return _page(accounts=True, person=person, provider=label)
+                    return _page(account_page("" if person is None else person.name, label))
                 return self._answer_login(connection, request)
             if person is None:
                 return self._not_logged_in(request, path)
@@ -332,7 +327,7 @@ class _Guard:
         by_header = request.headers.get_all("X-ArtiWorld-Token")
         token = unquote(by_header[0]) if by_header else query.get("token")
         if token is None:
-            return _page()
+            return _page(login_page())
         address = str((connection.remote_address or ("",))[0])
         right = self.login.try_token(token, address)
         if right:
@@ -345,7 +340,7 @@ class _Guard:
             status, problem = HTTPStatus.TOO_MANY_REQUESTS, "Too many wrong tokens; wait a minute."
         else:
             status, problem = HTTPStatus.UNAUTHORIZED, "That is not the token."
-        return _text(status, problem) if by_header else _page(status, problem)
+        return _text(status, problem) if by_header else _page(login_page(problem), status)
 
     def _not_logged_in(self, request: Request, path: str) -> Response:
         if path == "/" and "Upgrade" not in request.headers:
@@ -376,18 +371,8 @@ def _text(status: HTTPStatus, text: str, kind: str = "text/plain; charset=utf-8"
     return _response(RouteAnswer(text.encode(), kind, status))
 
 
-def _page(
-    status: HTTPStatus = HTTPStatus.OK,
-    problem: str = "",
-    *,
-    accounts: bool = False,
-    person: Person | None = None,
-    provider: str = "",
-) -> Response:
-    if accounts:
-        body, policy = account_page("" if person is None else person.name, provider)
-    else:
-        body, policy = login_page(problem)
+def _page(page: tuple[bytes, str], status: HTTPStatus = HTTPStatus.OK) -> Response:
+    body, policy = page
     response = _response(RouteAnswer(body, "text/html; charset=utf-8", status))
     response.headers["Content-Security-Policy"] = policy
     return response

@@ -8,9 +8,9 @@ import hashlib
 import hmac
 import secrets
 import time
-from collections import OrderedDict
 from pathlib import Path
 
+from cachetools import TTLCache
 from jinja2 import Template
 
 from app.server.network import API
@@ -31,7 +31,7 @@ class Attempts:
     """Wrong tokens and passwords of the last minute by address or name. Not thread-safe."""
 
     def __init__(self) -> None:
-        self._failures: OrderedDict[str, list[float]] = OrderedDict()
+        self._failures = TTLCache[str, list[float]](_ADDRESSES_KEPT, ATTEMPT_SECONDS)
 
     def recent(self, key: str) -> int:
         """Return how many there were."""
@@ -50,11 +50,8 @@ class Attempts:
     def failed(self, key: str) -> None:
         """Note a wrong one, or one that waits to be checked."""
         now = time.monotonic()
-        recent = [t for t in self._failures.get(key, []) if now - t < ATTEMPT_SECONDS]
+        recent = [t for t in self._failures.pop(key, []) if now - t < ATTEMPT_SECONDS]
         self._failures[key] = [*recent, now]
-        self._failures.move_to_end(key)
-        while len(self._failures) > _ADDRESSES_KEPT:
-            self._failures.popitem(last=False)
 
 
 class Login:

@@ -211,6 +211,13 @@ def limited(
 
 
 API = "/api/v1"
+HEADERS = {
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Resource-Policy": "same-origin",
+}
+"""Of every answer."""
 FIRST_SECONDS = 10.0
 """Longest time for the first line of a connection, and for the headers of an API request."""
 _LINE = 4096

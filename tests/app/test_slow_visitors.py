@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import socket
 import threading
 import time
@@ -20,7 +21,6 @@ from app.server.network import Places
 from app.server.server import Server
 from app.server.workers import Workers
 from sessions import accounts
-from tests.app import job_functions as functions
 from tests.app.api_server import Browser, team_server
 from tests.builders import wait_until
 
@@ -159,14 +159,12 @@ def readers() -> Iterator[Workers]:
 def test_a_small_file_comes_before_anothers_slow_ones(
     readers: Workers, tmp_path: Path, monkeypatch
 ) -> None:
-    monkeypatch.setattr(workers, "QUICK_SECONDS", 0.5)
-    free = tmp_path / "free"
-    slow = [readers.read(functions.wait_for, free, who="ann") for _ in range(6)]
-    assert readers.read(functions.echo, tmp_path / "small", who="bob").result(30)
+    monkeypatch.setattr(workers, "QUICK_SECONDS", 2.0)
+    slow = [readers.read(time.sleep, 3600, who="ann") for _ in range(6)]
+    assert readers.read(os.fspath, tmp_path / "small", who="bob").result(120)
     assert not any(job.done for job in slow)
-    free.touch()
     for job in slow:
-        job.result(60)
+        job.cancel()
 
 
 def test_a_large_file_leaves_the_second_reader_free(
@@ -175,10 +173,9 @@ def test_a_large_file_leaves_the_second_reader_free(
     monkeypatch.setattr(workers, "SMALL_BYTES", 100)
     large = tmp_path / "large"
     large.write_bytes(b"x" * 101)
-    held = readers.reading.submit(functions.wait_for, tmp_path / "free")
-    job = readers.read(functions.echo, large)
-    assert readers.read(functions.echo, tmp_path / "small").result(30)
+    held = readers.reading.submit(time.sleep, 3600)
+    job = readers.read(os.fspath, large)
+    assert readers.read(os.fspath, tmp_path / "small").result(120)
     assert job.state == "queued"
-    (tmp_path / "free").touch()
-    held.result(30)
-    assert job.result(30) == large
+    held.cancel()
+    assert job.result(120) == str(large)

@@ -55,6 +55,8 @@ from model.io.write import write_cloud
 from model.scenes.registry import read_scene
 from model.scenes.unpacking import unpack
 from sessions.commands import NamePart
+from sessions.release_files import check_release, write_release
+from sessions.releases import Release, accepted_assets
 from sessions.store import Store
 
 PEOPLE, POINTS = 6, 50_000
@@ -231,8 +233,9 @@ def write_worst(folder: Path) -> list[Path]:
     return out
 
 
-MOST_DECISIONS = 9
-"""Before a kill; three are an object."""
+KINDS = ("uploaded", "sorted", "named", "accepted", "released")
+MOST_DECISIONS = 3 * len(KINDS)
+"""Before a kill; so many kinds are an object."""
 LONGEST = 1.0
 """Seconds from a decision to a kill; the next one is there before."""
 _CABINET = """<mujoco model="cabinet"><worldbody><body name="case">
@@ -258,7 +261,7 @@ def kill_servers(kills: int, seed: int, progress: Progress) -> dict[str, Any]:
             decided += _killed(workspace, f"{seed}-{number}", random.Random(f"{seed}-{number}"))
             lost = _lost(workspace, decided)
             left |= {str(p.relative_to(workspace)) for p in unfinished(workspace)}
-    count = {kind: sum(d[0] == kind for d in decided) for kind in ("uploaded", "named", "accepted")}
+    count = {kind: sum(d[0] == kind for d in decided) for kind in KINDS}
     return {"kills": kills, **count, "lost": "; ".join(lost), "left over": "; ".join(sorted(left))}
 
 
@@ -293,8 +296,13 @@ def _lost(workspace: Path, decided: list[list[str]]) -> list[str]:
 
 def _is_there(state: AppState, queued: set[int], kind: str, number: str, name: str = "") -> bool:
     document = state.store.load(int(number)).present
-    if kind == "named":
-        return document.part_names.get(1) == name.strip()
+    if kind in ("named", "sorted"):
+        return name.strip() in (document.part_names.get(1), document.category)
+    if kind == "released":
+        with suppress(ArtiworldError):
+            check_release(state.workspace / "releases" / name.strip())
+            return True
+        return False
     if kind == "accepted":
         if document.review.state != "accepted" or document.saved is None:
             return False
@@ -306,7 +314,9 @@ def _is_there(state: AppState, queued: set[int], kind: str, number: str, name: s
 
 
 def work(workspace: str, name: str) -> None:
-    """Be a server to be killed: upload, name and accept objects, and say what is done."""
+    """Be a server to be killed: upload, sort (as bulk work), name, accept and release objects, and
+    say what is done.
+    """
     config = ServeConfig(workspace=Path(workspace))
     state = AppState(config, Store(config.workspace), [])
     rng = random.Random(name)
@@ -317,12 +327,20 @@ def work(workspace: str, name: str) -> None:
         print("uploaded", object_id, flush=True)
         obj = state.object(object_id)
         wait_for(lambda obj=obj: obj.document.segmentation_current and obj.document.tree, "joints")
+        state.bulk.set_category([object_id], f"kind {name} {number}", "ann", lambda *_: None)
+        wait_for(lambda: state.bulk.progress is None, "the bulk work")
+        print("sorted", object_id, f"kind {name} {number}", flush=True)
         obj.do(NamePart(1, f"door {name} {number}"), "ann")
         print("named", object_id, f"door {name} {number}", flush=True)
         report = wait_for(lambda obj=obj: obj.validation.report, "validation")
         accept(obj, "", "ann", "as it is", seen=report)
         wait_for(lambda obj=obj: obj.document.saved, "the asset")
         print("accepted", object_id, flush=True)
+        release, out = Release(name, f"{number}", "folder"), f"{name}-{number}"
+        write_release(
+            release, accepted_assets(state.store)[-3:], state.workspace / "releases" / out
+        )
+        print("released", object_id, out, flush=True)
 
 
 SECONDS = 60.0

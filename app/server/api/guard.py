@@ -22,7 +22,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from app.server.app_state import AppState
 from app.server.entrance import Entrance, Origins
-from app.server.network import API, LEAST_RATE, discard, limited
+from app.server.network import API, HEADERS, LEAST_RATE, discard, limited
 from sessions.credentials import Person
 from sessions.credentials import Scope as TokenScope
 
@@ -35,11 +35,7 @@ JSON_BYTES = 1_000_000
 """Largest request but for an upload."""
 OWN_HEADER = "X-ArtiWorld"
 """A page of another site can't send it, so a request with a cookie needs it to change anything."""
-_HEADERS = {
-    "X-Content-Type-Options": "nosniff",
-    "X-Frame-Options": "DENY",
-    "Referrer-Policy": "no-referrer",
-    "Cross-Origin-Resource-Policy": "same-origin",
+_HEADERS = HEADERS | {
     "Content-Security-Policy": "default-src 'none'; frame-ancestors 'none'",
     "Cache-Control": "no-store",
     # The next request on a kept connection could be for viser's pages, which others answer.
