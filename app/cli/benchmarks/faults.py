@@ -9,6 +9,7 @@ import itertools
 import json
 import os
 import random
+import secrets
 import shutil
 import subprocess
 import sys
@@ -70,11 +71,12 @@ TRIANGLE = f"data:application/octet-stream;base64,{b64encode(_CORNERS.tobytes())
 
 
 def click_beside(seconds: int, seed: int, progress: Progress) -> list[dict[str, Any]]:
-    """Measure clicks without and with somebody who opens the worst files.
+    """Measure clicks, and waits for small files, without and with somebody who opens the worst.
 
     Returns:
         One row each: clicks, those lost, times in ms of the others, their 95th percentile by the
-        one without, and the number of worst files that opened, were refused, or were left.
+        one without, the number of worst files that opened, were refused, or were left, and the
+        95th percentile of the seconds until a small file of another person is read.
     """
     with tempfile.TemporaryDirectory(prefix="artiworld-clients-") as folder:
         root = Path(folder)
@@ -88,10 +90,11 @@ def click_beside(seconds: int, seed: int, progress: Progress) -> list[dict[str, 
             ids = [record.id for record in server.app_state.queue.records()]
             tabs = [_tab(server, id) for id in (*ids, ids[0])]
             progress(0.1, "alone")
-            rows = [_phase(tabs[:-1], seconds * QUIET, seed, None)]
+            small = partial(_open_small, server, root)
+            rows = [_phase(tabs[:-1], seconds * QUIET, seed, small, None)]
             attack = partial(_open, server, tabs[-1][1], worst)
             progress(QUIET, "beside the worst files")
-            rows.append(_phase(tabs[:-1], seconds, seed + 1, attack))
+            rows.append(_phase(tabs[:-1], seconds, seed + 1, small, attack))
         finally:
             server.close()
     return [{**row, "p95 ratio": round(row["p95 ms"] / rows[0]["p95 ms"], 2)} for row in rows]
@@ -115,13 +118,17 @@ def _tab(server: Any, id: int) -> tuple[SimulatedBrowser, Any]:
     return browser, app
 
 
-def _phase(tabs: list[tuple[Any, Any]], seconds: float, seed: int, attack: Any) -> dict[str, Any]:
-    """Let everybody click for so long, beside ``attack``, which gets the end; one row."""
-    end, taken = time.perf_counter() + seconds, list[float]()
+def _phase(
+    tabs: list[tuple[Any, Any]], seconds: float, seed: int, small: Any, attack: Any
+) -> dict[str, Any]:
+    """Let everybody click for so long, beside ``small`` and ``attack``, which get the end; one
+    row."""
+    end, taken, waits = time.perf_counter() + seconds, list[float](), list[float]()
     threads = [
         threading.Thread(target=_work, args=(*tab, end, np.random.default_rng((seed, i)), taken))
         for i, tab in enumerate(tabs)
     ]
+    threads.append(threading.Thread(target=small, args=(end, waits)))
     for thread in threads:
         thread.start()
     files = Counter[str]() if attack is None else attack(end)
@@ -134,7 +141,21 @@ def _phase(tabs: list[tuple[Any, Any]], seconds: float, seed: int, attack: Any) 
         "lost": lost,
         **waiting_times([t for t in taken if t < LOST] or [LOST]),
         **{what: files[what] for what in ("opened", "refused", "left")},
+        "small file p95 s": round(float(np.percentile(waits, 95)), 1),
     }
+
+
+def _open_small(server: Any, folder: Path, end: float, waits: list[float]) -> None:
+    """Open new small files as somebody else, one a second; seconds until each is read."""
+    while time.perf_counter() < end:
+        path = folder / f"small {secrets.token_hex(4)}.obj"
+        path.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+        record = server.app_state.store.open_object(path, None, path.stem)
+        obj, began = server.app_state.object(record.id), time.perf_counter()
+        while obj.asset is None and not obj.problem and time.perf_counter() < began + LOST:
+            time.sleep(0.02)
+        waits.append(time.perf_counter() - began)
+        time.sleep(1.0)
 
 
 def _work(
