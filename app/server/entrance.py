@@ -12,7 +12,7 @@ from collections.abc import Callable
 from typing import Any
 from urllib.parse import urlsplit
 
-from app.server.login import Attempts, Login, cookie_name
+from app.server.login import Attempts, Login, secrets_in
 from app.server.network import is_loopback
 from app.server.oidc import OidcLogin
 from model.core.errors import ConfigurationError
@@ -127,7 +127,7 @@ class Entrance:
         """Return whom the ``Cookie`` headers prove; None: nobody."""
         if not self.with_accounts or self._people is None:
             return self._everybody() if self._login.knows(cookies, port) else None
-        for secret in self.sessions(cookies, port):
+        for secret in secrets_in(cookies, port)[:4]:
             person = self._people.credentials.session(secret)
             if person is not None:
                 return person
@@ -186,12 +186,6 @@ class Entrance:
     def session(self, secret: str) -> Person | None:
         """Return who has that browser session now; None where it ended."""
         return None if self._people is None else self._people.credentials.session(secret)
-
-    @staticmethod
-    def sessions(cookies: list[str], port: int) -> list[str]:
-        """Return the secrets in the cookies of this server."""
-        pairs = [pair.strip().partition("=") for pair in ";".join(cookies).split(";")]
-        return [value for name, _, value in pairs if name == cookie_name(port) and value][:4]
 
     def _everybody(self) -> Person:
         return Person(None, self._user, frozenset(SCOPES))

@@ -88,14 +88,10 @@ class Login:
         """True if one of the ``Cookie`` headers proves an earlier login."""
         if self._session is None:
             return True
-        # Not http.cookies, which stops at the first malformed cookie of another local program.
-        for pair in ";".join(cookies).split(";"):
-            name, _, value = pair.strip().partition("=")
-            if name == cookie_name(port) and hmac.compare_digest(
-                value.encode("utf-8", "replace"), self._session.encode()
-            ):
-                return True
-        return False
+        return any(
+            hmac.compare_digest(secret.encode("utf-8", "replace"), self._session.encode())
+            for secret in secrets_in(cookies, port)
+        )
 
     def try_token(self, token: str, address: str) -> bool | None:
         """Return True for the right token, False for a wrong one, None after too many wrong ones.
@@ -122,6 +118,13 @@ class Login:
 def cookie_name(port: int) -> str:
     """Return the cookie's name, with the port: browsers share cookies between a host's ports."""
     return f"artiworld_{port}"
+
+
+def secrets_in(cookies: list[str], port: int) -> list[str]:
+    """Return the secrets in the cookies of this server."""
+    # Not http.cookies, which stops at the first malformed cookie of another local program.
+    pairs = [pair.strip().partition("=") for pair in ";".join(cookies).split(";")]
+    return [value for name, _, value in pairs if name == cookie_name(port) and value]
 
 
 def new_token() -> str:

@@ -284,20 +284,15 @@ class SharedConnection(ServerConnection):
     api: ClassVar[ApiConnections | None] = None
     places: ClassVar[Places]
     known = False
-
-    def __init__(self, *args: Any, **settings: Any) -> None:
-        super().__init__(*args, **settings)
-        self._waiting: asyncio.Transport | None = None
-        self._first = b""
-        self._timer: asyncio.TimerHandle | None = None
+    _waiting: asyncio.Transport | None = None
+    _first = b""
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """See the base class."""
         self._waiting = cast("asyncio.Transport", transport)
         if not self.places.take(self._waiting, lambda: self.known):
             self._waiting.abort()
-            return
-        self._timer = self.loop.call_later(FIRST_SECONDS, self._waiting.abort)
+        self.loop.call_later(FIRST_SECONDS, self._end_unless_begun)
 
     def data_received(self, data: bytes) -> None:
         """See the base class."""
@@ -308,7 +303,6 @@ class SharedConnection(ServerConnection):
         line, found, _ = self._first[:_LINE].partition(b"\n")
         if not found and len(self._first) < _LINE and self.api is not None:
             return
-        self._stop_timer()
         transport, self._waiting = self._waiting, None
         if self.api is not None and _is_for_api(line):
             self.api.take(transport, self._first, self.places)
@@ -324,13 +318,12 @@ class SharedConnection(ServerConnection):
 
     def connection_lost(self, exc: Exception | None) -> None:
         """See the base class."""
-        self._stop_timer()
         if self._waiting is None:
             super().connection_lost(exc)
 
-    def _stop_timer(self) -> None:
-        if self._timer is not None:
-            self._timer.cancel()
+    def _end_unless_begun(self) -> None:
+        if self._waiting is not None:
+            self._waiting.abort()
 
 
 def _is_for_api(line: bytes) -> bool:

@@ -12,10 +12,11 @@ import logging
 import os
 import signal
 import sys
-import time
 from collections.abc import Callable, Hashable, Iterable, Mapping
 from pathlib import Path
 from typing import Protocol, TypeVar
+
+from cachetools import TTLCache
 
 from model.core.errors import ArtiworldError
 
@@ -91,27 +92,26 @@ class StoredWork:
     """Work that is repeated for stored items; one that fails too often is set aside for a while.
 
     Attributes:
-        aside: (work, item) → failures in a row, the last error, and when it is tried again, in
-            seconds of :func:`time.monotonic`.
+        aside: (work, item) → failures in a row, and the last error; forgotten after a while.
     """
 
     def __init__(self) -> None:
-        self.aside: dict[tuple[str, Hashable], tuple[int, str, float]] = {}
+        self.aside = TTLCache[tuple[str, Hashable], tuple[int, str]](10_000, ASIDE_SECONDS)
 
     def each(self, work: str, items: Iterable[H], step: Callable[[H], object]) -> None:
         """Call ``step`` for each item that isn't set aside."""
-        now, none = time.monotonic(), (0, "", 0.0)
 
         def one(item: H) -> None:
             step(item)
             self.aside.pop((work, item), None)
 
-        def failed(item: H, error: Exception) -> None:
-            count = self.aside.get((work, item), none)[0] + 1
-            again = now + ASIDE_SECONDS if count >= MOST_TRIES else now
-            self.aside[work, item] = count, f"{type(error).__name__}: {error}", again
+        def failures(item: H) -> int:
+            return self.aside.get((work, item), (0, ""))[0]
 
-        each([i for i in items if self.aside.get((work, i), none)[2] <= now], one, failed)
+        def failed(item: H, error: Exception) -> None:
+            self.aside[work, item] = failures(item) + 1, f"{type(error).__name__}: {error}"
+
+        each([i for i in items if failures(i) < MOST_TRIES], one, failed)
 
 
 NAMES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")

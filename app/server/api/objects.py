@@ -276,13 +276,8 @@ def download(object_id: Id, person: Reader, state: State, format: str = "asset")
         folder, ((format, out),), PhysicsSettings(), state.workspace / "collision", check=False
     )
     try:
-        job = state.workers.saving.submit(export_one, task, priority=-1)
-        try:
-            wait(lambda: job.done)
-        except HTTPException:
-            job.cancel()
-            raise
-        job.result(0)
+        saving = state.workers.saving
+        saving.submit(export_one, task, priority=-1, most_seconds=OPEN_SECONDS).result()
         return _zipped(out, f"{name}_{format}")
     finally:
         shutil.rmtree(out, ignore_errors=True)

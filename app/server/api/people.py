@@ -103,8 +103,9 @@ def revoke_token(token_id: Id, person: Visitor, state: State) -> Json:
 @people_router.get("/set-aside")
 def set_aside(person: Manager, state: State) -> list[Json]:
     """Stored items that this server works on and that failed, with their errors."""
-    aside = [(w, str(i), *why) for (w, i), why in list(state.stored.aside.items())]
-    return [{"work": w, "item": i, "failures": n, "error": text} for w, i, n, text, _ in aside]
+    aside = state.stored.aside
+    found = [(*key, *why) for key in list(aside) if (why := aside.get(key))]
+    return [{"work": w, "item": f"{i}", "failures": n, "error": e} for w, i, n, e in found]
 
 
 @people_router.get("/audit")
