@@ -29,7 +29,7 @@ from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
 from app.server.entrance import Entrance, Origins, is_plain_netloc
-from app.server.login import Login, account_page, login_page
+from app.server.login import Login, login_page
 from app.server.network import (
     HEADERS,
     ApiConnections,
@@ -294,7 +294,8 @@ class _Guard:
                 if self.entrance.with_accounts:
                     oidc = self.entrance.oidc
                     label = "" if oidc is None else oidc.settings.label
-                    return _page(account_page("" if person is None else person.name, label))
+                    name = "" if person is None else person.name
+                    return _page(login_page("account", person=name, provider=label))
                 return self._answer_login(connection, request)
             if person is None:
                 return self._not_logged_in(request, path)
@@ -327,7 +328,7 @@ class _Guard:
         by_header = request.headers.get_all("X-ArtiWorld-Token")
         token = unquote(by_header[0]) if by_header else query.get("token")
         if token is None:
-            return _page(login_page())
+            return _page(login_page("token"))
         address = str((connection.remote_address or ("",))[0])
         right = self.login.try_token(token, address)
         if right:
@@ -340,7 +341,11 @@ class _Guard:
             status, problem = HTTPStatus.TOO_MANY_REQUESTS, "Too many wrong tokens; wait a minute."
         else:
             status, problem = HTTPStatus.UNAUTHORIZED, "That is not the token."
-        return _text(status, problem) if by_header else _page(login_page(problem), status)
+        return (
+            _text(status, problem)
+            if by_header
+            else _page(login_page("token", problem=problem), status)
+        )
 
     def _not_logged_in(self, request: Request, path: str) -> Response:
         if path == "/" and "Upgrade" not in request.headers:

@@ -132,38 +132,19 @@ def new_token() -> str:
     return secrets.token_urlsafe(24)
 
 
-def login_page(problem: str = "") -> tuple[bytes, str]:
-    """Return the page, and the content security policy that allows its script only."""
-    return _page("token", problem=problem)
-
-
-def answer_page(problem: str = "") -> tuple[bytes, str]:
-    """Return the page after a login with the provider, and its policy: it goes on by itself.
-
-    A redirect wouldn't do: browsers keep strict cookies to themselves until a page of the same
-    site leads on.
+def login_page(kind: str, **values: str) -> tuple[bytes, str]:
+    """Return a page, and the content security policy that allows its script only.
 
     Args:
-        problem: why nobody is logged in, or "".
+        kind: "token" or "account" asks for it. "answer" goes on by itself after a login with the
+            provider: with a redirect browsers would keep strict cookies to themselves.
+        values: ``problem``, why nobody is logged in; ``person``, who is; ``provider``, label of
+            the button to the organisation's provider.
     """
-    return _page("answer", problem=problem)
-
-
-def account_page(name: str, provider: str = "") -> tuple[bytes, str]:
-    """Return the page and its content security policy.
-
-    Args:
-        name: who is logged in, or "".
-        provider: label of the button to the organisation's provider; "" for none.
-    """
-    return _page("account", person=name, provider=provider, api=API)
-
-
-def _page(kind: str, **values: str) -> tuple[bytes, str]:
     nonce = secrets.token_urlsafe(16)
     template = Template(TEMPLATE.read_text(encoding="utf-8"), autoescape=True)
     policy = (
         f"default-src 'none'; style-src 'nonce-{nonce}'; script-src 'nonce-{nonce}'; "
         "connect-src 'self'; form-action 'self'; base-uri 'none'; frame-ancestors 'none'"
     )
-    return template.render(kind=kind, nonce=nonce, **values).encode(), policy
+    return template.render(kind=kind, nonce=nonce, api=API, **values).encode(), policy

@@ -222,7 +222,6 @@ FIRST_SECONDS = 10.0
 """Longest time for the first line of a connection, and for the headers of an API request."""
 _LINE = 4096
 """Bytes; a longer first line isn't for the API, and the other side refuses it."""
-_SPACE = b" "
 
 
 class OnceProtocol(H11Protocol):
@@ -327,6 +326,5 @@ class SharedConnection(ServerConnection):
 
 
 def _is_for_api(line: bytes) -> bool:
-    _, _, rest = line.partition(_SPACE)
-    path = rest.partition(_SPACE)[0].partition(b"?")[0].decode("latin-1")
-    return path == API or path.startswith(API + "/")
+    path = b"".join(line.split(b" ")[1:2]).partition(b"?")[0].decode("latin-1")
+    return f"{path}/".startswith(f"{API}/")

@@ -388,7 +388,7 @@ def faults_bench(options: FaultsBench, progress: Progress) -> Result:
     ):
         for seed in range(options.seed, options.seed + files):
             progress((seed - options.seed) / max(files, 1), f"file of seed {seed}")
-            sample = _sample_of(samples, seed)
+            sample = samples[seed % len(samples)]  # so that each format gets as many files
             outcome, message = _read(worker, sample, seed, Path(folder))
             counts[sample.name][outcome] += 1
             if outcome in BAD:
@@ -406,11 +406,6 @@ def faults_bench(options: FaultsBench, progress: Progress) -> Result:
     lost = any(row["lost"] for row in report.get("clients", ()))
     report["failed"] = bool(bad or lost or kills.get("lost") or kills.get("left over"))
     return Result(report, lambda: _print(report), int(report["failed"]))
-
-
-def _sample_of(samples: list[FaultSample], seed: int) -> FaultSample:
-    """One format after the other, so that each gets as many files."""
-    return samples[seed % len(samples)]
 
 
 def _read(worker: WorkerProcess, sample: FaultSample, seed: int, root: Path) -> tuple[str, str]:

@@ -9,7 +9,7 @@ from fastapi.responses import HTMLResponse, RedirectResponse
 from pydantic import BaseModel, Field
 
 from app.server.api.guard import Json, State, TheEntrance, Visitor
-from app.server.login import answer_page, cookie_name
+from app.server.login import cookie_name, login_page
 from app.server.network import API, url
 from app.server.oidc import OidcLogin
 from model.core.errors import ConfigurationError
@@ -175,5 +175,5 @@ def _name(request: Request) -> str:
 
 
 def _page(problem: str, status: int) -> Response:
-    body, policy = answer_page(problem)
+    body, policy = login_page("answer", problem=problem)
     return HTMLResponse(body, status, headers={"Content-Security-Policy": policy})
