@@ -39,7 +39,7 @@ from app.server.network import (
     check_address,
     is_loopback,
 )
-from app.server.page import Page, attach_camera_guard, excuse_malformed
+from app.server.page import Page, guard_messages
 from app.server.uploads import UploadGuard
 from model.core.errors import ConfigurationError, StoreError
 from model.core.packages import install_command
@@ -159,9 +159,8 @@ def guarded_server(
     uploads = UploadGuard(max_upload_bytes)
     uploads.attach(endpoint)
     endpoint.on_client_connect(uploads.attach_client)
-    endpoint.on_client_connect(attach_camera_guard)
-    endpoint.on_client_connect(excuse_malformed)
-    excuse_malformed(endpoint)
+    endpoint.on_client_connect(guard_messages)
+    guard_messages(endpoint)
     endpoint.on_client_connect(guard.attach_person)
     endpoint.on_client_disconnect(uploads.forget)
     endpoint.on_client_disconnect(entrance.forget_tab)
@@ -341,11 +340,8 @@ class _Guard:
             status, problem = HTTPStatus.TOO_MANY_REQUESTS, "Too many wrong tokens; wait a minute."
         else:
             status, problem = HTTPStatus.UNAUTHORIZED, "That is not the token."
-        return (
-            _text(status, problem)
-            if by_header
-            else _page(login_page("token", problem=problem), status)
-        )
+        page = _page(login_page("token", problem=problem), status)
+        return _text(status, problem) if by_header else page
 
     def _not_logged_in(self, request: Request, path: str) -> Response:
         if path == "/" and "Upgrade" not in request.headers:

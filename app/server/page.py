@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import viser
-from viser import _messages, infra
+from viser import _messages
 from websockets.http11 import Response
 
 _SCRIPTS = (
@@ -160,18 +160,6 @@ _FARTHEST = 1e9  # metres, as for what a file may say of a point
 _VECTORS = {"wxyz": 4, "position": 3, "look_at": 3, "up_direction": 3}
 
 
-def attach_camera_guard(connection: infra.WebsockClientConnection) -> None:
-    """Let only possible cameras through to viser, before a browser's first message."""
-    handlers: dict[Any, list[Any]] = connection._incoming_handlers
-    (inner,) = handlers[_messages.ViewerCameraMessage]
-
-    async def guarded(client: Any, message: _messages.ViewerCameraMessage) -> None:
-        if make_possible(message):
-            await inner(client, message)
-
-    handlers[_messages.ViewerCameraMessage] = [guarded]
-
-
 _log = logging.getLogger("artiworld.http")
 MALFORMED = (AssertionError, AttributeError, LookupError, OverflowError, TypeError, ValueError)
 
@@ -185,13 +173,15 @@ def excused(what: str) -> Iterator[None]:
         _log.warning("%.120s of a browser can't be handled (%r)", what, error)
 
 
-def excuse_malformed(connection: Any) -> None:
-    """Carry out nothing of a browser's message that can't be handled; see :func:`excused`."""
+def guard_messages(connection: Any) -> None:
+    """Carry out nothing of a browser's message that can't be handled; see :func:`excused`. Only
+    possible cameras come through."""
     handle = connection._handle_incoming_message
 
     async def handle_if_sound(client_id: Any, message: Any) -> None:
         with excused(type(message).__name__):
-            await handle(client_id, message)
+            if not isinstance(message, _messages.ViewerCameraMessage) or make_possible(message):
+                await handle(client_id, message)
 
     connection._handle_incoming_message = handle_if_sound
 
