@@ -16,7 +16,7 @@ from app.server.login import Attempts, Login, secrets_in
 from app.server.network import is_loopback
 from app.server.oidc import OidcLogin
 from model.core.errors import ConfigurationError
-from sessions.accounts import Account, TooManyAttempts
+from sessions.accounts import TooManyAttempts
 from sessions.credentials import SCOPES, Person
 from sessions.people import People
 
@@ -152,7 +152,9 @@ class Entrance:
             ConfigurationError: where they don't belong to an account.
             TooManyAttempts: after many wrong ones for the address or for the name.
         """
-        people = self._need_people()
+        people = self._people
+        if people is None or not self.with_accounts:
+            raise ConfigurationError("there are no accounts here; see artiworld user add")
         keys = (f"address {address}", f"name {name.casefold()[:80]}")
         with self._lock:
             if any(self._attempts.guessing(key) for key in keys):
@@ -169,15 +171,6 @@ class Entrance:
         known = any(a.name.casefold() == name.casefold() for a in people.accounts.all())
         people.audit.add("login_failed", "", name if known else "unknown name", address=address)
         raise ConfigurationError("Name or password is wrong.")
-
-    def begin(self, account: Account, address: str) -> str:
-        """Return the secret of a browser session of an account that was just claimed."""
-        return self._need_people().credentials.begin_session(account, address)
-
-    def _need_people(self) -> People:
-        if self._people is None or not self.with_accounts:
-            raise ConfigurationError("there are no accounts here; see artiworld user add")
-        return self._people
 
     def forget_tab(self, left: Any) -> None:
         """Drop whose browser tab it was; viser gives the connection that ended."""

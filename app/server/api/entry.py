@@ -84,13 +84,11 @@ def invitation(body: InvitationBody, state: State) -> Json:
 
 
 @entry_router.post("/invitation/accept")
-def accept_invitation(
-    body: ClaimBody, request: Request, response: Response, state: State, entrance: TheEntrance
-) -> Json:
+def accept_invitation(body: ClaimBody, request: Request, response: Response, state: State) -> Json:
     """Choose a password; the answer sets the cookie of a browser session."""
-    address = _address(request)
-    account = state.store.people.accounts.claim(body.code, body.password, address)
-    _set_cookie(request, response, entrance.begin(account, address))
+    people, address = state.store.people, _address(request)
+    account = people.accounts.claim(body.code, body.password, address)
+    _set_cookie(request, response, people.credentials.begin_session(account, address))
     return {"name": account.name, "role": account.role}
 
 
@@ -152,7 +150,8 @@ def come_back(request: Request, state: State, entrance: TheEntrance) -> Response
         people.audit.add("login_failed", "", "provider", str(error), _address(request))
         return _page(str(error), 403)
     answer = _page("", 200)
-    _set_cookie(request, answer, entrance.begin(account, _address(request)))
+    secret = people.credentials.begin_session(account, _address(request))
+    _set_cookie(request, answer, secret)
     _set_cookie(request, answer, "", there=True)
     return answer
 
