@@ -93,15 +93,8 @@ class Webhooks:
             count = connection.execute(select(func.count()).select_from(webhooks)).scalar() or 0
             if count >= MOST_WEBHOOKS:
                 raise ConfigurationError(f"there are {count} webhooks already; remove one first")
-            connection.execute(
-                insert(webhooks).values(
-                    account_id=account.id,
-                    url=url,
-                    secret=secret,
-                    events=" ".join(asked),
-                    created=now(),
-                )
-            )
+            values = {"account_id": account.id, "url": url, "secret": secret, "created": now()}
+            connection.execute(insert(webhooks).values(**values, events=" ".join(asked)))
             record(connection, "webhook_added", by, account.name, url)
         return secret
 

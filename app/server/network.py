@@ -18,7 +18,6 @@ import time
 from collections.abc import Callable
 from typing import Any, ClassVar, cast
 
-from cachetools import TTLCache
 from starlette.datastructures import Headers
 from starlette.exceptions import HTTPException
 from starlette.types import Message, Receive
@@ -147,15 +146,18 @@ class OncePerMinute(logging.Filter):
 
     def __init__(self, seconds: float = 60.0) -> None:
         super().__init__()
-        self._seen = TTLCache[str, bool](1000, seconds)
+        self._seconds = seconds
+        self._last: dict[str, float] = {}  # no TTLCache: any thread may log
 
     def filter(self, record: logging.LogRecord) -> bool:
         """Return whether to log a record."""
-        kind = str(record.msg)[:80]
-        known = kind in self._seen
-        if not known:
-            self._seen[kind] = True
-        return not known
+        now, kind = time.monotonic(), str(record.msg)[:80]
+        if now - self._last.get(kind, -self._seconds) < self._seconds:
+            return False
+        if len(self._last) > 1000:
+            self._last.clear()
+        self._last[kind] = now
+        return True
 
 
 LEAST_RATE = 4096.0

@@ -319,18 +319,15 @@ def _is_there(state: AppState, queued: set[int], kind: str, number: str, name: s
     document = state.store.load(int(number)).present
     if kind in ("named", "sorted"):
         return name.strip() in (document.part_names.get(1), document.category)
-    if kind == "released":
-        with suppress(ArtiworldError):
+    saved = document.saved
+    try:
+        if kind == "released":
             check_release(state.workspace / "releases" / name.strip())
-            return True
+        elif kind == "accepted":
+            whole = saved is not None and len(load_object(saved.folder).parts) == 2
+            return whole and document.review.state == "accepted"
+    except ArtiworldError:
         return False
-    if kind == "accepted":
-        if document.review.state != "accepted" or document.saved is None:
-            return False
-        try:
-            return len(load_object(document.saved.folder).parts) == 2
-        except ArtiworldError:
-            return False
     return int(number) in queued
 
 
@@ -357,11 +354,9 @@ def work(workspace: str, name: str) -> None:
         accept(obj, "", "ann", "as it is", seen=report)
         wait_for(lambda obj=obj: obj.document.saved, "the asset")
         print("accepted", object_id, flush=True)
-        release, out = Release(name, f"{number}", "folder"), f"{name}-{number}"
-        write_release(
-            release, accepted_assets(state.store)[-3:], state.workspace / "releases" / out
-        )
-        print("released", object_id, out, flush=True)
+        release, out = Release(name, f"{number}", "folder"), Path("releases", f"{name}-{number}")
+        write_release(release, accepted_assets(state.store)[-3:], state.workspace / out)
+        print("released", object_id, out.name, flush=True)
 
 
 SECONDS = 60.0
