@@ -116,9 +116,8 @@ class Places:
         self._known: dict[asyncio.Transport, Callable[[], bool]] = {}
 
     def take(self, transport: asyncio.Transport, known: Callable[[], bool]) -> bool:
-        """Return whether a connection has a place; ``known`` tells whether it is a person's.
-
-        May be called again with another ``known``.
+        """Return whether a connection has a place; ``known`` tells whether it is a person's, and
+        may be given anew.
         """
         if transport not in self._known:
             places = {t: k for t, k in self._known.items() if not t.is_closing()}
