@@ -124,7 +124,12 @@ def test_malformed_messages_of_a_browser_are_a_line_of_the_log_each(server: Serv
     browser = Browser(server)
     browser.log_in("mia")
     tab = WebTab(browser)
-    wait_until(tab.texts, "the screen", 60)
+
+    def press(value: str) -> str:
+        tab.send("ArtiworldPressMessage", action="bulk", value=value)
+        return caplog.text
+
+    wait_until(lambda: "ready" in press("ready"), "the panels", 120)
     pressed = [
         (action, value)
         for action in ("bulk", "open", "look", "pad", "people", "step", "theme", "nothing")
@@ -134,8 +139,8 @@ def test_malformed_messages_of_a_browser_are_a_line_of_the_log_each(server: Serv
         tab.send("ArtiworldPressMessage", action=action, value=value)
     for uuid in list(tab.widgets)[:20]:
         tab.send("GuiUpdateMessage", uuid=uuid, updates={"nothing": 1})
-    tab.send("ArtiworldPressMessage", action="bulk", value="the last")
-    wait_until(lambda: "the last" in caplog.text, "the last one", 60)
+    press("the last")
+    wait_until(lambda: "the last" in caplog.text, "the last one", 120)
     assert [r.getMessage() for r in caplog.records if r.exc_info or r.levelname == "ERROR"] == []
     assert not any("Internal error" in text for text in tab.texts())
     tab.close()
