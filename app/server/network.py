@@ -189,20 +189,19 @@ def limited(
     declared = headers.get("Content-Length", "0")
     if not declared.isdigit() or int(declared) > most:
         raise too_large
-    taken, begun = 0, time.monotonic()
+    taken, more, begun = 0, True, time.monotonic()
 
     async def in_time() -> Message:
-        nonlocal taken
-        if taken and taken >= int(declared) > 0:  # only the end of the connection may come
+        nonlocal taken, more
+        if not more:  # only the end of the connection may come
             return await receive()
         try:
             async with asyncio.timeout(begun + seconds + taken / rate - time.monotonic()):
                 message = await receive()
         except TimeoutError as error:
-            if taken >= int(declared):
-                return {"type": "http.disconnect"}
             raise HTTPException(408, "the request timed out") from error
         taken += len(message.get("body", b""))
+        more = message.get("more_body", False)
         if taken > most:
             await discard(receive)
             raise too_large

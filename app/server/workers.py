@@ -152,7 +152,7 @@ class Lanes:
 
 READ_SECONDS = 600.0
 """Longest reading of a file; scans of 50 million points take one minute."""
-QUICK_SECONDS, SMALL_BYTES = 3.0, 20_000_000
+QUICK_SECONDS, SMALL_BYTES = 2.0, 20_000_000
 """Time and size of a file that is read beside those that take long; most take below a second."""
 MOST_TURNS = 40
 READ_CANCELLED = "Reading it was cancelled"
