@@ -21,6 +21,7 @@ from app.server.server import Server
 from model.core import progress
 from model.core.errors import InputFileError
 from model.core.progress import Cancelled, StoredWork, each
+from sessions import database
 from sessions.commands import Reject, SetCategory
 from sessions.live import LiveSession
 from sessions.releases import accepted_assets
@@ -239,4 +240,18 @@ def test_learning_goes_on_without_what_is_gone(tmp_path: Path) -> None:
         accepted_assets(store)
     broken: list[str] = []
     assert len(accepted_assets(store, broken=broken)) == 2 and broken == [found[0].name]
+    store.close()
+
+
+def test_a_clock_that_goes_back_changes_no_order(tmp_path: Path, monkeypatch) -> None:
+    store = Store(tmp_path)
+    add_people(store)
+    live = LiveSession(store, store.open_object(Path("/scans/oven.ply"), None, "oven").id)
+    live.do(SetCategory("Box"), "ann")
+    monkeypatch.setattr(database, "now", lambda seconds=0.0: "2001-02-03T04:05:06.000000Z")
+    monkeypatch.setattr("sessions.live.now", database.now)
+    live.do(SetCategory("Crate"), "ann")
+    live.do(Reject("axis"), "rob")
+    assert live.document.review.at.startswith("2001")
+    assert store.load(live.object_id) == live.state
     store.close()
