@@ -160,7 +160,7 @@ _FARTHEST = 1e9  # metres, as for what a file may say of a point
 _VECTORS = {"wxyz": 4, "position": 3, "look_at": 3, "up_direction": 3}
 
 
-_log = logging.getLogger("artiworld.http")
+_log = logging.getLogger(__name__)
 MALFORMED = (AssertionError, AttributeError, LookupError, OverflowError, TypeError, ValueError)
 
 
