@@ -90,8 +90,7 @@ class ReviewOrder:
         """The least confidence of an object's moving joints, 0..1, read once a change."""
         known = self._known.get(record.id)
         if known is None or known[0] != record.seq:
-            name = f"confidence of {record.name}"  # of one among all that are listed
-            of = attempt([], name, lambda: confidence(self._document(record.id)), UNKNOWN)
+            of = attempt([], record.name, lambda: confidence(self._document(record.id)), UNKNOWN)
             known = (record.seq, of)
             self._known[record.id] = known
         return known[1]
