@@ -188,11 +188,14 @@ class Client:
         request = urllib.request.Request(url, data, headers, method=method)
         try:
             with self._opener.open(request, timeout=SECONDS) as answer:
-                return answer.read()
+                job = answer.headers["Location"]
+                content = answer.read()
         except urllib.error.HTTPError as error:
             raise ApiError(error.code, _reason(error)) from error
         except OSError as error:
             raise ApiError(0, f"{self._url} doesn't answer ({error})") from error
+        # It takes long: the answer is where to ask for it.
+        return content if job is None else self._raw("GET", job.removeprefix(API), None, {})
 
 
 def is_genuine(secret: str, header: str, payload: bytes, now: float | None = None) -> bool:

@@ -7,10 +7,12 @@ count until somebody is invited to claim them.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import secrets
 import threading
 import unicodedata
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 from typing import Any, Literal
@@ -44,8 +46,24 @@ MAX_LENGTH = 1000
 
 hasher = PasswordHasher()
 """argon2id with the library's parameters: the second ones of RFC 9106, 64 MiB."""
-_slots = threading.BoundedSemaphore(2)
-"""Hashes at a time: each takes 64 MiB, and visitors decide how many are asked for."""
+_slots, _places = threading.BoundedSemaphore(2), threading.BoundedSemaphore(8)
+"""Hashes at a time, as each takes 64 MiB, and with those that wait: visitors decide how many are
+asked for, and each has a thread of the server's."""
+
+
+class TooManyAttempts(ConfigurationError):
+    """An address or a name had too many wrong passwords lately, or all are busy with others'."""
+
+
+@contextlib.contextmanager
+def _turn() -> Iterator[None]:
+    if not _places.acquire(blocking=False):
+        raise TooManyAttempts("Many people log in just now; try again in a few seconds.")
+    try:
+        with _slots:
+            yield
+    finally:
+        _places.release()
 
 
 def check_password(password: str, name: str) -> None:
@@ -64,13 +82,13 @@ def check_password(password: str, name: str) -> None:
 
 def hash_password(password: str) -> str:
     """Return the argon2id hash with its parameters."""
-    with _slots:
+    with _turn():
         return hasher.hash(password)
 
 
 def is_password(stored: str | None, password: str) -> bool:
     """True if ``password`` belongs to the stored hash; None takes the same work and is False."""
-    with _slots:
+    with _turn():
         dummy = dummy_hash()  # here, so that the first question of either kind makes it
         try:
             right = hasher.verify(stored or dummy, password[:MAX_LENGTH])
@@ -200,7 +218,7 @@ class Accounts:
             )
             if used.rowcount != 1:  # another request was first
                 raise ConfigurationError("this invitation was used just now; log in")
-            _set(connection, account, status="active", password=hashed)
+            set_values(connection, account, status="active", password=hashed)
             record(connection, "claimed", account.name, account.name, address=address)
         return Account(account.id, account.name, account.role, "active")
 
@@ -224,7 +242,7 @@ class Accounts:
         check_password(password, account.name)
         hashed = hash_password(password)
         with self._database.writing() as connection:
-            _set(connection, account, password=hashed)
+            set_values(connection, account, password=hashed)
             end_credentials(connection, account.id, keep)
             record(connection, "password_changed", by, account.name)
 
@@ -239,7 +257,7 @@ class Accounts:
             account = _account(_need(connection, name))
             if role != "manager":
                 keep_a_manager(connection, account)
-            _set(connection, account, role=role)
+            set_values(connection, account, role=role)
             record(connection, "role_changed", by, account.name, f"{account.role} → {role}")
         return Account(account.id, account.name, role, account.status)
 
@@ -252,7 +270,7 @@ class Accounts:
         with self._database.writing() as connection:
             account = _account(_need(connection, name))
             keep_a_manager(connection, account)
-            _set(connection, account, status="disabled")
+            set_values(connection, account, status="disabled")
             mine = invitations.c.account_id == account.id
             connection.execute(delete(invitations).where(mine))
             end_credentials(connection, account.id)
@@ -292,11 +310,35 @@ def usable_name(name: str) -> str:
         ConfigurationError: where it is too short, has odd characters, or stands for a program.
     """
     clean = clean_text(name, NAME_LIMIT, "the name")
+    _check_letters(name)
     if len(clean) < 2 or clean != " ".join(clean.split()):
         raise ConfigurationError(f"the name {name[:80]!r} needs two characters, and single blanks")
     if name_key(clean) in _RESERVED:
         raise ConfigurationError(f"the name {clean} stands for a program; choose another")
     return clean
+
+
+_TOGETHER = frozenset({"LATIN", "CJK", "HIRAGANA", "KATAKANA", "HANGUL", "BOPOMOFO"})
+"""Scripts that are written in one word."""
+_UNSEEN = ("FILLER", "SELECTOR", "JOINER")
+
+
+def _check_letters(name: str) -> None:
+    """Refuse letters that can't be seen, and mixed scripts, as their letters look alike.
+
+    Names wholly of one script are allowed whatever they look like: UTS 39, level 3.
+
+    Raises:
+        ConfigurationError: with what would be right.
+    """
+    letters = {c: unicodedata.name(c, "") for c in unicodedata.normalize("NFKC", name.strip())}
+    odd = "".join(c for c in letters if unicodedata.category(c)[0] in "CZ").replace(" ", "")
+    if odd or any(unseen in words for words in letters.values() for unseen in _UNSEEN):
+        raise ConfigurationError(f"the name {name[:80]!r} has characters that can't be seen")
+    scripts = {words.split(" ")[0] for c, words in letters.items() if c.isalpha()}
+    if len(scripts) > 1 and scripts - _TOGETHER:
+        mixed = ", ".join(sorted(scripts)).lower()
+        raise ConfigurationError(f"the name {name[:80]!r} mixes {mixed} letters; use one script")
 
 
 def enter_account(
@@ -355,7 +397,8 @@ def _need(connection: Connection, name: str) -> Row[Any]:
     return row
 
 
-def _set(connection: Connection, account: Account, **values: str) -> None:
+def set_values(connection: Connection, account: Account, **values: str) -> None:
+    """Change columns of an account."""
     connection.execute(update(accounts).where(accounts.c.id == account.id).values(**values))
 
 

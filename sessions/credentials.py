@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
-from sqlalchemy import Connection, Row, delete, insert, select, update
+from sqlalchemy import Connection, Row, delete, insert, select
 
 from model.core.errors import ConfigurationError
 from sessions.account_tables import (
@@ -31,6 +31,7 @@ from sessions.accounts import (
     keep_a_manager,
     name_key,
     new_secret,
+    set_values,
     usable_name,
 )
 from sessions.checks import clean_text
@@ -273,14 +274,14 @@ class Identities:
                 return account
             account = Account(row.id, row.name, row.role, row.status)
             if account.status == "invited":  # a manager let the person in again
-                _set(connection, account, status="active")
+                set_values(connection, account, status="active")
                 connection.execute(delete(invitations).where(_invitation_of(account)))
             elif account.status != "active":
                 raise ConfigurationError(f"the account {account.name} is {account.status}")
             if role is not None and role != account.role:
                 if role != "manager":
                     keep_a_manager(connection, account)
-                _set(connection, account, role=role)
+                set_values(connection, account, role=role)
                 change = f"{account.role} → {role}"
                 record(connection, "role_changed", issuer, account.name, change)
         return Account(account.id, account.name, role or account.role, "active")
@@ -305,7 +306,3 @@ class Identities:
 
 def _invitation_of(account: Account) -> Any:
     return invitations.c.account_id == account.id
-
-
-def _set(connection: Connection, account: Account, **values: str) -> None:
-    connection.execute(update(accounts).where(accounts.c.id == account.id).values(**values))

@@ -31,13 +31,14 @@ from sqlalchemy import (
 )
 from sqlalchemy.engine import URL, make_url
 
-from model.core.errors import StoreError
+from model.core.errors import NoSpaceError, StoreError
 from sessions.commands import Command
 from sessions.review import ReviewState
 
 FORMAT = "0004"
 """Newest migration; the format that this version reads and writes."""
 
+FULL = "no room is left on the disk"
 _MIGRATION_LOCK = 0x41525449
 """Lock number of all processes; a server can't lock tables before they exist."""
 
@@ -140,7 +141,11 @@ class Database:
         try:
             yield
         except (exc.DBAPIError, sqlite3.Error) as error:
-            raise StoreError(f"{self.name}: {_plain_words(error)}") from error
+            words = _plain_words(error)
+            if words.startswith(FULL):
+                remedy = "remove files there, then do it again"
+                raise NoSpaceError(self.name, words, remedy) from error
+            raise StoreError(f"{self.name}: {words}") from error
 
     def _migrate(self) -> None:
         with self.reading() as connection:
@@ -250,7 +255,8 @@ def _plain_words(error: Exception) -> str:
         "malformed": "is damaged; restore it from a copy (the files -wal and -shm belong to it)",
         "readonly": "can't be written; you need the right to write to the file and its folder",
         "unable to open": "can't be opened; its folder must exist and you must be able to write",
-        "full": "no room is left on the disk",
+        "full": FULL,
+        "No space": FULL,
         "I/O": "the disk reports an error",
     }
     for sign, remedy in remedies.items():

@@ -316,14 +316,12 @@ class SessionHub:
             with suppress(ArtiworldError):  # the objects' own tabs are gone
                 session.store_announced()
 
-    def sync(self, last: Mapping[int, int]) -> None:
-        """Apply the commands of other processes.
+    def behind(self, last: Mapping[int, int]) -> list[int]:
+        """Return the objects whose sessions are to be refreshed, as other processes gave commands.
 
         Args:
             last: object id → number of its last command; see :meth:`Store.last_commands`.
         """
         with self._lock:
             sessions = list(self._sessions.values())
-        for session in sessions:
-            if last.get(session.object_id, 0) > session.state.seq:
-                session.refresh()
+        return [s.object_id for s in sessions if last.get(s.object_id, 0) > s.state.seq]

@@ -113,11 +113,14 @@ def check_name(text: str, option: str) -> str:
     return text
 
 
-def accepted_assets(store: Store, without: Container[int] = ()) -> list[AcceptedAsset]:
+def accepted_assets(
+    store: Store, without: Container[int] = (), broken: list[str] | None = None
+) -> list[AcceptedAsset]:
     """The saved assets of all objects that are accepted now, in the order of the queue.
 
     Args:
         without: ids of objects that are left out, such as second annotations of others.
+        broken: gets the names of those that can't be had; None where none may be missing.
 
     Raises:
         InputFileError: where the folder of one is gone.
@@ -127,13 +130,16 @@ def accepted_assets(store: Store, without: Container[int] = ()) -> list[Accepted
         if record.state != "accepted" or record.id in without:
             continue
         folder = saved_folder(store, record.id)
-        if folder is None or not folder.is_dir():
+        if folder is not None and folder.is_dir():
+            found.append(AcceptedAsset(folder, record.name))
+        elif broken is not None:
+            broken.append(record.name)
+        else:
             raise InputFileError(
                 folder or store.workspace / "assets",
                 f"the asset of “{record.name}” isn't there",
                 "reopen and accept it again",
             )
-        found.append(AcceptedAsset(folder, record.name))
     return found
 
 

@@ -6,11 +6,11 @@ A delivery is stored in the transaction of its decision, so that none is lost an
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
-from sqlalchemy import Connection, delete, func, insert, select, update
+from sqlalchemy import Connection, case, delete, func, insert, select, update
 
 from model.core.errors import ConfigurationError
 from sessions.account_tables import accounts, deliveries, record, webhooks
@@ -32,7 +32,10 @@ FIRST_WAIT = 10.0
 """Seconds after the first failure; each further wait is four times as long: two days in all."""
 CLAIM_SECONDS = 60.0
 """Longest time of one attempt, in which no other server tries the same delivery."""
+KEPT_SECONDS = 30 * 86400.0
+"""Time for which a message that couldn't be delivered stays in sight."""
 MOST_WEBHOOKS = 50
+_OPEN = deliveries.c.attempts < MOST_ATTEMPTS
 
 
 @dataclass(frozen=True)
@@ -42,6 +45,7 @@ class Webhook:
     Attributes:
         waiting: deliveries that weren't made yet.
         problem: why the last attempt of one of them failed, or "".
+        failed: deliveries that were set aside after :data:`MOST_ATTEMPTS`, for 30 days.
     """
 
     id: int
@@ -50,17 +54,19 @@ class Webhook:
     events: tuple[str, ...]
     waiting: int
     problem: str
+    failed: int
 
 
 @dataclass(frozen=True)
 class Delivery:
-    """One message to send."""
+    """One message to send; ``attempts`` counts this one, too."""
 
     id: int
-    url: str
-    secret: str
+    webhook: int
+    url: str = field(repr=False)
+    secret: str = field(repr=False)
     event: str
-    payload: str
+    payload: str = field(repr=False)
     attempts: int
 
 
@@ -87,15 +93,8 @@ class Webhooks:
             count = connection.execute(select(func.count()).select_from(webhooks)).scalar() or 0
             if count >= MOST_WEBHOOKS:
                 raise ConfigurationError(f"there are {count} webhooks already; remove one first")
-            connection.execute(
-                insert(webhooks).values(
-                    account_id=account.id,
-                    url=url,
-                    secret=secret,
-                    events=" ".join(asked),
-                    created=now(),
-                )
-            )
+            values = {"account_id": account.id, "url": url, "secret": secret, "created": now()}
+            connection.execute(insert(webhooks).values(**values, events=" ".join(asked)))
             record(connection, "webhook_added", by, account.name, url)
         return secret
 
@@ -119,14 +118,15 @@ class Webhooks:
         waiting = (
             select(
                 deliveries.c.webhook_id,
-                func.count().label("waiting"),
+                func.count().label("all"),
                 func.max(deliveries.c.problem).label("problem"),
+                func.sum(case((_OPEN, 0), else_=1)).label("failed"),
             )
             .group_by(deliveries.c.webhook_id)
             .subquery()
         )
         wanted = (
-            select(webhooks, accounts.c.name, waiting.c.waiting, waiting.c.problem)
+            select(webhooks, accounts.c.name, waiting.c.all, waiting.c.problem, waiting.c.failed)
             .join(accounts, webhooks.c.account_id == accounts.c.id)
             .join(waiting, waiting.c.webhook_id == webhooks.c.id, isouter=True)
             .order_by(webhooks.c.id)
@@ -134,31 +134,39 @@ class Webhooks:
         with self._database.reading() as connection:
             rows = connection.execute(wanted).all()
         return [
-            Webhook(r.id, r.name, r.url, tuple(r.events.split()), r.waiting or 0, r.problem or "")
+            Webhook(
+                *(r.id, r.name, r.url, tuple(r.events.split())),
+                *((r.all or 0) - (r.failed or 0), r.problem or "", r.failed or 0),
+            )
             for r in rows
         ]
 
-    def claim(self, count: int = 20) -> list[Delivery]:
-        """Return messages that are due; no other server gets them for a while."""
+    def claim(self, busy: Collection[int] = ()) -> Delivery | None:
+        """Return the message that is due longest, if any; no other server gets it for a while.
+
+        The attempt counts from now on, so that one that ends the server counts, too.
+
+        Args:
+            busy: webhooks that are left out: they are being sent something.
+        """
         wanted = (
             select(deliveries, webhooks.c.url, webhooks.c.secret)
             .join(webhooks, deliveries.c.webhook_id == webhooks.c.id)
-            .where(deliveries.c.due <= now())
+            .where(deliveries.c.due <= now(), _OPEN, deliveries.c.webhook_id.not_in(busy))
             .order_by(deliveries.c.due)
-            .limit(count)
+            .limit(1)
         )
         with self._database.reading() as connection:
-            due = connection.execute(wanted).all()
-        out = []
-        for row in due:
-            mine = (deliveries.c.id == row.id) & (deliveries.c.due == row.due)
-            taken = update(deliveries).where(mine).values(due=now(CLAIM_SECONDS))
-            with self._database.writing() as connection:
-                if connection.execute(taken).rowcount == 1:
-                    out.append(
-                        Delivery(row.id, row.url, row.secret, row.event, row.payload, row.attempts)
-                    )
-        return out
+            row = connection.execute(wanted).one_or_none()
+        if row is None:
+            return None
+        mine = (deliveries.c.id == row.id) & (deliveries.c.due == row.due)
+        values = {"due": now(CLAIM_SECONDS), "attempts": row.attempts + 1}
+        with self._database.writing() as connection:
+            if connection.execute(update(deliveries).where(mine).values(values)).rowcount != 1:
+                return None  # another server was first
+        texts = row.url, row.secret, row.event, row.payload
+        return Delivery(row.id, row.webhook_id, *texts, row.attempts + 1)
 
     def delivered(self, delivery: Delivery) -> None:
         """Note that a message arrived."""
@@ -166,15 +174,13 @@ class Webhooks:
             connection.execute(delete(deliveries).where(deliveries.c.id == delivery.id))
 
     def failed(self, delivery: Delivery, problem: str) -> None:
-        """Note that an attempt failed; after :data:`MOST_ATTEMPTS` the message is dropped."""
-        attempts = delivery.attempts + 1
-        mine = deliveries.c.id == delivery.id
+        """Note that an attempt failed; after :data:`MOST_ATTEMPTS` the message is set aside."""
+        old = ~_OPEN & (deliveries.c.due < now(-KEPT_SECONDS))
+        due = now(FIRST_WAIT * 4 ** (delivery.attempts - 1))
+        values = {"due": due, "problem": problem[:300]}
         with self._database.writing() as connection:
-            if attempts >= MOST_ATTEMPTS:
-                connection.execute(delete(deliveries).where(mine))
-                return
-            due = now(FIRST_WAIT * 4 ** (attempts - 1))
-            values = {"attempts": attempts, "due": due, "problem": problem[:300]}
+            connection.execute(delete(deliveries).where(old))
+            mine = deliveries.c.id == delivery.id
             connection.execute(update(deliveries).where(mine).values(values))
 
 

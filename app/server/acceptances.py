@@ -15,7 +15,8 @@ from app.server import part_tasks
 from app.server.jobs import Job, WorkerProcess
 from app.server.part_tasks import PartSource
 from model.core.asset import Source
-from model.core.errors import CommandError
+from model.core.errors import CommandError, StoreError
+from model.core.progress import each
 from model.core.tree import KinematicTree
 from model.io.assets.reader import recover
 from model.validation.report import ValidationReport
@@ -103,6 +104,7 @@ class PendingAcceptances:
     ) -> None:
         self._store, self._notify = store, notify
         self._lock = threading.RLock()
+        self._over: set[int] = set()  # not stored yet
         self._pending = _resume(store, hub, workspace)
 
     def __contains__(self, object_id: int) -> bool:
@@ -121,12 +123,22 @@ class PendingAcceptances:
     def begin(self, object_id: int, pending: PendingAcceptance) -> None:
         """Store that an acceptance begins, for the case that this server dies."""
         self._store.begin_acceptance(object_id, pending)
+        self._over.discard(object_id)
 
     def end(self, object_id: int) -> None:
-        """Store that the acceptance ended, decided or not."""
-        self._store.end_acceptance(object_id)
+        """Store that the acceptance ended, decided or not; later, where there is no room now."""
+        self._over.add(object_id)
+        try:
+            self._store.end_acceptance(object_id)
+            self._over.discard(object_id)
+        except StoreError as error:
+            log.warning("the end of an acceptance can't be stored yet: %s", error)
         if self._pending.pop(object_id, None) is not None:
             self._notify()
+
+    def is_over(self, object_id: int) -> bool:
+        """True unless an acceptance of the object is under way."""
+        return object_id in self._over or object_id not in self._store.pending_acceptances()
 
     def hold(self, object_id: int, pending: PendingAcceptance) -> None:
         """Put an acceptance on hold, also for later runs."""
@@ -137,6 +149,8 @@ class PendingAcceptances:
 
     def sync(self) -> None:
         """Drop what ended, here or in another server."""
+        for object_id in tuple(self._over):
+            self.end(object_id)
         if not self._pending:
             return
         stored = self._store.pending_acceptances()
@@ -154,7 +168,10 @@ def _resume(store: Store, hub: SessionHub, workspace: Path) -> dict[int, Pending
     the object's next command.
     """
     waiting: dict[int, PendingAcceptance] = {}
-    for object_id, pending in store.pending_acceptances().items():
+    every = store.pending_acceptances()
+
+    def resume(object_id: int) -> None:
+        pending = every[object_id]
         record = store.object(object_id)
         folder = asset_folder(workspace, record)
         recover(folder)
@@ -168,11 +185,13 @@ def _resume(store: Store, hub: SessionHub, workspace: Path) -> dict[int, Pending
                     "another server is at it",
                     record.name,
                 )
-            continue
+            return
         doc = live.document
         if doc.review.state == "accepted" and doc.saved is None and folder.is_dir():
             live.do(cmd.Saved(str(folder)), doc.review.by)
         store.end_acceptance(object_id)
+
+    each(every, resume, lambda object_id, _: waiting.setdefault(object_id, every[object_id]))
     return waiting
 
 

@@ -14,10 +14,11 @@ from pathlib import Path
 from typing import Any
 
 from app.server.acceptances import acceptance_record, carry_out
+from app.server.jobs import Job
 from app.server.names import display_text
 from app.server.open_object import OpenObject
 from app.server.validating import AcceptanceRequest
-from model.core.errors import CommandError
+from model.core.errors import ArtiworldError, CommandError, NoSpaceError
 from model.validation.report import ValidationReport
 from sessions import commands as cmd
 from sessions.command_log import ACCEPT
@@ -55,7 +56,7 @@ def accept(
     override: str = "",
     *,
     seen: ValidationReport | None = None,
-    refused: Callable[[CommandError], None] | None = None,
+    refused: Callable[[ArtiworldError], None] | None = None,
     state: SessionState | None = None,
     order: Order = ALONE,
 ) -> None:
@@ -64,8 +65,8 @@ def accept(
     Args:
         override: reason for accepting it despite errors.
         seen: the report whose warnings the person was shown.
-        refused: gets what prevents the acceptance where that is found only later; where it is
-            None, all tabs show it.
+        refused: gets what prevents the acceptance, or writing its asset, where that is found only
+            later; where it is None, all tabs show it.
         state: the state that the person decided about; None is the present one.
         order: the decision that it is part of.
 
@@ -88,7 +89,7 @@ class _Acceptance(AcceptanceRequest):
         pending: PendingAcceptance,
         who: str,
         seen: ValidationReport | None,
-        refused: Callable[[CommandError], None] | None,
+        refused: Callable[[ArtiworldError], None] | None,
         state: SessionState,
         order: Order,
     ) -> None:
@@ -188,16 +189,21 @@ class _Acceptance(AcceptanceRequest):
                     return
                 try:
                     written = carry_out(obj.live, state, command, who, draft, record)
-                except CommandError as error:
+                except (CommandError, NoSpaceError) as error:
                     self._refuse(error)
                     return
             obj.record_job(ACCEPT, self._begun, time.time() - self._begun)
             obj.notify("Accepted", f"Saved in {written}", "green")
 
+        def pass_on(job: Job[Path]) -> None:
+            if self._refused is not None and isinstance(job.error, ArtiworldError):
+                self._refused(job.error)
+
+        job.add_done_callback(pass_on)  # before the job's end counts
         obj.start("save", job, keep)
         obj.changed()
 
-    def _refuse(self, error: CommandError) -> None:
+    def _refuse(self, error: ArtiworldError) -> None:
         if self._refused is None:
             self._obj.notify("Not accepted", str(error), "yellow")
         else:
@@ -215,7 +221,7 @@ def acceptance_over(obj: OpenObject) -> bool:
     """True once an acceptance is decided or has failed; its job ends a moment earlier."""
     if obj.being_accepted:
         return False
-    return obj.record.id not in obj.services.store.pending_acceptances()
+    return obj.services.acceptances.is_over(obj.record.id)
 
 
 def withdraw(obj: OpenObject) -> bool:

@@ -22,6 +22,7 @@ from app.server.object_queue import ObjectQueue
 from app.server.open_object import OpenObject
 from app.server.scene_workspace import SceneGallery, SceneWorkspace
 from app.server.workers import Workers
+from model.core.progress import StoredWork
 from sessions.accounts import Account
 from sessions.live import LiveSession, SessionHub
 from sessions.people import HEARTBEAT_SECONDS, Work
@@ -33,10 +34,11 @@ class PresenceBoard:
 
     Args:
         work: of the workspace.
+        stored: keeps what fails.
     """
 
-    def __init__(self, work: Work) -> None:
-        self._work = work
+    def __init__(self, work: Work, stored: StoredWork) -> None:
+        self._work, self._stored = work, stored
         self._lock = threading.Lock()
         self._here: dict[Hashable, tuple[int, Account]] = {}
         self._said = -HEARTBEAT_SECONDS
@@ -67,13 +69,18 @@ class PresenceBoard:
         now = time.monotonic()
         if now - self._said >= HEARTBEAT_SECONDS:
             self._said = now
-            for object_id, account in here:
-                self._work.enter(object_id, account)
-        for obj in shown:
+            self._stored.each("presence", here, lambda one: self._work.enter(*one))
+
+        of_id = {obj.record.id: obj for obj in shown}
+
+        def show(object_id: int) -> None:
+            obj = of_id[object_id]
             present = tuple(self._work.present(obj.record.id))
             if present != obj.present:
                 obj.present = present
                 obj.changed()
+
+        self._stored.each("who is there", of_id, show)
 
 
 log = logging.getLogger(__name__)
@@ -91,6 +98,7 @@ class AppState:
     Attributes:
         scene: the open scene; None where single objects are open.
         gallery: what the page shows of the queue.
+        stored: work for stored items that failed.
         bulk: work on many objects.
         learning: from accepted objects.
         presence: who has which object open.
@@ -111,6 +119,7 @@ class AppState:
             None if config.scene is not None else Path(config.workspace),
         )
         self.scene: SceneWorkspace | None = None
+        self.stored = StoredWork()
         self.review_order = ReviewOrder(lambda i: store.load(i).present)
         self._recent: deque[LiveSession] = deque(maxlen=RECENT_SESSIONS)
         self._services = Services(
@@ -130,7 +139,7 @@ class AppState:
         )
         self.bulk = BulkWork(self._services, self.object)
         self.learning = Learning(self.workspace, config.database, self.workers.template)
-        self.presence = PresenceBoard(store.people.work)
+        self.presence = PresenceBoard(store.people.work, self.stored)
         threading.Thread(target=self._sync_loop, name="sync", daemon=True).start()
 
     @property
@@ -158,17 +167,19 @@ class AppState:
         max_bytes = 4 * self.config.max_upload_mb * 1_000_000
         return self.queue.add_upload(self.workspace / "uploads", name, content, max_bytes)
 
-    def object(self, object_id: int, keep: float = 0.0) -> OpenObject:
+    def object(self, object_id: int, keep: float = 0.0, who: str = "") -> OpenObject:
         """Return the shared view of an object; opens it on first use.
 
         Args:
             keep: seconds for which it stays in use from now on, where no tab shows it.
+            who: the person that opens it.
         """
         with self._lock:
             opened = self._known(object_id)
             if opened is None:
                 opened = OpenObject(self.store.object(object_id), self._services)
             self._open[object_id] = opened
+            opened.asked_by = who or opened.asked_by
             opened.kept_until = max(opened.kept_until, time.monotonic() + keep)
             self._open.move_to_end(object_id)
             self._release_unused()
@@ -240,9 +251,10 @@ class AppState:
     def sync_remote(self) -> None:
         """Take in what other servers of the workspace did."""
         last = self.store.last_commands()
-        self.hub.sync(last)
+        behind = self.hub.behind(last)
+        self.stored.each("commands of others", behind, lambda i: self.hub.session(i).refresh())
         self.acceptances.sync()
-        self.queue.sync(last)
+        self.queue.sync(last, self.stored)
         if self.store.project.refresh():
             self.queue.changed()
         self.presence.sync([obj for obj in list(self._open.values()) if obj.is_shown])

@@ -18,18 +18,17 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from typing import Any
 
-import h11
 import numpy as np
 import numpy.typing as npt
 import uvicorn
 from fastapi import FastAPI, Request
 from fastapi.responses import JSONResponse, Response, StreamingResponse
+from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Receive, Scope, Send
-from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from app.server.jobs import Job, JobFailed, WorkerProcess
 from app.server.login import Login
-from app.server.network import MAX_SOCKETS, OncePerMinute
+from app.server.network import MAX_SOCKETS, OncePerMinute, OnceProtocol, limited
 from model.core.errors import ArtiworldError
 from model.core.progress import Progress, no_progress
 from model.prediction.registry import Predictor, load_predictor
@@ -68,15 +67,10 @@ def predict(body: npt.NDArray[np.uint8], progress: Progress = no_progress) -> di
     return encode_answer(answer)
 
 
-HEADER_SECONDS = 10.0
-"""Longest time from the connection, or the last answer's end, to the end of a request's header."""
-
-
-class LimitedProtocol(H11Protocol):
-    """HTTP/1.1 that drops connections beyond a number, and those whose header doesn't come."""
+class LimitedProtocol(OnceProtocol):
+    """Drops connections beyond a number."""
 
     max_sockets = MAX_SOCKETS
-    _timer: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Take a connection, unless there are too many."""
@@ -84,28 +78,6 @@ class LimitedProtocol(H11Protocol):
         if len(self.connections) > self.max_sockets:
             self.logger.warning("more than %d connections: new ones are dropped", self.max_sockets)
             transport.abort()
-        self._await_header()
-
-    def data_received(self, data: bytes) -> None:
-        """Take bytes; a header must be complete in time."""
-        super().data_received(data)
-        self._await_header()
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        """Forget the connection."""
-        self._stop_timer()
-        super().connection_lost(exc)
-
-    def _await_header(self) -> None:
-        if self.conn.their_state is not h11.IDLE:
-            self._stop_timer()
-        elif self._timer is None:
-            self._timer = self.loop.call_later(HEADER_SECONDS, self.transport.abort)
-
-    def _stop_timer(self) -> None:
-        if self._timer is not None:
-            self._timer.cancel()
-            self._timer = None
 
 
 def limited_server(application: ASGIApp) -> uvicorn.Server:
@@ -117,6 +89,7 @@ def limited_server(application: ASGIApp) -> uvicorn.Server:
         log_level="warning",
         access_log=False,
         server_header=False,
+        headers=[("Connection", "close")],
         timeout_graceful_shutdown=3,
         http=LimitedProtocol,
         ws="none",
@@ -126,10 +99,8 @@ def limited_server(application: ASGIApp) -> uvicorn.Server:
 
 HEARTBEAT_SECONDS = 1.0
 """Period of lines to a waiting client; also how soon a client that left is noticed."""
-BODY_SECONDS = 60.0
-"""Longest pause in the middle of a request."""
-REQUEST_SECONDS = 600.0
-"""Longest time for a whole request."""
+BODY_SECONDS = 10.0
+"""Longest time of a request but for large ones."""
 
 
 @dataclass(frozen=True)
@@ -147,14 +118,6 @@ class BackendSettings:
     token: str | None = None
     max_bytes: int = 200_000_000
     waiting: int = 16
-
-
-class _Refused(Exception):
-    """A request is refused with a status."""
-
-    def __init__(self, status: int, message: str) -> None:
-        self.status = status
-        super().__init__(message)
 
 
 class _Stream(StreamingResponse):
@@ -191,8 +154,7 @@ class Backend:
         app = FastAPI(title="ArtiWorld backend", docs_url=None, redoc_url=None, openapi_url=None)
         app.add_api_route(HEALTH_PATH, self.health, methods=["GET"], response_model=None)
         app.add_api_route(PREDICT_PATH, self.predict, methods=["POST"], response_model=None)
-        for status, text in ((404, "not found"), (405, "method not allowed")):
-            app.add_exception_handler(status, _plain(status, text))
+        app.add_exception_handler(HTTPException, _refusal)
         return app
 
     async def health(self, request: Request) -> Response:
@@ -204,10 +166,7 @@ class Backend:
         }
         if self._login.needed and "authorization" not in request.headers:
             return JSONResponse(answer)
-        try:
-            self._authorize(request)
-        except _Refused as refused:
-            return _refusal(refused)
+        self._authorize(request)
         answer |= {
             "predictor": self.settings.predictor,
             "version": version("artiworld"),
@@ -219,21 +178,18 @@ class Backend:
 
     async def predict(self, request: Request) -> Response:
         """Predict one object."""
+        self._authorize(request)
+        if self._under_way >= self.settings.waiting:
+            raise HTTPException(503, f"{self._under_way} requests are under way; try again soon")
+        self._under_way += 1
         try:
-            self._authorize(request)
-            if self._under_way >= self.settings.waiting:
-                raise _Refused(503, f"{self._under_way} requests are under way; try again soon")
-            self._under_way += 1
-            try:
-                body = await self._body(request)
-                read_header(body)
-            except BaseException:
-                self._under_way -= 1
-                raise
-        except RequestError as error:
-            return _refusal(_Refused(400, str(error)))
-        except _Refused as refused:
-            return _refusal(refused)
+            body = await self._body(request)
+            read_header(body)
+        except BaseException as error:
+            self._under_way -= 1
+            if isinstance(error, RequestError):
+                raise HTTPException(400, str(error)) from error
+            raise
         return _Stream(self._answer(request, body), self._left)
 
     def _left(self) -> None:
@@ -244,29 +200,16 @@ class Backend:
         address = request.client.host if request.client is not None else ""
         known = self._login.try_token(token if kind.lower() == "bearer" else "", address)
         if known is None:
-            raise _Refused(429, "too many wrong tokens; wait a minute")
+            raise HTTPException(429, "too many wrong tokens; wait a minute")
         if not known:
-            raise _Refused(401, "the token is missing or wrong")
+            raise HTTPException(401, "the token is missing or wrong")
 
     async def _body(self, request: Request) -> bytes:
         if request.headers.get("content-type") != CONTENT_TYPE:
-            raise _Refused(415, f"send the parts as {CONTENT_TYPE}")
-        limit = self.settings.max_bytes
-        declared = request.headers.get("content-length", "0")
-        out = bytearray()
-        stream = request.stream()
-        try:
-            async with asyncio.timeout(REQUEST_SECONDS):
-                while not (declared.isdigit() and int(declared) > limit):
-                    async with asyncio.timeout(BODY_SECONDS):
-                        out += await anext(stream)
-                    if len(out) > limit:
-                        break
-            raise _Refused(413, f"the request is larger than {limit / 1e6:g} MB")
-        except StopAsyncIteration:
-            return bytes(out)
-        except TimeoutError as error:
-            raise _Refused(408, "the request timed out") from error
+            raise HTTPException(415, f"send the parts as {CONTENT_TYPE}")
+        most = self.settings.max_bytes
+        receive = limited(request.receive, request.headers, most, BODY_SECONDS)
+        return await Request(request.scope, receive).body()
 
     async def _answer(self, request: Request, body: bytes) -> AsyncIterator[bytes]:
         """Yield lines of JSON until the job ends; a client that leaves cancels it."""
@@ -322,12 +265,5 @@ def _line(**values: Any) -> bytes:
     return json.dumps(values, ensure_ascii=False, allow_nan=False).encode() + b"\n"
 
 
-def _refusal(refused: _Refused) -> Response:
-    return JSONResponse({"error": str(refused)}, refused.status)
-
-
-def _plain(status: int, text: str) -> Any:
-    async def answer(request: Request, error: Exception) -> Response:
-        return JSONResponse({"error": text}, status)
-
-    return answer
+async def _refusal(_: Request, error: Any) -> Response:
+    return JSONResponse({"error": error.detail}, error.status_code)

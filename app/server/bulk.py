@@ -17,7 +17,7 @@ from app.server.job import Job, WorkerDied
 from app.server.object_context import Services
 from app.server.open_object import OpenObject
 from model.core.errors import ArtiworldError, CommandError
-from model.core.progress import Cancelled
+from model.core.progress import Cancelled, each
 from sessions import commands as cmd
 from sessions.command_log import BULK, TimedJob, record_job
 from sessions.state import SessionState
@@ -95,7 +95,7 @@ class BulkWork:
             obj = self._opened(id)
             if obj.document.review.state == "accepted":
                 return
-            refused: list[CommandError] = []
+            refused: list[ArtiworldError] = []
             accept(obj, "", who, refused=refused.append, state=asked[id])
             self._wait(lambda: bool(refused) or acceptance_over(obj))
             if obj.document.review.state != "accepted":
@@ -162,19 +162,27 @@ class BulkWork:
     ) -> None:
         refused: Counter[str] = Counter()
         count = 0
-        try:
-            for k, id in enumerate(ids):
-                self._place = k, len(ids)
-                self.progress = k / len(ids), f"{what}: {k + 1} of {len(ids)}"
-                self._services.queue.changed()
-                begun = time.time()
-                try:
-                    one(id)
-                    count += 1
-                except (ArtiworldError, WorkerDied) as error:
-                    refused[str(error)[:120]] += 1
+
+        def timed(place: tuple[int, int]) -> None:
+            nonlocal count
+            k, id = place
+            self._place = k, len(ids)
+            self.progress = k / len(ids), f"{what}: {k + 1} of {len(ids)}"
+            self._services.queue.changed()
+            begun = time.time()
+            try:
+                one(id)
+                count += 1
+            finally:
                 job = TimedJob(id, BULK, begun, time.time() - begun)
                 record_job(self._services.workspace, job)
+
+        def failed(_: object, error: Exception) -> None:
+            known = isinstance(error, ArtiworldError | WorkerDied)
+            refused[str(error)[:120] if known else "failed; see the server's log"] += 1
+
+        try:
+            each(enumerate(ids), timed, failed)
             if done is not None and count:
                 done()
         except Cancelled:

@@ -12,12 +12,12 @@ from collections.abc import Callable
 from typing import Any
 from urllib.parse import urlsplit
 
-from app.server.login import Attempts, Login, cookie_name
+from app.server.login import Attempts, Login, secrets_in
 from app.server.network import is_loopback
 from app.server.oidc import OidcLogin
 from model.core.errors import ConfigurationError
-from sessions.accounts import Account
-from sessions.credentials import SCOPES, SESSION_SECONDS, Person
+from sessions.accounts import TooManyAttempts
+from sessions.credentials import SCOPES, Person
 from sessions.people import People
 
 
@@ -82,10 +82,6 @@ CHECK_SECONDS = 1.0
 """Period of asking whether accounts were made meanwhile, as on the command line."""
 
 
-class TooManyAttempts(ConfigurationError):
-    """An address or a name had too many wrong passwords lately."""
-
-
 class Entrance:
     """Finds out who a visitor is. Methods may be called from any thread.
 
@@ -131,7 +127,7 @@ class Entrance:
         """Return whom the ``Cookie`` headers prove; None: nobody."""
         if not self.with_accounts or self._people is None:
             return self._everybody() if self._login.knows(cookies, port) else None
-        for secret in self.sessions(cookies, port):
+        for secret in secrets_in(cookies, port)[:4]:
             person = self._people.credentials.session(secret)
             if person is not None:
                 return person
@@ -156,30 +152,25 @@ class Entrance:
             ConfigurationError: where they don't belong to an account.
             TooManyAttempts: after many wrong ones for the address or for the name.
         """
-        people = self._need_people()
+        people = self._people
+        if people is None or not self.with_accounts:
+            raise ConfigurationError("there are no accounts here; see artiworld user add")
         keys = (f"address {address}", f"name {name.casefold()[:80]}")
         with self._lock:
             if any(self._attempts.guessing(key) for key in keys):
                 raise TooManyAttempts("Too many wrong passwords; wait a minute.")
+            for key in keys:  # those that wait count, too
+                self._attempts.failed(key)
         account = people.accounts.check(name, password)
         if account is not None:
+            with self._lock:
+                for key in keys:
+                    self._attempts.right(key)
             return people.credentials.begin_session(account, address)
-        with self._lock:
-            for key in keys:
-                self._attempts.failed(key)
         # A password is typed into the wrong box now and then, so unknown names aren't kept.
         known = any(a.name.casefold() == name.casefold() for a in people.accounts.all())
         people.audit.add("login_failed", "", name if known else "unknown name", address=address)
         raise ConfigurationError("Name or password is wrong.")
-
-    def begin(self, account: Account, address: str) -> str:
-        """Return the secret of a browser session of an account that was just claimed."""
-        return self._need_people().credentials.begin_session(account, address)
-
-    def _need_people(self) -> People:
-        if self._people is None or not self.with_accounts:
-            raise ConfigurationError("there are no accounts here; see artiworld user add")
-        return self._people
 
     def forget_tab(self, left: Any) -> None:
         """Drop whose browser tab it was; viser gives the connection that ended."""
@@ -189,18 +180,5 @@ class Entrance:
         """Return who has that browser session now; None where it ended."""
         return None if self._people is None else self._people.credentials.session(secret)
 
-    @staticmethod
-    def sessions(cookies: list[str], port: int) -> list[str]:
-        """Return the secrets in the cookies of this server."""
-        pairs = [pair.strip().partition("=") for pair in ";".join(cookies).split(";")]
-        return [value for name, _, value in pairs if name == cookie_name(port) and value][:4]
-
     def _everybody(self) -> Person:
         return Person(None, self._user, frozenset(SCOPES))
-
-
-def session_cookie(secret: str, port: int, *, secure: bool) -> str:
-    """Return the ``Set-Cookie`` header of a browser session; "" as secret ends it."""
-    seconds = int(SESSION_SECONDS) if secret else 0
-    flags = f"; Path=/; HttpOnly; SameSite=Strict; Max-Age={seconds}"
-    return f"{cookie_name(port)}={secret}{flags}" + ("; Secure" if secure else "")

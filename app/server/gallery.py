@@ -16,6 +16,7 @@ from app.server.job import Job
 from app.server.names import queue_names
 from app.server.object_context import Services
 from app.server.tasks import ReadOptions, stamp_if_there
+from model.core.progress import attempt
 from sessions.database import ObjectRecord
 from sessions.document import Document
 
@@ -89,7 +90,8 @@ class ReviewOrder:
         """The least confidence of an object's moving joints, 0..1, read once a change."""
         known = self._known.get(record.id)
         if known is None or known[0] != record.seq:
-            known = (record.seq, confidence(self._document(record.id)))
+            of = attempt([], record.name, lambda: confidence(self._document(record.id)), UNKNOWN)
+            known = (record.seq, of)
             self._known[record.id] = known
         return known[1]
 
@@ -257,11 +259,15 @@ class Gallery:
         workers = self._services.workers
         if workers.closing:
             return
-        job = workers.readers[-1].submit(
+        options = attempt([], f"picture of {record.name}", lambda: self._options(record), None)
+        if options is None:
+            self._drawn[key] = now, None
+            return
+        job = workers.read(
             draw_thumbnail,
             record.path,
             self._services.workspace,
-            self._options(record),
+            options,
             priority=-1,  # reading what somebody opens goes first
             most_seconds=DRAW_SECONDS,
         )

@@ -29,15 +29,17 @@ from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
 from app.server.entrance import Entrance, Origins, is_plain_netloc
-from app.server.login import Login, account_page, login_page
+from app.server.login import Login, login_page
 from app.server.network import (
+    HEADERS,
     ApiConnections,
     OncePerMinute,
+    Places,
     SharedConnection,
     check_address,
     is_loopback,
 )
-from app.server.page import Page, attach_camera_guard
+from app.server.page import Page, guard_messages
 from app.server.uploads import UploadGuard
 from model.core.errors import ConfigurationError, StoreError
 from model.core.packages import install_command
@@ -55,13 +57,7 @@ APP_POLICY = (
     "connect-src 'self' {websocket} blob: data:; worker-src 'self' blob: data:; "
     "object-src 'none'; base-uri 'none'; form-action 'self'; frame-ancestors 'none'"
 )
-_HEADERS = {
-    "X-Content-Type-Options": "nosniff",
-    "X-Frame-Options": "DENY",
-    "Referrer-Policy": "no-referrer",
-    "Cross-Origin-Resource-Policy": "same-origin",
-    "Cross-Origin-Opener-Policy": "same-origin",
-}
+_HEADERS = HEADERS | {"Cross-Origin-Opener-Policy": "same-origin"}
 
 SESSION_CHECK_SECONDS = 2.0
 """Period of asking whether the browser session of a connection was revoked."""
@@ -148,7 +144,8 @@ def guarded_server(
     page = Page(label or "ArtiWorld", max_upload_bytes)
     origins = Origins(host, allowed_origins)
     connections = None if api is None else ApiConnections(api(origins), trusted_proxies)
-    guard = _Guard(Login(token), entrance, origins, page, dict(routes or {}), connections)
+    places, found = Places(trusted_proxies), dict(routes or {})
+    guard = _Guard(Login(token), entrance, origins, page, found, connections, places)
     with _wrapped_serve(guard), contextlib.redirect_stdout(io.StringIO()):
         server = viser.ViserServer(host=host, port=port, label=label, verbose=False)
     endpoint = server._websock_server
@@ -162,7 +159,8 @@ def guarded_server(
     uploads = UploadGuard(max_upload_bytes)
     uploads.attach(endpoint)
     endpoint.on_client_connect(uploads.attach_client)
-    endpoint.on_client_connect(attach_camera_guard)
+    endpoint.on_client_connect(guard_messages)
+    guard_messages(endpoint)
     endpoint.on_client_connect(guard.attach_person)
     endpoint.on_client_disconnect(uploads.forget)
     endpoint.on_client_disconnect(entrance.forget_tab)
@@ -183,7 +181,7 @@ def _wrapped_serve(guard: _Guard) -> Iterator[None]:
         guard.wrapped = True
         settings["max_size"] = MAX_MESSAGE_BYTES
         settings["create_connection"] = type(
-            "Connection", (SharedConnection,), {"api": guard.api, "open": set()}
+            "Connection", (SharedConnection,), {"api": guard.api, "places": guard.places}
         )
         return real(
             guard.limited(handler),
@@ -213,6 +211,7 @@ class _Guard:
     page: Page
     routes: Mapping[str, Route]
     api: ApiConnections | None
+    places: Places
     ready: bool = False
     wrapped: bool = False
     _open: dict[ServerConnection, Person] = field(default_factory=dict)
@@ -285,6 +284,7 @@ class _Guard:
                 answer.headers["Refresh"] = "1"  # the browser asks again after a second
                 return answer
             person = await self._person(request)
+            connection.known = person is not None  # type: ignore[attr-defined]
             login = self.entrance.needed
             problem = self.origins.problem(request.headers.get_all, login=login)
             if problem:
@@ -293,7 +293,8 @@ class _Guard:
                 if self.entrance.with_accounts:
                     oidc = self.entrance.oidc
                     label = "" if oidc is None else oidc.settings.label
-                    return _page(accounts=True, person=person, provider=label)
+                    name = "" if person is None else person.name
+                    return _page(login_page("account", person=name, provider=label))
                 return self._answer_login(connection, request)
             if person is None:
                 return self._not_logged_in(request, path)
@@ -326,7 +327,7 @@ class _Guard:
         by_header = request.headers.get_all("X-ArtiWorld-Token")
         token = unquote(by_header[0]) if by_header else query.get("token")
         if token is None:
-            return _page()
+            return _page(login_page("token"))
         address = str((connection.remote_address or ("",))[0])
         right = self.login.try_token(token, address)
         if right:
@@ -339,7 +340,8 @@ class _Guard:
             status, problem = HTTPStatus.TOO_MANY_REQUESTS, "Too many wrong tokens; wait a minute."
         else:
             status, problem = HTTPStatus.UNAUTHORIZED, "That is not the token."
-        return _text(status, problem) if by_header else _page(status, problem)
+        page = _page(login_page("token", problem=problem), status)
+        return _text(status, problem) if by_header else page
 
     def _not_logged_in(self, request: Request, path: str) -> Response:
         if path == "/" and "Upgrade" not in request.headers:
@@ -370,18 +372,8 @@ def _text(status: HTTPStatus, text: str, kind: str = "text/plain; charset=utf-8"
     return _response(RouteAnswer(text.encode(), kind, status))
 
 
-def _page(
-    status: HTTPStatus = HTTPStatus.OK,
-    problem: str = "",
-    *,
-    accounts: bool = False,
-    person: Person | None = None,
-    provider: str = "",
-) -> Response:
-    if accounts:
-        body, policy = account_page("" if person is None else person.name, provider)
-    else:
-        body, policy = login_page(problem)
+def _page(page: tuple[bytes, str], status: HTTPStatus = HTTPStatus.OK) -> Response:
+    body, policy = page
     response = _response(RouteAnswer(body, "text/html; charset=utf-8", status))
     response.headers["Content-Security-Policy"] = policy
     return response

@@ -94,6 +94,7 @@ class Job(Generic[T]):
         self._deadline = math.inf
         self._repeated = repeated
         self._deaths = 0  # of its child while it ran
+        self.moved: Callable[[Job[T]], object] | None = None  # called once, out of time
 
     @property
     def _ends_at(self) -> float:

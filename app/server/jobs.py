@@ -148,6 +148,13 @@ class WorkerProcess:
         self._wake()
         return job
 
+    def adopt(self, job: Job[Any], most_seconds: float | None) -> None:
+        """Queue a job of another worker, to run from its beginning."""
+        job._ask_to_stop, job._number = self._cancel, next(self._numbers)
+        job._place, job._most_seconds = (job._place[0], job._number), most_seconds
+        self._requeue(job)
+        self._wake()
+
     @property
     def pid(self) -> int | None:
         """Process id of the child; None while there is none."""
@@ -356,6 +363,9 @@ class WorkerProcess:
                 self._requeue(other)
         if job is not None and job._kill_at is not None:
             job.end("cancelled")
+        elif job is not None and job._deadline <= time.monotonic() and job.moved is not None:
+            move, job.moved = job.moved, None
+            move(job)
         elif job is not None and job._deadline <= time.monotonic():
             text = f"{job.name} took more than {job._most_seconds:g} s and was ended"
             job.end("failed", error=OutOfTimeError(text))
@@ -381,7 +391,7 @@ class WorkerProcess:
         """Queue a job again whose child process died, if it is still requested."""
         with self._lock:
             newer = job._key is not None and job._key in self._of_key
-            wanted = job._kill_at is None and not newer
+            wanted = job._kill_at is None and not newer and not self._closing
             if wanted:
                 job.state, job._begun, job._deadline = "queued", False, math.inf
                 job._ran = job._waited = 0.0

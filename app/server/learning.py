@@ -129,7 +129,8 @@ def learn_from(
     jobs: int = 1,
     progress: Progress = no_progress,
 ) -> dict[str, Any]:
-    """Learn from the accepted objects of a workspace; second annotations are left out.
+    """Learn from the accepted objects of a workspace, but for second annotations and those
+    whose asset is gone, which are recorded as left out.
 
     Returns:
         The record of the version, see :class:`model.training.experience.Learned`.
@@ -144,7 +145,8 @@ def learn_from(
 
     opened, store = open_database(workspace, database), Store(workspace, database)
     try:
-        found = accepted_assets(store, {second.object for second in seconds_in(opened)})
+        broken: list[str] = []
+        found = accepted_assets(store, {second.object for second in seconds_in(opened)}, broken)
     finally:
         store.close()
         opened.close()
@@ -152,7 +154,8 @@ def learn_from(
     if unknown:
         raise ConfigurationError(f"no accepted object is called {', '.join(unknown)}")
     folders = [a.folder for a in found if a.name not in without]
-    return asdict(learn(workspace, folders, without, jobs=jobs, progress=progress))
+    left_out = (*without, *broken)
+    return asdict(learn(workspace, folders, left_out, jobs=jobs, progress=progress))
 
 
 class Learning:

@@ -8,9 +8,9 @@ import hashlib
 import hmac
 import secrets
 import time
-from collections import OrderedDict
 from pathlib import Path
 
+from cachetools import TTLCache
 from jinja2 import Template
 
 from app.server.network import API
@@ -31,7 +31,7 @@ class Attempts:
     """Wrong tokens and passwords of the last minute by address or name. Not thread-safe."""
 
     def __init__(self) -> None:
-        self._failures: OrderedDict[str, list[float]] = OrderedDict()
+        self._failures = TTLCache[str, list[float]](_ADDRESSES_KEPT, ATTEMPT_SECONDS)
 
     def recent(self, key: str) -> int:
         """Return how many there were."""
@@ -42,14 +42,16 @@ class Attempts:
         """True after so many attempts that even the right secret is refused."""
         return self.recent(key) >= GUESSES
 
+    def right(self, key: str) -> None:
+        """Take back the last note of a wrong one."""
+        if times := self._failures.get(key):
+            times.pop()
+
     def failed(self, key: str) -> None:
-        """Note a wrong one."""
+        """Note a wrong one, or one that waits to be checked."""
         now = time.monotonic()
-        recent = [t for t in self._failures.get(key, []) if now - t < ATTEMPT_SECONDS]
+        recent = [t for t in self._failures.pop(key, []) if now - t < ATTEMPT_SECONDS]
         self._failures[key] = [*recent, now]
-        self._failures.move_to_end(key)
-        while len(self._failures) > _ADDRESSES_KEPT:
-            self._failures.popitem(last=False)
 
 
 class Login:
@@ -86,14 +88,10 @@ class Login:
         """True if one of the ``Cookie`` headers proves an earlier login."""
         if self._session is None:
             return True
-        # Not http.cookies, which stops at the first malformed cookie of another local program.
-        for pair in ";".join(cookies).split(";"):
-            name, _, value = pair.strip().partition("=")
-            if name == cookie_name(port) and hmac.compare_digest(
-                value.encode("utf-8", "replace"), self._session.encode()
-            ):
-                return True
-        return False
+        return any(
+            hmac.compare_digest(secret.encode("utf-8", "replace"), self._session.encode())
+            for secret in secrets_in(cookies, port)
+        )
 
     def try_token(self, token: str, address: str) -> bool | None:
         """Return True for the right token, False for a wrong one, None after too many wrong ones.
@@ -122,43 +120,31 @@ def cookie_name(port: int) -> str:
     return f"artiworld_{port}"
 
 
+def secrets_in(cookies: list[str], port: int) -> list[str]:
+    """Return the secrets in the cookies of this server."""
+    # Not http.cookies, which stops at the first malformed cookie of another local program.
+    pairs = [pair.strip().partition("=") for pair in ";".join(cookies).split(";")]
+    return [value for name, _, value in pairs if name == cookie_name(port) and value]
+
+
 def new_token() -> str:
     """Return a random token."""
     return secrets.token_urlsafe(24)
 
 
-def login_page(problem: str = "") -> tuple[bytes, str]:
-    """Return the page, and the content security policy that allows its script only."""
-    return _page("token", problem=problem)
-
-
-def answer_page(problem: str = "") -> tuple[bytes, str]:
-    """Return the page after a login with the provider, and its policy: it goes on by itself.
-
-    A redirect wouldn't do: browsers keep strict cookies to themselves until a page of the same
-    site leads on.
+def login_page(kind: str, **values: str) -> tuple[bytes, str]:
+    """Return a page, and the content security policy that allows its script only.
 
     Args:
-        problem: why nobody is logged in, or "".
+        kind: "token" or "account" asks for it. "answer" goes on by itself after a login with the
+            provider: with a redirect browsers would keep strict cookies to themselves.
+        values: ``problem``, why nobody is logged in; ``person``, who is; ``provider``, label of
+            the button to the organisation's provider.
     """
-    return _page("answer", problem=problem)
-
-
-def account_page(name: str, provider: str = "") -> tuple[bytes, str]:
-    """Return the page and its content security policy.
-
-    Args:
-        name: who is logged in, or "".
-        provider: label of the button to the organisation's provider; "" for none.
-    """
-    return _page("account", person=name, provider=provider, api=API)
-
-
-def _page(kind: str, **values: str) -> tuple[bytes, str]:
     nonce = secrets.token_urlsafe(16)
     template = Template(TEMPLATE.read_text(encoding="utf-8"), autoescape=True)
     policy = (
         f"default-src 'none'; style-src 'nonce-{nonce}'; script-src 'nonce-{nonce}'; "
         "connect-src 'self'; form-action 'self'; base-uri 'none'; frame-ancestors 'none'"
     )
-    return template.render(kind=kind, nonce=nonce, **values).encode(), policy
+    return template.render(kind=kind, nonce=nonce, api=API, **values).encode(), policy

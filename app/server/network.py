@@ -8,14 +8,19 @@ hands over a connection that becomes a websocket.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import errno
 import ipaddress
 import logging
 import os
 import socket
 import time
+from collections.abc import Callable
 from typing import Any, ClassVar, cast
 
+from starlette.datastructures import Headers
+from starlette.exceptions import HTTPException
+from starlette.types import Message, Receive
 from uvicorn.config import Config
 from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.server import ServerState
@@ -95,7 +100,44 @@ def free_port(host: str) -> int:
 
 MAX_SOCKETS = 256
 """Most connections at a time, those without a complete request included; a process may have 1024
-open files by default."""
+open files by default. One address may have half of them."""
+
+
+class Places:
+    """The connections of one port. Where all places are taken, or those of an address, the next
+    one takes that of its oldest stranger; people who are logged in stay.
+
+    Args:
+        proxies: addresses or networks that may have all places, as many people come through them.
+    """
+
+    def __init__(self, proxies: tuple[str, ...] = ()) -> None:
+        self._proxies = [ipaddress.ip_network(proxy, strict=False) for proxy in proxies]
+        self._known: dict[asyncio.Transport, Callable[[], bool]] = {}
+
+    def take(self, transport: asyncio.Transport, known: Callable[[], bool]) -> bool:
+        """Return whether a connection has a place; ``known`` tells whether it is a person's, and
+        may be given anew.
+        """
+        if transport not in self._known:
+            places = {t: k for t, k in self._known.items() if not t.is_closing()}
+            self._known, peer = places, _peer(transport)
+            same = [t for t in places if _peer(t) == peer]
+            if len(same) < MAX_SOCKETS // 2 or (
+                any(ipaddress.ip_address(peer) in proxy for proxy in self._proxies)
+            ):
+                same = list(places) if len(places) >= MAX_SOCKETS else []
+            stranger = next((t for t in same if not places[t]()), None)
+            if same and stranger is None:
+                return False
+            if stranger is not None:
+                stranger.abort()
+        self._known[transport] = known
+        return True
+
+
+def _peer(transport: asyncio.Transport) -> str:
+    return str((transport.get_extra_info("peername") or ("0.0.0.0",))[0]).partition("%")[0]
 
 
 class OncePerMinute(logging.Filter):
@@ -104,7 +146,7 @@ class OncePerMinute(logging.Filter):
     def __init__(self, seconds: float = 60.0) -> None:
         super().__init__()
         self._seconds = seconds
-        self._last: dict[str, float] = {}
+        self._last: dict[str, float] = {}  # no TTLCache: any thread may log
 
     def filter(self, record: logging.LogRecord) -> bool:
         """Return whether to log a record."""
@@ -117,12 +159,82 @@ class OncePerMinute(logging.Filter):
         return True
 
 
+LEAST_RATE = 4096.0
+"""Bytes a second that lengthen the time of a request."""
+DISCARD_SECONDS = 1.0
+"""How long the body of a refused request is read, and thrown away."""
+
+
+async def discard(receive: Receive) -> None:
+    """Take what is on its way: a client that is cut off while it sends never sees the answer."""
+    with contextlib.suppress(TimeoutError):
+        async with asyncio.timeout(DISCARD_SECONDS):
+            while (await receive()).get("more_body"):
+                pass
+
+
+def limited(
+    receive: Receive, headers: Headers, most: int, seconds: float, rate: float = LEAST_RATE
+) -> Receive:
+    """Return ``receive`` of a request whose body has limits; beyond them it raises.
+
+    Args:
+        most: bytes.
+        seconds: longest time of all; each second, ``rate`` bytes lengthen it by one.
+
+    Raises:
+        HTTPException: 413, where the body is declared to be larger.
+    """
+    too_large = HTTPException(413, f"the request is larger than {most / 1e6:g} MB")
+    declared = headers.get("Content-Length", "0")
+    if not declared.isdigit() or int(declared) > most:
+        raise too_large
+    taken, more, begun = 0, True, time.monotonic()
+
+    async def in_time() -> Message:
+        nonlocal taken, more
+        if not more:  # only the end of the connection may come
+            return await receive()
+        try:
+            async with asyncio.timeout(begun + seconds + taken / rate - time.monotonic()):
+                message = await receive()
+        except TimeoutError as error:
+            raise HTTPException(408, "the request timed out") from error
+        taken += len(message.get("body", b""))
+        more = message.get("more_body", False)
+        if taken > most:
+            await discard(receive)
+            raise too_large
+        return message
+
+    return in_time
+
+
 API = "/api/v1"
+HEADERS = {
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Resource-Policy": "same-origin",
+}
+"""Of every answer."""
 FIRST_SECONDS = 10.0
 """Longest time for the first line of a connection, and for the headers of an API request."""
 _LINE = 4096
 """Bytes; a longer first line isn't for the API, and the other side refuses it."""
-_SPACE = b" "
+
+
+class OnceProtocol(H11Protocol):
+    """HTTP/1.1 for one request, whose headers must come in time."""
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """Take a connection."""
+        super().connection_made(transport)
+        self.loop.call_later(FIRST_SECONDS, self._end_unless_begun)
+
+    def _end_unless_begun(self) -> None:
+        if self.cycle is None:
+            self.transport.abort()
 
 
 class ApiConnections:
@@ -149,55 +261,37 @@ class ApiConnections:
         self._config.load()
         self._state = ServerState()
 
-    @property
-    def count(self) -> int:
-        """Number of connections."""
-        return len(self._state.connections)
-
-    def take(self, transport: asyncio.Transport, first: bytes) -> None:
+    def take(self, transport: asyncio.Transport, first: bytes, places: Places) -> None:
         """Serve a connection from its first bytes on."""
         loop = asyncio.get_running_loop()
-        protocol = H11Protocol(self._config, self._state, {}, loop)
+        protocol = OnceProtocol(self._config, self._state, {}, loop)
         transport.set_protocol(protocol)
         protocol.connection_made(transport)
         protocol.data_received(first)
-
-        def end_unless_begun() -> None:
-            if protocol.cycle is None:
-                transport.abort()
-
-        loop.call_later(FIRST_SECONDS, end_unless_begun)
+        places.take(transport, lambda: bool((protocol.scope or {}).get("state", {}).get("person")))
 
 
 class SharedConnection(ServerConnection):
     """Waits for the first line, which decides who serves the connection.
 
-    A connection beyond :data:`~app.server.network.MAX_SOCKETS` is dropped; those without a
-    complete request count, too.
-
     Attributes:
         api: takes the connections to the API; None: there is none. Set in a subclass.
-        open: connections that aren't the API's. Set in a subclass.
+        places: of the port. Set in a subclass.
+        known: whether a person who is logged in has it.
     """
 
     api: ClassVar[ApiConnections | None] = None
-    open: ClassVar[set[SharedConnection]]
-
-    def __init__(self, *args: Any, **settings: Any) -> None:
-        super().__init__(*args, **settings)
-        self._waiting: asyncio.Transport | None = None
-        self._first = b""
-        self._timer: asyncio.TimerHandle | None = None
+    places: ClassVar[Places]
+    known = False
+    _waiting: asyncio.Transport | None = None
+    _first = b""
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """See the base class."""
-        self.open.add(self)
         self._waiting = cast("asyncio.Transport", transport)
-        others = 0 if self.api is None else self.api.count
-        if len(self.open) + others > MAX_SOCKETS:
+        if not self.places.take(self._waiting, lambda: self.known):
             self._waiting.abort()
-            return
-        self._timer = self.loop.call_later(FIRST_SECONDS, self._waiting.abort)
+        self.loop.call_later(FIRST_SECONDS, self._end_unless_begun)
 
     def data_received(self, data: bytes) -> None:
         """See the base class."""
@@ -208,11 +302,9 @@ class SharedConnection(ServerConnection):
         line, found, _ = self._first[:_LINE].partition(b"\n")
         if not found and len(self._first) < _LINE and self.api is not None:
             return
-        self._stop_timer()
         transport, self._waiting = self._waiting, None
         if self.api is not None and _is_for_api(line):
-            self.open.discard(self)
-            self.api.take(transport, self._first)
+            self.api.take(transport, self._first, self.places)
         else:
             super().connection_made(transport)
             super().data_received(self._first)
@@ -225,17 +317,14 @@ class SharedConnection(ServerConnection):
 
     def connection_lost(self, exc: Exception | None) -> None:
         """See the base class."""
-        self._stop_timer()
-        self.open.discard(self)
         if self._waiting is None:
             super().connection_lost(exc)
 
-    def _stop_timer(self) -> None:
-        if self._timer is not None:
-            self._timer.cancel()
+    def _end_unless_begun(self) -> None:
+        if self._waiting is not None:
+            self._waiting.abort()
 
 
 def _is_for_api(line: bytes) -> bool:
-    _, _, rest = line.partition(_SPACE)
-    path = rest.partition(_SPACE)[0].partition(b"?")[0].decode("latin-1")
-    return path == API or path.startswith(API + "/")
+    path = b"".join(line.split(b" ")[1:2]).partition(b"?")[0].decode("latin-1")
+    return f"{path}/".startswith(f"{API}/")

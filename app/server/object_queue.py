@@ -7,6 +7,7 @@ import os
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from app.server.observable import Listener, Observable
 from app.server.tasks import stamp_if_there
 from app.server.uploads import keep_upload
 from model.core.errors import CommandError
+from model.core.progress import StoredWork, attempt
 from model.io.model_files import asset_name, find_assets, refusal
 from sessions.store import ObjectRecord, Store
 
@@ -77,7 +79,11 @@ class ObjectQueue(Observable):
     def _enter(self, paths: list[Path]) -> list[int]:
         records = self._store.open_objects((p, None, asset_name(p)) for p in paths)
         ids = [r.id for r in records]
-        refused = {r.id for r, p in zip(records, paths, strict=True) if refusal(p) is not None}
+        refused = {
+            i
+            for i, p in zip(ids, paths, strict=True)
+            if attempt([], p.name, partial(refusal, p), "it can't be examined") is not None
+        }
         with self._lock:
             self.unreadable |= refused
             self._ids = list(dict.fromkeys([*self._ids, *ids]))
@@ -88,7 +94,9 @@ class ObjectQueue(Observable):
         """Queue those of other runs and servers that are to be listed."""
         self._looked_at |= {r.id for r in records}
         if self._workspace is not None:
-            self._enter([r.path for r in records if _kept(r, self._workspace)])
+            keeps = partial(_kept, workspace=self._workspace)
+            kept = [r for r in records if attempt([], r.name, partial(keeps, r), False)]
+            self._enter([r.path for r in kept])
 
     def _leave_out_removed(self) -> None:
         """Leave out what was removed in an earlier run, unless the file changed since.
@@ -160,11 +168,12 @@ class ObjectQueue(Observable):
         if before is None or before.state != record.state or self._pending(object_id):
             self.changed()
 
-    def sync(self, last: dict[int, int]) -> None:
+    def sync(self, last: dict[int, int], stored: StoredWork) -> None:
         """Take in what other servers did, and what was imported meanwhile.
 
         Args:
             last: object id → number of its last command.
+            stored: keeps what fails.
         """
         new = set(last) - self._looked_at
         if new:
@@ -172,8 +181,7 @@ class ObjectQueue(Observable):
             self.changed()
         with self._lock:
             stale = [i for i in self._ids if last.get(i, 0) > self._records[i].seq]
-        for object_id in stale:
-            self.refresh(object_id)
+        stored.each("queue", stale, self.refresh)
 
     def subscribe(self, listener: Listener) -> Callable[[], None]:
         """Call ``listener`` when a state in the queue changes. Returns its removal."""

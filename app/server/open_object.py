@@ -25,7 +25,7 @@ from app.server.preparing import Preparing
 from app.server.segmenting import Segmenting
 from app.server.tasks import Stamp, stamp_if_there
 from app.server.validating import JointCollision, Validation
-from app.server.workers import READ_CANCELLED, READ_SECONDS, too_slow
+from app.server.workers import READ_CANCELLED, too_slow
 from model.core.errors import ArtiworldError, CommandError
 from model.prediction.registry import DEFAULT as DEFAULT_PREDICTOR
 from model.prediction.remote_backend import BackendError
@@ -53,6 +53,7 @@ class OpenObject(ObjectContext):
         super().__init__(record, services)
         self.present: tuple[Presence, ...] = ()
         self.kept_until = 0.0
+        self.asked_by = ""  # who waits for it to be read
         self.problem: str | None = None
         self._worker_died = self._reading_stopped = self._warm = False
         self.backend_away = False
@@ -172,14 +173,14 @@ class OpenObject(ObjectContext):
             self.asset = None
             self.segmenting.forget()
             self.payloads.clear()
-            job = self.services.workers.reading.submit(
+            job = self.services.workers.read(
                 display_tasks.open_asset,
                 Path(self.record.path),
                 self.services.workspace,
                 self.read_options,
                 self._masks(),
+                who=self.asked_by,
                 on_progress=self.jobs.progress("open"),
-                most_seconds=READ_SECONDS,
             )
             self.start("open", job, self._opened)
 

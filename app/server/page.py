@@ -7,7 +7,10 @@ from __future__ import annotations
 import base64
 import gzip
 import json
+import logging
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.resources import files
 from typing import Any
@@ -15,7 +18,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import viser
-from viser import _messages, infra
+from viser import _messages
 from websockets.http11 import Response
 
 _NAMES = "upload focus panels markup queue view tree pointer light account"
@@ -155,16 +158,30 @@ _FARTHEST = 1e9  # metres, as for what a file may say of a point
 _VECTORS = {"wxyz": 4, "position": 3, "look_at": 3, "up_direction": 3}
 
 
-def attach_camera_guard(connection: infra.WebsockClientConnection) -> None:
-    """Let only possible cameras through to viser, before a browser's first message."""
-    handlers: dict[Any, list[Any]] = connection._incoming_handlers
-    (inner,) = handlers[_messages.ViewerCameraMessage]
+_log = logging.getLogger(__name__)
+MALFORMED = (AssertionError, AttributeError, LookupError, OverflowError, TypeError, ValueError)
 
-    async def guarded(client: Any, message: _messages.ViewerCameraMessage) -> None:
-        if make_possible(message):
-            await inner(client, message)
 
-    handlers[_messages.ViewerCameraMessage] = [guarded]
+@contextmanager
+def excused(what: str) -> Iterator[None]:
+    """Log one line where ``what`` a browser sent is malformed: the page sends what can be read."""
+    try:
+        yield
+    except MALFORMED as error:
+        _log.warning("%.120s of a browser can't be handled (%r)", what, error)
+
+
+def guard_messages(connection: Any) -> None:
+    """Carry out nothing of a browser's message that can't be handled; see :func:`excused`. Only
+    possible cameras come through."""
+    handle = connection._handle_incoming_message
+
+    async def handle_if_sound(client_id: Any, message: Any) -> None:
+        with excused(type(message).__name__):
+            if not isinstance(message, _messages.ViewerCameraMessage) or make_possible(message):
+                await handle(client_id, message)
+
+    connection._handle_incoming_message = handle_if_sound
 
 
 def make_possible(message: _messages.ViewerCameraMessage) -> bool:

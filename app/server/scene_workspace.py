@@ -191,7 +191,7 @@ class SceneWorkspace(SceneState):
         if work.item.copy is not None and (work.item.copy / "object.json").is_file():
             done(work)
             return
-        job = self.services.workers.reading.submit(
+        job = self.services.workers.read(
             scene_tasks.make_working_copy, work.item, priority=8, most_seconds=READ_SECONDS
         )
         files = (work.item.path or work.item.copy or self.path,)

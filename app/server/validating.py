@@ -118,6 +118,11 @@ class Validation:
         return complete
 
     @property
+    def awaited(self) -> bool:
+        """True while a report will come."""
+        return not (self.report or self.problem or self._revision(self._obj.document) is None)
+
+    @property
     def collisions(self) -> list[JointCollision]:
         """The collisions to mark."""
         report = self.report

@@ -36,7 +36,7 @@ from multiprocessing.connection import Connection
 from typing import Any, Protocol
 
 from app.server.ending import ignore_end_signals, signals_blocked
-from model.core.errors import ArtiworldError
+from model.core.errors import ArtiworldError, no_space
 from model.core.progress import Cancelled, die_with_parent, with_threads
 
 PROGRESS_PERIOD = 0.03
@@ -90,6 +90,8 @@ def describe_error(error: BaseException) -> dict[str, Any]:
     An exception with its own ``__init__`` can't be pickled itself.
     """
     text = "".join(traceback.format_exception(error))
+    if isinstance(error, OSError):
+        error = no_space(error.filename or "the workspace", error) or error
     out: dict[str, Any] = {
         "kind": "failed",
         "message": f"{type(error).__name__}: {error}",

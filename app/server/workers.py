@@ -7,16 +7,18 @@ from __future__ import annotations
 import os
 import threading
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Protocol
+from pathlib import Path
+from typing import Any, Protocol, TypeVar
 from weakref import WeakKeyDictionary
 
-from app.server.jobs import WorkerProcess
+from app.server.jobs import Job, WorkerProcess
 from app.server.worker import WorkerTemplate
 from model.core.memory import limit_memory, machine_memory
 from model.core.progress import own_threads
 
+T = TypeVar("T")
 MEMORY = 0.75
 """Share of the machine's memory for one job that may take much, and for the lanes together."""
 LANE_BYTES = 2 << 30
@@ -150,6 +152,9 @@ class Lanes:
 
 READ_SECONDS = 600.0
 """Longest reading of a file; scans of 50 million points take one minute."""
+QUICK_SECONDS, SMALL_BYTES = 2.0, 20_000_000
+"""Time and size of a file that is read beside those that take long; most take below a second."""
+MOST_TURNS = 40
 READ_CANCELLED = "Reading it was cancelled"
 
 
@@ -186,11 +191,43 @@ class Workers:
         self.prediction = WorkerProcess("prediction", template=self.template)
         self.saving = WorkerProcess("saving", template=self.template)
         self.closing = False
+        self._waiting: list[tuple[str, Job[Any]]] = []
 
     @property
     def reading(self) -> WorkerProcess:
-        """The reader to ask next: one that has nothing to do, if there is one."""
-        return next((reader for reader in self.readers if not reader.busy), self.readers[0])
+        """The reader of all that isn't a small file."""
+        return self.readers[0]
+
+    def read(
+        self,
+        function: Callable[..., T],
+        *args: Any,
+        who: str = "",
+        most_seconds: float = READ_SECONDS,
+        **settings: Any,
+    ) -> Job[T]:
+        """Have ``function(*args)`` read something; people take turns.
+
+        The second reader is kept for what isn't a large file, and for :data:`QUICK_SECONDS` each:
+        what takes longer begins again at the first one, which smaller ones use while it is idle.
+
+        Args:
+            args: a :class:`Path` comes first where it is read.
+            who: the person that waits; the first file of each comes before the second of anybody.
+        """
+        self._waiting = [(name, job) for name, job in self._waiting if not job.done]
+        before = sum(name == who for name, _ in self._waiting)
+        settings = {"priority": MOST_TURNS - min(before, MOST_TURNS - 1), **settings}
+        slow, quick = self.readers
+        path = args[0] if isinstance(args[0], Path) else ""
+        large = os.path.isfile(path) and os.path.getsize(path) > SMALL_BYTES
+        if large or (quick.busy and not slow.busy):
+            job = slow.submit(function, *args, most_seconds=most_seconds, **settings)
+        else:
+            job = quick.submit(function, *args, most_seconds=QUICK_SECONDS, **settings)
+            job.moved = lambda job: slow.adopt(job, most_seconds)
+        self._waiting.append((who, job))
+        return job
 
     def close(self) -> None:
         """End the processes."""

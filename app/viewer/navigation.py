@@ -110,7 +110,7 @@ class Navigation:
             return
         self._skipped.discard(object_id)
         self._leave(tab.selection.object)
-        obj = self._app_state.object(object_id)
+        obj = self._app_state.object(object_id, who=self._tab.user)
         tab.selection.open(obj)
         self._unwatch = obj.watch(tab.invalidate, tab.notify)
         self._app_state.presence.enter(tab, object_id, tab.account)

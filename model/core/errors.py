@@ -6,6 +6,7 @@ everything else is an internal error (exit code 1).
 
 from __future__ import annotations
 
+import errno
 from pathlib import Path
 
 
@@ -27,6 +28,22 @@ class InputFileError(ArtiworldError):
         self.problem = problem
         self.remedy = remedy
         super().__init__(f"{path}: {problem}" + (f"; {remedy}" if remedy else ""))
+
+
+class StoreError(ArtiworldError):
+    """The workspace or its database can't be used (newer format, damaged file, no permission)."""
+
+
+class NoSpaceError(InputFileError, StoreError):
+    """The disk has no room for what was to be written; nothing of it is left."""
+
+
+def no_space(path: str | Path, error: OSError) -> NoSpaceError | None:
+    """The error of a full disk, or of a limit on what is written; None for another one."""
+    if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
+        return None
+    problem = f"can't be written: {error.strerror}"
+    return NoSpaceError(path, problem, "check space: remove files there, then do it again")
 
 
 class GeometryError(ArtiworldError):
@@ -51,7 +68,3 @@ class ConfigurationError(ArtiworldError):
 
 class CommandError(ArtiworldError):
     """A session command that the current state doesn't allow."""
-
-
-class StoreError(ArtiworldError):
-    """The workspace or its database can't be used (newer format, damaged file, no permission)."""

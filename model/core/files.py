@@ -13,7 +13,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from model.core.errors import InputFileError
+from model.core.errors import InputFileError, no_space
 
 
 def static_assets() -> Path:
@@ -51,9 +51,8 @@ def written_to(path: Path, remedy: str = "") -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise InputFileError(
-            path, f"can't be written: {error.strerror or error}", remedy
-        ) from error
+        text = f"can't be written: {error.strerror or error}"
+        raise no_space(path, error) or InputFileError(path, text, remedy) from error
 
 
 @contextmanager
@@ -68,12 +67,19 @@ def draft_of(path: Path, whole: Callable[[Path], bool] = lambda _: False) -> Ite
     Args:
         whole: tells of a full folder at ``path`` whether it stays, and the draft is dropped, as
             when somebody else was first; may raise where it must not be there.
+
+    Raises:
+        NoSpaceError: where the disk is full.
     """
     draft = path.with_name(f".{path.stem}.{secrets.token_hex(4)}{path.suffix}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         yield draft
         _take_place(draft, path, whole)
+    except OSError as error:
+        if (full := no_space(path, error)) is not None:
+            raise full from error
+        raise
     finally:
         if draft.is_dir():
             shutil.rmtree(draft, ignore_errors=True)

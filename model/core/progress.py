@@ -12,11 +12,16 @@ import logging
 import os
 import signal
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Hashable, Iterable, Mapping
 from pathlib import Path
 from typing import Protocol, TypeVar
 
+from cachetools import TTLCache
+
+from model.core.errors import ArtiworldError
+
 T = TypeVar("T")
+H = TypeVar("H", bound=Hashable)
 
 log = logging.getLogger(__name__)
 
@@ -59,6 +64,54 @@ def attempt(remarks: list[str], name: str, step: Callable[[], T], default: T) ->
         log.exception("an optional step failed: %s", name)
         remarks.append(f"{name} failed ({type(error).__name__}: {error}): left out")
         return default
+
+
+def each(
+    items: Iterable[T], step: Callable[[T], object], failed: Callable[[T, Exception], object]
+) -> None:
+    """Call ``step`` for each stored item; one that raises goes to ``failed``, and the rest go on.
+
+    Raises:
+        Cancelled: where a step was cancelled.
+    """
+    for item in items:
+        try:
+            step(item)
+        except Cancelled:
+            raise
+        except Exception as error:
+            if not isinstance(error, ArtiworldError | OSError):
+                log.exception("work on %s failed", item)
+            failed(item, error)
+
+
+MOST_TRIES, ASIDE_SECONDS = 3, 600.0
+
+
+class StoredWork:
+    """Work that is repeated for stored items; one that fails too often is set aside for a while.
+
+    Attributes:
+        aside: (work, item) → failures in a row, and the last error; forgotten after a while.
+    """
+
+    def __init__(self) -> None:
+        self.aside = TTLCache[tuple[str, Hashable], tuple[int, str]](10_000, ASIDE_SECONDS)
+
+    def each(self, work: str, items: Iterable[H], step: Callable[[H], object]) -> None:
+        """Call ``step`` for each item that isn't set aside."""
+
+        def one(item: H) -> None:
+            step(item)
+            self.aside.pop((work, item), None)
+
+        def failures(item: H) -> int:
+            return self.aside.get((work, item), (0, ""))[0]
+
+        def failed(item: H, error: Exception) -> None:
+            self.aside[work, item] = failures(item) + 1, f"{type(error).__name__}: {error}"
+
+        each([i for i in items if failures(i) < MOST_TRIES], one, failed)
 
 
 NAMES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")

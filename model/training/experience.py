@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import NoReturn
 
 from model.core.articulated_object import ArticulatedObject, Prediction, SegmentedObject
-from model.core.errors import ArtiworldError, ConfigurationError
+from model.core.errors import ConfigurationError
 from model.core.files import draft_of, write_json, written_to
 from model.core.pool import robust_map
-from model.core.progress import Progress, no_progress
+from model.core.progress import Progress, attempt, no_progress
 from model.evaluation.joint_metrics import ObjectScore, score_object
 from model.evaluation.summary import calibrate
 from model.io.assets.reader import load_object
@@ -168,15 +168,13 @@ def _refuse(folder: Path) -> NoReturn:
 
 
 def _example(asset: Path) -> ObjectExample | None:
-    try:
-        return example_of(load_object(asset), asset.name)
-    except ArtiworldError:
-        return None
+    return attempt([], asset.name, lambda: example_of(load_object(asset), asset.name), None)
 
 
 def _compare(everything: Experience, asset: Path) -> _Compared | None:
     """Predict an accepted object without experience, and with that of the others."""
-    try:
+
+    def compared() -> _Compared:
         accepted = load_object(asset)
         segmented = SegmentedObject(accepted.name, accepted.parts, accepted.category)
         structure = read_structure(segmented)
@@ -186,8 +184,8 @@ def _compare(everything: Experience, asset: Path) -> _Compared | None:
         )
         followed = frozenset(link for link, e in evidence.items() if EXPERIENCE in e)
         return _Compared(_score(accepted, plain), _score(accepted, found), followed)
-    except ArtiworldError:
-        return None
+
+    return attempt([], asset.name, compared, None)
 
 
 def _score(accepted: ArticulatedObject, found: Prediction) -> ObjectScore:

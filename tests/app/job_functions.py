@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import errno
 import os
 import re
 import resource
@@ -48,6 +49,10 @@ def wait_for(path: Path) -> None:
     """Keep the worker until a file is there."""
     while not path.exists():
         time.sleep(0.05)
+
+
+def no_room() -> None:
+    raise OSError(errno.ENOSPC, "No space left on device")
 
 
 def count_calls() -> int:

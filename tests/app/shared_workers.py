@@ -38,6 +38,10 @@ class SharedWorker:
         self._jobs.add(job)
         return job
 
+    def adopt(self, job: Job[Any], most_seconds: float | None) -> None:
+        self._jobs.add(job)
+        self._worker.adopt(job, most_seconds)
+
     @property
     def name(self) -> str:
         return self._worker.name

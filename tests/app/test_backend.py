@@ -178,8 +178,8 @@ def test_wrong_tokens_are_refused_for_a_while_and_the_right_one_is_heard():
         ("POST", "/v1/predict", b"", {}, 400, "no NPZ archive"),
         ("POST", "/v1/predict", b"x", {"Content-Type": "text/plain"}, 415, CONTENT_TYPE),
         ("POST", "/v1/predict", b"x" * 1_000_001, {}, 413, "larger than 1 MB"),
-        ("GET", "/v1/predict", b"", {}, 405, "method not allowed"),
-        ("GET", "/docs", b"", {}, 404, "not found"),
+        ("GET", "/v1/predict", b"", {}, 405, "Method Not Allowed"),
+        ("GET", "/docs", b"", {}, 404, "Not Found"),
     ],
 )
 def test_what_is_no_request_gets_a_plain_refusal(url, method, path, body, headers, status, words):

@@ -50,7 +50,7 @@ def backend(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
     from app.server import backend_server
     from app.server.backend_server import Backend, BackendSettings
 
-    monkeypatch.setattr(backend_server, "HEADER_SECONDS", 0.5)
+    monkeypatch.setattr(network, "FIRST_SECONDS", 0.5)
     monkeypatch.setattr(backend_server.LimitedProtocol, "max_sockets", 30)
     server = backend_server.limited_server(Backend(BackendSettings("geometric"), []).application())
     with socket.create_server(("127.0.0.1", 0)) as listener:

@@ -50,7 +50,7 @@ def there(browser: Browser) -> str:
     answer = connection.get(f"http://127.0.0.1:{browser.port}/api/v1/oidc/login?next=//evil.test")
     assert answer.status_code == 303
     cookie = answer.headers["Set-Cookie"]
-    assert "HttpOnly" in cookie and "SameSite=Lax" in cookie
+    assert "HttpOnly" in cookie and "SameSite=lax" in cookie
     browser.cookie = cookie.partition(";")[0]
     return answer.headers["Location"]
 

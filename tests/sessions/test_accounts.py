@@ -253,3 +253,24 @@ def test_nothing_of_the_audit_can_be_changed(people, store, statement):
     with pytest.raises(sqlite3.IntegrityError, match="append-only"):
         database.execute(statement)
     database.close()
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "\u0430nn", "a\u200bnn", "ann\u200d", "a\u00adnn", "a\ufe0fnn", "a\u034fnn", "ann\u3164",
+        "\u0410nn Lee", "\u03bfscar", "a\u202enn", "ann\x00", "a\tnn", "\u0455\u0441ot",
+    ],
+)  # fmt: skip
+def test_names_that_look_like_another_are_refused(store: Store, name: str) -> None:
+    with pytest.raises(ConfigurationError, match=r"can't be seen|mixes"):
+        store.people.accounts.invite(name, "annotator")
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["Ann Lee", "Žofie", "Ольга П.", "李雷", "山田 たろう", "김철수", "José-María 2", "Li 李"],
+)
+def test_names_of_one_script_are_taken(store: Store, name: str) -> None:
+    store.people.accounts.invite(name, "annotator")
+    assert name in [a.name for a in store.people.accounts.all()]

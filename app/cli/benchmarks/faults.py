@@ -9,6 +9,7 @@ import itertools
 import json
 import os
 import random
+import secrets
 import shutil
 import subprocess
 import sys
@@ -55,6 +56,8 @@ from model.io.write import write_cloud
 from model.scenes.registry import read_scene
 from model.scenes.unpacking import unpack
 from sessions.commands import NamePart
+from sessions.release_files import check_release, write_release
+from sessions.releases import Release, accepted_assets
 from sessions.store import Store
 
 PEOPLE, POINTS = 6, 50_000
@@ -68,11 +71,12 @@ TRIANGLE = f"data:application/octet-stream;base64,{b64encode(_CORNERS.tobytes())
 
 
 def click_beside(seconds: int, seed: int, progress: Progress) -> list[dict[str, Any]]:
-    """Measure clicks without and with somebody who opens the worst files.
+    """Measure clicks, and waits for small files, without and with somebody who opens the worst.
 
     Returns:
         One row each: clicks, those lost, times in ms of the others, their 95th percentile by the
-        one without, and the number of worst files that opened, were refused, or were left.
+        one without, the number of worst files that opened, were refused, or were left, and the
+        95th percentile of the seconds until a small file of another person is read.
     """
     with tempfile.TemporaryDirectory(prefix="artiworld-clients-") as folder:
         root = Path(folder)
@@ -86,10 +90,11 @@ def click_beside(seconds: int, seed: int, progress: Progress) -> list[dict[str, 
             ids = [record.id for record in server.app_state.queue.records()]
             tabs = [_tab(server, id) for id in (*ids, ids[0])]
             progress(0.1, "alone")
-            rows = [_phase(tabs[:-1], seconds * QUIET, seed, None)]
+            small = partial(_open_small, server, root)
+            rows = [_phase(tabs[:-1], seconds * QUIET, seed, small, None)]
             attack = partial(_open, server, tabs[-1][1], worst)
             progress(QUIET, "beside the worst files")
-            rows.append(_phase(tabs[:-1], seconds, seed + 1, attack))
+            rows.append(_phase(tabs[:-1], seconds, seed + 1, small, attack))
         finally:
             server.close()
     return [{**row, "p95 ratio": round(row["p95 ms"] / rows[0]["p95 ms"], 2)} for row in rows]
@@ -113,13 +118,17 @@ def _tab(server: Any, id: int) -> tuple[SimulatedBrowser, Any]:
     return browser, app
 
 
-def _phase(tabs: list[tuple[Any, Any]], seconds: float, seed: int, attack: Any) -> dict[str, Any]:
-    """Let everybody click for so long, beside ``attack``, which gets the end; one row."""
-    end, taken = time.perf_counter() + seconds, list[float]()
+def _phase(
+    tabs: list[tuple[Any, Any]], seconds: float, seed: int, small: Any, attack: Any
+) -> dict[str, Any]:
+    """Let everybody click for so long, beside ``small`` and ``attack``, which get the end; one
+    row."""
+    end, taken, waits = time.perf_counter() + seconds, list[float](), list[float]()
     threads = [
         threading.Thread(target=_work, args=(*tab, end, np.random.default_rng((seed, i)), taken))
         for i, tab in enumerate(tabs)
     ]
+    threads.append(threading.Thread(target=small, args=(end, waits)))
     for thread in threads:
         thread.start()
     files = Counter[str]() if attack is None else attack(end)
@@ -132,7 +141,21 @@ def _phase(tabs: list[tuple[Any, Any]], seconds: float, seed: int, attack: Any) 
         "lost": lost,
         **waiting_times([t for t in taken if t < LOST] or [LOST]),
         **{what: files[what] for what in ("opened", "refused", "left")},
+        "small file p95 s": round(float(np.percentile(waits, 95)), 1),
     }
+
+
+def _open_small(server: Any, folder: Path, end: float, waits: list[float]) -> None:
+    """Open new small files as somebody else, one a second; seconds until each is read."""
+    while time.perf_counter() < end:
+        path = folder / f"small {secrets.token_hex(4)}.obj"
+        path.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+        record = server.app_state.store.open_object(path, None, path.stem)
+        obj, began = server.app_state.object(record.id), time.perf_counter()
+        while obj.asset is None and not obj.problem and time.perf_counter() < began + LOST:
+            time.sleep(0.02)
+        waits.append(time.perf_counter() - began)
+        time.sleep(1.0)
 
 
 def _work(
@@ -231,8 +254,9 @@ def write_worst(folder: Path) -> list[Path]:
     return out
 
 
-MOST_DECISIONS = 9
-"""Before a kill; three are an object."""
+KINDS = ("uploaded", "sorted", "named", "accepted", "released")
+MOST_DECISIONS = 3 * len(KINDS)
+"""Before a kill; so many kinds are an object."""
 LONGEST = 1.0
 """Seconds from a decision to a kill; the next one is there before."""
 _CABINET = """<mujoco model="cabinet"><worldbody><body name="case">
@@ -258,7 +282,7 @@ def kill_servers(kills: int, seed: int, progress: Progress) -> dict[str, Any]:
             decided += _killed(workspace, f"{seed}-{number}", random.Random(f"{seed}-{number}"))
             lost = _lost(workspace, decided)
             left |= {str(p.relative_to(workspace)) for p in unfinished(workspace)}
-    count = {kind: sum(d[0] == kind for d in decided) for kind in ("uploaded", "named", "accepted")}
+    count = {kind: sum(d[0] == kind for d in decided) for kind in KINDS}
     return {"kills": kills, **count, "lost": "; ".join(lost), "left over": "; ".join(sorted(left))}
 
 
@@ -293,20 +317,24 @@ def _lost(workspace: Path, decided: list[list[str]]) -> list[str]:
 
 def _is_there(state: AppState, queued: set[int], kind: str, number: str, name: str = "") -> bool:
     document = state.store.load(int(number)).present
-    if kind == "named":
-        return document.part_names.get(1) == name.strip()
-    if kind == "accepted":
-        if document.review.state != "accepted" or document.saved is None:
-            return False
-        try:
-            return len(load_object(document.saved.folder).parts) == 2
-        except ArtiworldError:
-            return False
+    if kind in ("named", "sorted"):
+        return name.strip() in (document.part_names.get(1), document.category)
+    saved = document.saved
+    try:
+        if kind == "released":
+            check_release(state.workspace / "releases" / name.strip())
+        elif kind == "accepted":
+            whole = saved is not None and len(load_object(saved.folder).parts) == 2
+            return whole and document.review.state == "accepted"
+    except ArtiworldError:
+        return False
     return int(number) in queued
 
 
 def work(workspace: str, name: str) -> None:
-    """Be a server to be killed: upload, name and accept objects, and say what is done."""
+    """Be a server to be killed: upload, sort (as bulk work), name, accept and release objects, and
+    say what is done.
+    """
     config = ServeConfig(workspace=Path(workspace))
     state = AppState(config, Store(config.workspace), [])
     rng = random.Random(name)
@@ -317,12 +345,18 @@ def work(workspace: str, name: str) -> None:
         print("uploaded", object_id, flush=True)
         obj = state.object(object_id)
         wait_for(lambda obj=obj: obj.document.segmentation_current and obj.document.tree, "joints")
+        state.bulk.set_category([object_id], f"kind {name} {number}", "ann", lambda *_: None)
+        wait_for(lambda: state.bulk.progress is None, "the bulk work")
+        print("sorted", object_id, f"kind {name} {number}", flush=True)
         obj.do(NamePart(1, f"door {name} {number}"), "ann")
         print("named", object_id, f"door {name} {number}", flush=True)
         report = wait_for(lambda obj=obj: obj.validation.report, "validation")
         accept(obj, "", "ann", "as it is", seen=report)
         wait_for(lambda obj=obj: obj.document.saved, "the asset")
         print("accepted", object_id, flush=True)
+        release, out = Release(name, f"{number}", "folder"), Path("releases", f"{name}-{number}")
+        write_release(release, accepted_assets(state.store)[-3:], state.workspace / out)
+        print("released", object_id, out.name, flush=True)
 
 
 SECONDS = 60.0
@@ -349,7 +383,7 @@ def faults_bench(options: FaultsBench, progress: Progress) -> Result:
     ):
         for seed in range(options.seed, options.seed + files):
             progress((seed - options.seed) / max(files, 1), f"file of seed {seed}")
-            sample = _sample_of(samples, seed)
+            sample = samples[seed % len(samples)]  # so that each format gets as many files
             outcome, message = _read(worker, sample, seed, Path(folder))
             counts[sample.name][outcome] += 1
             if outcome in BAD:
@@ -367,11 +401,6 @@ def faults_bench(options: FaultsBench, progress: Progress) -> Result:
     lost = any(row["lost"] for row in report.get("clients", ()))
     report["failed"] = bool(bad or lost or kills.get("lost") or kills.get("left over"))
     return Result(report, lambda: _print(report), int(report["failed"]))
-
-
-def _sample_of(samples: list[FaultSample], seed: int) -> FaultSample:
-    """One format after the other, so that each gets as many files."""
-    return samples[seed % len(samples)]
 
 
 def _read(worker: WorkerProcess, sample: FaultSample, seed: int, root: Path) -> tuple[str, str]:

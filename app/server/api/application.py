@@ -5,10 +5,12 @@ from __future__ import annotations
 import secrets
 from importlib.metadata import version
 from importlib.resources import files
+from typing import Any
 
-from fastapi import FastAPI, HTTPException, Request
+from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import HTMLResponse, JSONResponse, Response
+from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp
 
 from app.server.api.entry import entry_router, oidc_router
@@ -18,15 +20,17 @@ from app.server.api.people import people_router
 from app.server.api.project import project_router, statistics_router, webhooks_router
 from app.server.api.sessions import reviews_router, sessions_router
 from app.server.app_state import AppState
-from app.server.entrance import Entrance, Origins, TooManyAttempts
+from app.server.entrance import Entrance, Origins
 from app.server.network import API
-from model.core.errors import ArtiworldError, CommandError, StoreError
+from model.core.errors import ArtiworldError, CommandError, NoSpaceError, StoreError, no_space
+from sessions.accounts import TooManyAttempts
 from sessions.review import NotPermittedError
 
 _STATUS: tuple[tuple[type[ArtiworldError], int], ...] = (
     (TooManyAttempts, 429),
     (NotPermittedError, 403),
     (CommandError, 409),
+    (NoSpaceError, 507),
     (StoreError, 503),
     (ArtiworldError, 400),
 )
@@ -76,9 +80,8 @@ def make_application(app_state: AppState, entrance: Entrance, origins: Origins) 
     app.add_api_route(f"{API}/docs", _page, include_in_schema=False)
     app.add_api_route(f"{API}/docs/{{name}}", _document, include_in_schema=False)
     app.add_exception_handler(ArtiworldError, _refused)
+    app.add_exception_handler(OSError, _failed)
     app.add_exception_handler(HTTPException, _http_error)
-    app.add_exception_handler(404, _http_error)
-    app.add_exception_handler(405, _http_error)
     app.add_exception_handler(RequestValidationError, _invalid)
     limit = app_state.config.max_upload_mb * 1_000_000
     return ApiGuard(app, origins, entrance, f"{API}/objects", limit)
@@ -110,14 +113,18 @@ def _refused(request: Request, error: Exception) -> Response:
     return JSONResponse({"error": str(error)}, status)
 
 
-def _http_error(request: Request, error: Exception) -> Response:
-    assert isinstance(error, HTTPException) or hasattr(error, "status_code")
-    status, detail = error.status_code, error.detail  # type: ignore[attr-defined]
+def _failed(request: Request, error: Any) -> Response:
+    if (full := no_space(error.filename or "the workspace", error)) is None:
+        raise error
+    return _refused(request, full)
+
+
+def _http_error(request: Request, error: Any) -> Response:
+    status, detail = error.status_code, error.detail
     return JSONResponse({"error": str(detail).lower() if status in (404, 405) else detail}, status)
 
 
-def _invalid(request: Request, error: Exception) -> Response:
-    assert isinstance(error, RequestValidationError)
+def _invalid(request: Request, error: Any) -> Response:
     first = error.errors()[0]
     where = ".".join(str(part) for part in first["loc"])
     return JSONResponse({"error": f"{where}: {first['msg']}"}, 422)

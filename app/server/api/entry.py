@@ -4,19 +4,17 @@ organisation's provider, there and back.
 
 from __future__ import annotations
 
-from typing import Any
-
 from fastapi import APIRouter, HTTPException, Request, Response
 from fastapi.responses import HTMLResponse, RedirectResponse
 from pydantic import BaseModel, Field
 
-from app.server.api.guard import State, TheEntrance, Visitor
-from app.server.entrance import TooManyAttempts, session_cookie
-from app.server.login import answer_page, cookie_name
+from app.server.api.guard import Json, State, TheEntrance, Visitor
+from app.server.login import cookie_name, login_page
 from app.server.network import API, url
 from app.server.oidc import OidcLogin
 from model.core.errors import ConfigurationError
-from sessions.credentials import LOGIN_SECONDS
+from sessions.accounts import TooManyAttempts
+from sessions.credentials import LOGIN_SECONDS, SESSION_SECONDS
 
 entry_router = APIRouter(tags=["login"])
 
@@ -48,9 +46,7 @@ class PasswordBody(BaseModel):
 
 
 @entry_router.post("/login")
-def log_in(
-    body: LoginBody, request: Request, response: Response, entrance: TheEntrance
-) -> dict[str, Any]:
+def log_in(body: LoginBody, request: Request, response: Response, entrance: TheEntrance) -> Json:
     """Begin a browser session; the answer sets its cookie."""
     try:
         secret = entrance.log_in(body.name, body.password, _address(request))
@@ -63,7 +59,7 @@ def log_in(
 
 
 @entry_router.post("/logout")
-def log_out(person: Visitor, request: Request, response: Response, state: State) -> dict[str, Any]:
+def log_out(person: Visitor, request: Request, response: Response, state: State) -> Json:
     """End this browser session."""
     if person.session is not None:
         state.store.people.credentials.end_session(person.session, _address(request))
@@ -72,14 +68,14 @@ def log_out(person: Visitor, request: Request, response: Response, state: State)
 
 
 @entry_router.get("/me")
-def me(person: Visitor) -> dict[str, Any]:
+def me(person: Visitor) -> Json:
     """Current user and permissions."""
     role = None if person.account is None else person.account.role
     return {"name": person.name, "role": role, "scopes": sorted(person.scopes)}
 
 
 @entry_router.post("/invitation")
-def invitation(body: InvitationBody, state: State) -> dict[str, Any]:
+def invitation(body: InvitationBody, state: State) -> Json:
     """Whom an invitation is for."""
     account = state.store.people.accounts.invited(body.code)
     if account is None:
@@ -88,18 +84,16 @@ def invitation(body: InvitationBody, state: State) -> dict[str, Any]:
 
 
 @entry_router.post("/invitation/accept")
-def accept_invitation(
-    body: ClaimBody, request: Request, response: Response, state: State, entrance: TheEntrance
-) -> dict[str, Any]:
+def accept_invitation(body: ClaimBody, request: Request, response: Response, state: State) -> Json:
     """Choose a password; the answer sets the cookie of a browser session."""
-    address = _address(request)
-    account = state.store.people.accounts.claim(body.code, body.password, address)
-    _set_cookie(request, response, entrance.begin(account, address))
+    people, address = state.store.people, _address(request)
+    account = people.accounts.claim(body.code, body.password, address)
+    _set_cookie(request, response, people.credentials.begin_session(account, address))
     return {"name": account.name, "role": account.role}
 
 
 @entry_router.post("/password")
-def change_password(body: PasswordBody, person: Visitor, state: State) -> dict[str, Any]:
+def change_password(body: PasswordBody, person: Visitor, state: State) -> Json:
     """Change the password; all other browser sessions and all tokens end."""
     if person.account is None or person.session is None:
         raise HTTPException(403, "change it in a browser in which you are logged in")
@@ -114,10 +108,18 @@ def _address(request: Request) -> str:
     return "" if request.client is None else request.client.host
 
 
-def _set_cookie(request: Request, response: Response, secret: str) -> None:
-    secure = request.headers.getlist("X-Forwarded-Proto") == ["https"]
-    port = request.app.state.origins.port
-    response.headers["Set-Cookie"] = session_cookie(secret, port, secure=secure)
+def _set_cookie(request: Request, response: Response, secret: str, *, there: bool = False) -> None:
+    """Set the cookie of a browser session, or of a login ``there``; "" as secret ends it."""
+    response.set_cookie(
+        _name(request) if there else cookie_name(request.app.state.origins.port),
+        secret,
+        int(LOGIN_SECONDS if there else SESSION_SECONDS) if secret else 0,
+        path=_CALLBACK if there else "/",
+        secure=request.headers.getlist("X-Forwarded-Proto") == ["https"],
+        httponly=True,
+        # The provider's page leads back here, and a strict cookie would stay behind.
+        samesite="lax" if there else "strict",
+    )
 
 
 oidc_router = APIRouter(tags=["login"])
@@ -132,16 +134,12 @@ def log_in_there(request: Request, state: State, entrance: TheEntrance) -> Respo
     except ConfigurationError as error:
         return _page(str(error), 502)
     answer = RedirectResponse(address, 303)
-    answer.headers["Set-Cookie"] = _cookie(request, browser)
+    _set_cookie(request, answer, browser, there=True)
     return answer
 
 
 @oidc_router.get("/oidc/callback")
-def come_back(
-    request: Request,
-    state: State,
-    entrance: TheEntrance,
-) -> Response:
+def come_back(request: Request, state: State, entrance: TheEntrance) -> Response:
     """Take the provider's answer; a browser session begins where it is right."""
     oidc = _need(entrance.oidc)
     browser = request.cookies.get(_name(request), "")
@@ -149,14 +147,12 @@ def come_back(
     try:
         account = oidc.finish(dict(request.query_params), browser, _redirect(request, state))
     except ConfigurationError as error:
-        people.audit.add("login_failed", "", "provider", str(error), _address_of(request))
+        people.audit.add("login_failed", "", "provider", str(error), _address(request))
         return _page(str(error), 403)
     answer = _page("", 200)
-    secure = request.headers.getlist("X-Forwarded-Proto") == ["https"]
-    secret = entrance.begin(account, _address_of(request))
-    port = request.app.state.origins.port
-    answer.headers.append("Set-Cookie", session_cookie(secret, port, secure=secure))
-    answer.headers.append("Set-Cookie", _cookie(request, ""))
+    secret = people.credentials.begin_session(account, _address(request))
+    _set_cookie(request, answer, secret)
+    _set_cookie(request, answer, "", there=True)
     return answer
 
 
@@ -177,20 +173,6 @@ def _name(request: Request) -> str:
     return f"{cookie_name(request.app.state.origins.port)}_login"
 
 
-def _cookie(request: Request, secret: str) -> str:
-    # Lax: the provider's page leads back here, and a strict cookie would stay behind.
-    seconds = int(LOGIN_SECONDS) if secret else 0
-    secure = request.headers.getlist("X-Forwarded-Proto") == ["https"]
-    return (
-        f"{_name(request)}={secret}; Path={_CALLBACK}; HttpOnly; SameSite=Lax; Max-Age={seconds}"
-        + ("; Secure" if secure else "")
-    )
-
-
 def _page(problem: str, status: int) -> Response:
-    body, policy = answer_page(problem)
+    body, policy = login_page("answer", problem=problem)
     return HTMLResponse(body, status, headers={"Content-Security-Policy": policy})
-
-
-def _address_of(request: Request) -> str:
-    return "" if request.client is None else request.client.host

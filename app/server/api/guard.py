@@ -3,46 +3,45 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
-import json
+import functools
 import logging
+import math
+import secrets
+import threading
+from collections.abc import Callable
+from concurrent.futures import Future
 from http.cookies import CookieError
 from typing import Annotated, Any
+from urllib.parse import unquote
 
-from fastapi import Depends, HTTPException, Request
+from fastapi import APIRouter, Depends, Request
+from fastapi.responses import JSONResponse
+from pydantic import Field
 from starlette.datastructures import Headers, MutableHeaders
+from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from app.server.app_state import AppState
 from app.server.entrance import Entrance, Origins
+from app.server.network import API, HEADERS, LEAST_RATE, discard, limited
 from sessions.credentials import Person
 from sessions.credentials import Scope as TokenScope
 
 log = logging.getLogger(__name__)
+STRANGER_SECONDS = 10.0
+"""Longest time of the request of somebody who isn't logged in, such as a login."""
 BODY_SECONDS = 30.0
-"""Longest pause in the middle of a request."""
-DISCARD_SECONDS = 1.0
-"""How long the body of a refused request is read, and thrown away."""
+"""Longest time of other requests but for large ones."""
 JSON_BYTES = 1_000_000
 """Largest request but for an upload."""
 OWN_HEADER = "X-ArtiWorld"
 """A page of another site can't send it, so a request with a cookie needs it to change anything."""
-_HEADERS = {
-    "X-Content-Type-Options": "nosniff",
-    "X-Frame-Options": "DENY",
-    "Referrer-Policy": "no-referrer",
-    "Cross-Origin-Resource-Policy": "same-origin",
+_HEADERS = HEADERS | {
     "Content-Security-Policy": "default-src 'none'; frame-ancestors 'none'",
     "Cache-Control": "no-store",
     # The next request on a kept connection could be for viser's pages, which others answer.
     "Connection": "close",
 }
-
-
-class _Refused(Exception):
-    def __init__(self, status: int, text: str) -> None:
-        self.status, self.text = status, text
-        super().__init__(text)
 
 
 class ApiGuard:
@@ -79,20 +78,21 @@ class ApiGuard:
 
         headers = Headers(scope=scope)
         try:
+            if "\0" in unquote(scope["path"] + scope["query_string"].decode("latin-1")):
+                raise HTTPException(400, "the address has a character that no text has")
             person = await self._who(scope, headers)
             scope.setdefault("state", {})["person"] = person
             limit = self._upload_bytes if scope["path"] == self._upload_path else JSON_BYTES
-            await self._app(scope, _limited(receive, limit, headers), answer)
-        except _Refused as refused:
+            rate = LEAST_RATE if person is not None else math.inf
+            seconds = BODY_SECONDS if person is not None else STRANGER_SECONDS
+            await self._app(scope, limited(receive, headers, limit, seconds, rate), answer)
+        except HTTPException as refused:
             if begun:
                 raise
             if "Expect" not in headers:  # it waits for the answer before it sends
-                await _discard(receive)
-            body = json.dumps({"error": refused.text}).encode()
-            kind = (b"content-type", b"application/json")
-            start = {"type": "http.response.start", "status": refused.status, "headers": [kind]}
-            await answer(start)
-            await answer({"type": "http.response.body", "body": body})
+                await discard(receive)
+            refusal = JSONResponse({"error": refused.detail}, refused.status_code)
+            await refusal(scope, receive, answer)
 
     async def _who(self, scope: Scope, headers: Headers) -> Person | None:
         address = str((scope.get("client") or ("",))[0])
@@ -110,50 +110,14 @@ class ApiGuard:
         try:
             person, login = await asyncio.to_thread(find)
         except CookieError as error:
-            raise _Refused(400, "bad cookie") from error
+            raise HTTPException(400, "bad cookie") from error
         problem = self._origins.problem(headers.getlist, login=login)
         if problem:
-            raise _Refused(403, problem)
+            raise HTTPException(403, problem)
         changes = scope["method"] not in ("GET", "HEAD", "OPTIONS")
         if changes and not kind and OWN_HEADER not in headers:
-            raise _Refused(403, f"send the header {OWN_HEADER}: 1, or a token")
+            raise HTTPException(403, f"send the header {OWN_HEADER}: 1, or a token")
         return person
-
-
-async def _discard(receive: Receive) -> None:
-    """Take what is on its way: a client that is cut off while it sends never sees the answer."""
-    with contextlib.suppress(TimeoutError):
-        async with asyncio.timeout(DISCARD_SECONDS):
-            while (await receive()).get("more_body"):
-                pass
-
-
-def _limited(receive: Receive, limit: int, headers: Headers) -> Receive:
-    declared = headers.get("Content-Length", "0")
-    if not declared.isdigit() or int(declared) > limit:
-        raise _Refused(413, f"the request is larger than {limit / 1e6:g} MB")
-    taken = 0
-
-    async def next_message() -> Message:
-        nonlocal taken
-        message = await receive()
-        taken += len(message.get("body", b""))
-        if taken > limit:
-            raise _Refused(413, f"the request is larger than {limit / 1e6:g} MB")
-        return message
-
-    async def in_time() -> Message:
-        if taken and taken >= int(declared) > 0:  # only the end of the connection may come
-            return await receive()
-        try:
-            async with asyncio.timeout(BODY_SECONDS):
-                return await next_message()
-        except TimeoutError as error:
-            if taken >= int(declared):
-                return {"type": "http.disconnect"}
-            raise _Refused(408, "the request timed out") from error
-
-    return in_time
 
 
 def _person(request: Request) -> Person:
@@ -182,6 +146,11 @@ def _entrance(request: Request) -> Entrance:
     return request.app.state.entrance
 
 
+Json = dict[str, Any]
+Id = Annotated[int, Field(ge=1, le=2**31 - 1)]
+"""A number that something is stored under; larger ones don't fit into a database's column."""
+Count = Annotated[int, Field(ge=0, le=2**31 - 1)]
+"""How many, or a place from 0."""
 State = Annotated[AppState, Depends(_state)]
 TheEntrance = Annotated[Entrance, Depends(_entrance)]
 Visitor = Annotated[Person, Depends(_person)]
@@ -189,3 +158,68 @@ Reader = Annotated[Person, need("read")]
 Annotator = Annotated[Person, need("annotate")]
 Reviewer = Annotated[Person, need("review")]
 Manager = Annotated[Person, need("manage")]
+
+ANSWER_SECONDS = 1.5
+"""Time after which an answer is a job to ask for."""
+MOST_JOBS = 128
+"""Requests at a time; a person may have a quarter. So many results wait for their people."""
+_jobs: dict[str, tuple[str, Future[Any]]] = {}
+
+
+async def in_time(person: Person, work: Callable[[], Any]) -> Any:
+    """Return the result of ``work``, or after a while an answer with the job to ask for.
+
+    Each has a thread of its own, so quick requests wait for none.
+
+    Raises:
+        HTTPException: 429, where a person, or all of them, have too many.
+    """
+    running = [who for who, answer in _jobs.values() if not answer.done()]
+    if len(running) >= MOST_JOBS or running.count(person.name) >= MOST_JOBS // 4:
+        raise HTTPException(429, "too many requests are being worked on; wait for some")
+    for old in [number for number, (_, answer) in _jobs.items() if answer.done()][:-MOST_JOBS]:
+        del _jobs[old]
+    number, answer = secrets.token_hex(12), Future[Any]()
+    _jobs[number] = person.name, answer
+    answer.set_running_or_notify_cancel()  # who leaves doesn't cancel it
+
+    def run() -> None:
+        try:
+            answer.set_result(work())
+        except BaseException as error:
+            answer.set_exception(error)
+
+    threading.Thread(target=run, name="request", daemon=True).start()
+    return await result_of(person, number)
+
+
+async def result_of(person: Person, number: str) -> Any:
+    """Return the result of a person's job, once; or its number again, where it takes longer.
+
+    Raises:
+        HTTPException: 404, where the person has no such job.
+        Exception: as the work raised it.
+    """
+    who, answer = _jobs.get(number, (None, Future[Any]()))
+    if who != person.name:
+        raise HTTPException(404, "there is no such job of yours, or you have its result")
+    ended = asyncio.wrap_future(answer)
+    ended.add_done_callback(lambda done: done.cancelled() or done.exception())  # raised below
+    await asyncio.wait([ended], timeout=ANSWER_SECONDS)
+    if not answer.done():
+        return JSONResponse({"job": number}, 202, {"Location": f"{API}/jobs/{number}"})
+    _jobs.pop(number, None)
+    return answer.result()
+
+
+class LongRouter(APIRouter):
+    """Its routes have a ``person`` and may take long."""
+
+    def add_api_route(self, path: str, endpoint: Callable[..., Any], **settings: Any) -> None:
+        """See the base class."""
+
+        @functools.wraps(endpoint)
+        async def answered(**values: Any) -> Any:
+            return await in_time(values["person"], functools.partial(endpoint, **values))
+
+        super().add_api_route(path, answered, **settings)

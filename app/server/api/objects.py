@@ -4,7 +4,6 @@ and the accepted ones as files.
 
 from __future__ import annotations
 
-import asyncio
 import secrets
 import shutil
 import time
@@ -16,13 +15,14 @@ from typing import Annotated, Any
 from fastapi import APIRouter, HTTPException, Query, Request
 from fastapi.responses import Response
 from pydantic import BaseModel, Field
-from starlette.concurrency import run_in_threadpool
 
-from app.server.api.guard import Annotator, Manager, Reader, State
+from app.server.api import guard
+from app.server.api.guard import Annotator, Count, Id, Json, LongRouter, Manager, Reader, State
 from app.server.app_state import AppState
 from app.server.export_tasks import ExportTask, export_one, zipped
 from app.server.open_object import OpenObject
 from model.core import codec
+from model.core.progress import each
 from model.io.export.registry import exporter_names
 from model.physics.simulation_values import PhysicsSettings
 from sessions.accounts import Account
@@ -35,10 +35,10 @@ from sessions.state import SessionState
 objects_router = APIRouter(tags=["objects"])
 MOST = 500
 """Objects in one answer."""
-OPEN_SECONDS = 60.0
+OPEN_SECONDS = 600.0
 """Longest wait for an object to be read, or for labels that are being computed."""
-POLL_SECONDS, LOOK_SECONDS = 0.05, 0.01
-"""Pause between two looks of a waiting thread, and of the event loop."""
+POLL_SECONDS = 0.02
+"""Pause between two looks of a waiting thread."""
 KEEP_SECONDS = 300.0
 """An object that a script worked on stays open so long after: it would be encoded anew else."""
 
@@ -51,9 +51,9 @@ def list_objects(
     category: str | None = None,
     search: str = "",
     assigned_to: str | None = None,
-    first: Annotated[int, Query(ge=0)] = 0,
+    first: Count = 0,
     count: Annotated[int, Query(ge=1, le=MOST)] = 100,
-) -> dict[str, Any]:
+) -> Json:
     """List objects in the order of the queue, filtered."""
     assigned = state.store.people.work.assigned()
     words = search.lower().split()
@@ -70,16 +70,24 @@ def list_objects(
 
 
 @objects_router.post("/objects", status_code=201)
-async def upload(request: Request, name: str, person: Annotator, state: State) -> dict[str, Any]:
+async def upload(request: Request, name: str, person: Annotator, state: State) -> Any:
     """Add a file, or a zip of one object or several; the body is its content."""
     content = await request.body()
-    object_id = await run_in_threadpool(state.add_upload, name, content)
-    record = await run_in_threadpool(state.store.object, object_id)
-    return _line(record, None)
+
+    def add() -> Json:
+        return _line(state.store.object(state.add_upload(name, content)), None)
+
+    return await guard.in_time(person, add)
+
+
+@objects_router.get("/jobs/{number}")
+async def job(number: str, person: guard.Visitor) -> Any:
+    """The result of a request that was answered with a job, once; 202 while it is worked on."""
+    return await guard.result_of(person, number)
 
 
 @objects_router.get("/objects/{object_id}")
-def one_object(object_id: int, person: Reader, state: State) -> dict[str, Any]:
+def one_object(object_id: Id, person: Reader, state: State) -> Json:
     """Decisions about one object: parts, prompts, joints, review."""
     record = record_of(state, object_id)
     assigned = state.store.people.work.assigned().get(object_id)
@@ -98,21 +106,21 @@ def record_of(state: AppState, object_id: int) -> ObjectRecord:
     return state.store.object(object_id)
 
 
-def opened(state: AppState, object_id: int) -> OpenObject:
+def opened(state: AppState, object_id: int, person: Person) -> OpenObject:
     """Return an object that is read, after a wait if needed.
 
     Raises:
         HTTPException: where it can't be read, or takes too long.
     """
     record_of(state, object_id)
-    obj = state.object(object_id, KEEP_SECONDS)
+    obj = state.object(object_id, KEEP_SECONDS, person.name)
     wait(lambda: obj.asset is not None or obj.problem is not None)
     if obj.problem is not None:
         raise HTTPException(409, f"the object can't be read: {obj.problem}")
     return obj
 
 
-def decide(state: AppState, object_id: int, command: Command, person: Person) -> dict[str, Any]:
+def decide(state: AppState, object_id: int, command: Command, person: Person) -> Json:
     """Give a command; returns the object after it.
 
     The asset is read only where that is needed: before the first decision, as a file's own parts
@@ -121,10 +129,10 @@ def decide(state: AppState, object_id: int, command: Command, person: Person) ->
     record_of(state, object_id)
     live = state.session(object_id)
     if live.state.seq == 0:
-        opened(state, object_id)
+        opened(state, object_id, person)
     after = live.do(command, person.name, role=person.role)
     if after.present.needs_labels:
-        state.object(object_id, KEEP_SECONDS)
+        state.object(object_id, KEEP_SECONDS, person.name)
     return document_json(after)
 
 
@@ -136,25 +144,12 @@ def wait(ready: Callable[[], bool]) -> None:
     """
     end = time.monotonic() + OPEN_SECONDS
     while not ready():
-        _check_time(end)
+        if time.monotonic() > end:
+            raise HTTPException(503, "this takes long; ask again later")
         time.sleep(POLL_SECONDS)
 
 
-async def wait_on_loop(ready: Callable[[], bool]) -> None:
-    """As :func:`wait`, without a thread: all requests share forty. The event loop calls ``ready``,
-    which must only look."""
-    end = time.monotonic() + OPEN_SECONDS
-    while not ready():
-        _check_time(end)
-        await asyncio.sleep(LOOK_SECONDS)
-
-
-def _check_time(end: float) -> None:
-    if time.monotonic() > end:
-        raise HTTPException(503, "this takes long; ask again later")
-
-
-def document_json(state: SessionState) -> dict[str, Any]:
+def document_json(state: SessionState) -> Json:
     """Return the present decisions as JSON data."""
     doc, review = state.present, state.present.review
     return {
@@ -173,7 +168,7 @@ def document_json(state: SessionState) -> dict[str, Any]:
     }
 
 
-def joints_json(doc: Document) -> list[dict[str, Any]]:
+def joints_json(doc: Document) -> list[Json]:
     """Return the joints with the confidence of those that nobody edited."""
     if doc.tree is None:
         return []
@@ -181,16 +176,10 @@ def joints_json(doc: Document) -> list[dict[str, Any]]:
     return [{**codec.write(j), "confidence": sure.get(j.child)} for j in doc.tree.joints]
 
 
-def _line(record: ObjectRecord, assigned: str | None) -> dict[str, Any]:
+def _line(record: ObjectRecord, assigned: str | None) -> Json:
     # Without path and digest, which would mark second annotations of the same content.
-    return {
-        "id": record.id,
-        "name": record.name,
-        "state": record.state,
-        "category": record.category,
-        "who": record.who,
-        "updated": record.updated,
-        "created": record.created,
+    plain = ("id", "name", "state", "category", "who", "updated", "created")
+    return {field: getattr(record, field) for field in plain} | {
         "assigned_to": assigned or record.assigned_to,
         "prompt_count": record.prompts,
         "part_count": record.parts,
@@ -203,12 +192,12 @@ work_router = APIRouter(tags=["work"])
 class AssignBody(BaseModel):
     """Objects, and the people who get them in turn; no people: nobody has them any more."""
 
-    objects: list[int] = Field(min_length=1, max_length=10_000)
+    objects: list[Id] = Field(min_length=1, max_length=10_000)
     people: list[str] = Field(max_length=1000)
 
 
 @work_router.post("/assignments")
-def assign(body: AssignBody, person: Manager, state: State) -> dict[str, Any]:
+def assign(body: AssignBody, person: Manager, state: State) -> Json:
     """Assign objects to one person, or to several in turn."""
     people = state.store.people
     accounts = [people.accounts.find(name) for name in body.people]
@@ -218,21 +207,21 @@ def assign(body: AssignBody, person: Manager, state: State) -> dict[str, Any]:
 
 
 @work_router.post("/next")
-def next_object(person: Annotator, state: State) -> dict[str, Any]:
+def next_object(person: Annotator, state: State) -> Json:
     """Lease the next object: first what came back, then what is assigned, then anything free."""
     found = state.store.people.work.next(_account(person), state.queue.records())
     return {"id": found}
 
 
 @work_router.get("/objects/{object_id}/presence")
-def presence(object_id: int, person: Reader, state: State) -> list[dict[str, Any]]:
+def presence(object_id: Id, person: Reader, state: State) -> list[Json]:
     """Users who have an object open, and who leased it."""
     record_of(state, object_id)
     return [asdict(one) for one in state.store.people.work.present(object_id)]
 
 
 @work_router.post("/objects/{object_id}/enter")
-def enter(object_id: int, person: Annotator, state: State) -> dict[str, Any]:
+def enter(object_id: Id, person: Annotator, state: State) -> Json:
     """Say that one works on an object; again within a minute."""
     record_of(state, object_id)
     state.store.people.work.enter(object_id, _account(person))
@@ -240,7 +229,7 @@ def enter(object_id: int, person: Annotator, state: State) -> dict[str, Any]:
 
 
 @work_router.post("/objects/{object_id}/leave")
-def leave(object_id: int, person: Annotator, state: State) -> dict[str, Any]:
+def leave(object_id: Id, person: Annotator, state: State) -> Json:
     """Leave an object; others may take it."""
     record_of(state, object_id)
     state.store.people.work.leave(object_id, _account(person))
@@ -253,31 +242,26 @@ def _account(person: Person) -> Account:
     return person.account
 
 
-assets_router = APIRouter(tags=["assets"])
+assets_router = LongRouter(tags=["assets"])
 
 
 @assets_router.get("/assets")
-def list_assets(person: Reader, state: State) -> dict[str, Any]:
+def list_assets(person: Reader, state: State) -> Json:
     """All accepted objects that have an asset, and the formats in which it can be had."""
     found = []
-    for record in state.queue.records():
-        if record.state == "accepted":
-            saved = state.session(record.id).document.saved
-            if saved is not None and state.store.assets.has(saved):
-                found.append(
-                    {
-                        "id": record.id,
-                        "name": record.name,
-                        "category": record.category,
-                        "accepted_by": saved.by,
-                        "at": saved.at,
-                    }
-                )
+
+    def find(record: ObjectRecord) -> None:
+        saved = state.session(record.id).document.saved
+        if saved is not None and state.store.assets.has(saved):
+            line = {f: getattr(record, f) for f in ("id", "name", "category")}
+            found.append(line | {"accepted_by": saved.by, "at": saved.at})
+
+    each([r for r in state.queue.records() if r.state == "accepted"], find, lambda *_: None)
     return {"formats": ["asset", *exporter_names()], "assets": found}
 
 
 @assets_router.get("/assets/{object_id}")
-def download(object_id: int, person: Reader, state: State, format: str = "asset") -> Response:
+def download(object_id: Id, person: Reader, state: State, format: str = "asset") -> Response:
     """Download an asset as a zip: "asset" as it was accepted, or in a simulator's format."""
     name = record_of(state, object_id).name
     if format not in ("asset", *exporter_names()):
@@ -292,13 +276,8 @@ def download(object_id: int, person: Reader, state: State, format: str = "asset"
         folder, ((format, out),), PhysicsSettings(), state.workspace / "collision", check=False
     )
     try:
-        job = state.workers.saving.submit(export_one, task, priority=-1)
-        try:
-            wait(lambda: job.done)
-        except HTTPException:
-            job.cancel()
-            raise
-        job.result(0)
+        saving = state.workers.saving
+        saving.submit(export_one, task, priority=-1, most_seconds=OPEN_SECONDS).result()
         return _zipped(out, f"{name}_{format}")
     finally:
         shutil.rmtree(out, ignore_errors=True)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi import APIRouter, HTTPException, Query, Request
 from pydantic import BaseModel, Field
 
-from app.server.api.guard import Manager, State, Visitor
+from app.server.api.guard import Count, Id, Json, Manager, Reader, State, Visitor
 from sessions.account_tables import MOST_EVENTS
 from sessions.credentials import TOKEN_DAYS
 from sessions.review import Role
@@ -34,37 +34,37 @@ class TokenBody(BaseModel):
 
     label: str = Field(max_length=200)
     scopes: list[str] = Field(min_length=1, max_length=10)
-    days: int = TOKEN_DAYS
+    days: Count = TOKEN_DAYS
 
 
 @people_router.get("/users")
-def users(person: Manager, state: State) -> list[dict[str, Any]]:
+def users(person: Manager, state: State) -> list[Json]:
     """All accounts."""
     return [asdict(account) for account in state.store.people.accounts.all()]
 
 
 @people_router.post("/users", status_code=201)
-def invite(body: InviteBody, person: Manager, request: Request, state: State) -> dict[str, Any]:
+def invite(body: InviteBody, person: Manager, request: Request, state: State) -> Json:
     """Invite a person; the code is shown once, and goes behind /login#invitation=."""
     code = state.store.people.accounts.invite(body.name, body.role, person.name)
     return {"code": code, "path": f"/login#invitation={code}"}
 
 
 @people_router.put("/users/{name}/role")
-def set_role(name: str, body: RoleBody, person: Manager, state: State) -> dict[str, Any]:
+def set_role(name: str, body: RoleBody, person: Manager, state: State) -> Json:
     """Change what a person may do, from the next command on."""
     return asdict(state.store.people.accounts.set_role(name, body.role, person.name))
 
 
 @people_router.post("/users/{name}/disable")
-def disable(name: str, person: Manager, state: State) -> dict[str, Any]:
+def disable(name: str, person: Manager, state: State) -> Json:
     """Keep a person out; decisions stay."""
     state.store.people.accounts.disable(name, person.name)
     return {"disabled": name}
 
 
 @people_router.post("/users/{name}/revoke")
-def revoke(name: str, person: Manager, state: State) -> dict[str, Any]:
+def revoke(name: str, person: Manager, state: State) -> Json:
     """End all browser sessions and tokens of a person, who may log in again."""
     people = state.store.people
     people.credentials.revoke(people.accounts.find(name), person.name)
@@ -72,13 +72,13 @@ def revoke(name: str, person: Manager, state: State) -> dict[str, Any]:
 
 
 @people_router.get("/tokens")
-def tokens(person: Visitor, state: State) -> list[dict[str, Any]]:
+def tokens(person: Reader, state: State) -> list[Json]:
     """One's own tokens, without their secrets."""
     return [asdict(t) for t in state.store.people.credentials.tokens(person.account)]
 
 
 @people_router.post("/tokens", status_code=201)
-def make_token(body: TokenBody, person: Visitor, state: State) -> dict[str, Any]:
+def make_token(body: TokenBody, person: Visitor, state: State) -> Json:
     """Make a token in a logged-in browser; its secret is shown once."""
     if person.account is None or person.session is None:
         raise HTTPException(403, "make tokens in a browser in which you are logged in")
@@ -88,14 +88,24 @@ def make_token(body: TokenBody, person: Visitor, state: State) -> dict[str, Any]
 
 
 @people_router.delete("/tokens/{token_id}")
-def revoke_token(token_id: int, person: Visitor, state: State) -> dict[str, Any]:
-    """Revoke one of one's own tokens; a manager may revoke any."""
+def revoke_token(token_id: Id, person: Visitor, state: State) -> Json:
+    """Revoke one of one's own tokens in a logged-in browser; a manager may revoke any."""
+    if person.session is None and "manage" not in person.scopes:
+        raise HTTPException(403, "revoke tokens in a browser, or with the scope manage")
     credentials = state.store.people.credentials
     own = None if "manage" in person.scopes else person.account
     if all(t.id != token_id for t in credentials.tokens(own)):
         raise HTTPException(404, f"there is no token {token_id}")
     credentials.revoke_token(token_id, person.name)
     return {"revoked": token_id}
+
+
+@people_router.get("/set-aside")
+def set_aside(person: Manager, state: State) -> list[Json]:
+    """Stored items that this server works on and that failed, with their errors."""
+    aside = state.stored.aside
+    found = [(*key, *why) for key in list(aside) if (why := aside.get(key))]
+    return [{"work": w, "item": f"{i}", "failures": n, "error": e} for w, i, n, e in found]
 
 
 @people_router.get("/audit")
@@ -105,9 +115,9 @@ def audit(
     name: str | None = None,
     kind: str | None = None,
     since: str | None = None,
-    before: int | None = None,
+    before: Count | None = None,
     count: Annotated[int, Query(ge=1, le=MOST_EVENTS)] = 200,
-) -> list[dict[str, Any]]:
+) -> list[Json]:
     """Audit log of accounts, newest first; ``before`` an id gives the next page."""
     log = state.store.people.audit
     events = log.events(name=name, kind=kind, since=since, before=before, count=count)
@@ -119,12 +129,12 @@ def decisions(
     person: Manager,
     state: State,
     who: str | None = None,
-    object_id: Annotated[int | None, Query(alias="object")] = None,
+    object_id: Annotated[Id | None, Query(alias="object")] = None,
     kind: str | None = None,
     since: str | None = None,
-    first: Annotated[int, Query(ge=0)] = 0,
+    first: Count = 0,
     count: Annotated[int, Query(ge=1, le=MOST_EVENTS)] = 200,
-) -> list[dict[str, Any]]:
+) -> list[Json]:
     """Decisions about objects with their authors, newest first."""
     log = state.store.people.audit
     found = log.decisions(

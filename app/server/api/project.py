@@ -4,6 +4,7 @@ did and what it cost; and webhooks, whose signed messages go to public addresses
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import hmac
 import http.client
@@ -17,14 +18,15 @@ import time
 from collections.abc import Callable
 from dataclasses import asdict
 from typing import Any, Literal
-from urllib.parse import SplitResult, urlsplit
+from urllib.parse import SplitResult, quote, urlsplit
 
 from fastapi import APIRouter, HTTPException, Query
 from pydantic import BaseModel, Field
 
-from app.server.api.guard import Manager, Reader, State
+from app.server.api.guard import Id, Json, LongRouter, Manager, Reader, State
 from model.core import codec
 from model.core.errors import ConfigurationError, StoreError
+from model.core.progress import each
 from sessions.command_log import read_work
 from sessions.statistics import acts_of, grouped, rows_of
 from sessions.webhooks import Delivery, Webhooks
@@ -39,20 +41,20 @@ class SettingsBody(BaseModel):
 
 
 @project_router.get("/project")
-def project(person: Reader, state: State) -> dict[str, Any]:
+def project(person: Reader, state: State) -> Json:
     """Name, instructions, labels, required checks and export settings."""
     return codec.write(state.store.project.settings)
 
 
 @project_router.patch("/project")
-def change(body: SettingsBody, person: Manager, state: State) -> dict[str, Any]:
+def change(body: SettingsBody, person: Manager, state: State) -> Json:
     """Change settings; returns all of them."""
     settings = state.store.project.change(body.settings, person.name)
     state.queue.changed()
     return codec.write(settings)
 
 
-statistics_router = APIRouter(tags=["statistics"])
+statistics_router = LongRouter(tags=["statistics"])
 
 
 @statistics_router.get("/statistics")
@@ -62,7 +64,7 @@ def statistics(
     by: Literal["person", "category", "predictor", "step", "object", "day"] = "person",
     since: float | None = None,
     rate: float | None = Query(None, gt=0),
-) -> list[dict[str, Any]]:
+) -> list[Json]:
     """Figures for each person, category, …; ``since`` in Unix seconds, ``rate`` for an hour."""
     log = read_work(state.workspace, state.config.database)
     figures = grouped(log, acts_of(log), by, -math.inf if since is None else since)
@@ -71,7 +73,9 @@ def statistics(
 
 log = logging.getLogger(__name__)
 SECONDS = 10.0
-"""Longest wait for a receiver."""
+"""Longest time of one delivery: that to connect, and that of all the rest."""
+SENDERS = 8
+"""Webhooks that are sent something at a time: one that is slow holds up its own alone."""
 PERIOD = 2.0
 """Seconds between two looks for messages that are due."""
 SIGNATURE = "X-ArtiWorld-Signature"
@@ -132,7 +136,7 @@ def signature(secret: str, payload: bytes, at: int) -> str:
 
 
 class WebhookSender:
-    """Delivers messages on a thread of its own until it is closed.
+    """Delivers messages, each webhook's one after the other, until it is closed.
 
     Args:
         allowed: says which addresses may be sent to.
@@ -140,41 +144,53 @@ class WebhookSender:
 
     def __init__(self, hooks: Webhooks, allowed: Callable[[Address], bool] = is_public) -> None:
         self._hooks, self._allowed = hooks, allowed
-        self._closed = threading.Event()
+        self._closed, self._look = threading.Event(), threading.Event()
+        self._busy: set[int] = set()
         threading.Thread(target=self._run, name="webhooks", daemon=True).start()
 
     def close(self) -> None:
         """Send no more; what waits is sent by the next server."""
         self._closed.set()
+        self._look.set()
 
     def _run(self) -> None:
-        while not self._closed.wait(PERIOD):
+        while not self._closed.is_set():
+            self._look.clear()
             try:
-                for delivery in self._hooks.claim():
-                    send(self._hooks, delivery, self._allowed)
-                    if self._closed.is_set():
-                        return
-            except StoreError as error:
+                free = len(self._busy) < SENDERS
+                delivery = self._hooks.claim(tuple(self._busy)) if free else None
+            except Exception as error:  # a thread's boundary; it is tried again
                 if not self._closed.is_set():
                     log.warning("webhooks wait: %s", error)
-            except Exception:  # a thread's boundary
-                if not self._closed.is_set():
-                    log.exception("sending webhooks failed")
+                delivery = None
+            if delivery is None:
+                self._look.wait(PERIOD)
+                continue
+            self._busy.add(delivery.webhook)
+            threading.Thread(target=self._send, args=(delivery,), daemon=True).start()
+
+    def _send(self, delivery: Delivery) -> None:
+        try:
+            send(self._hooks, delivery, self._allowed)
+        except StoreError as error:  # it is claimed again later
+            log.warning("webhooks wait: %s", error)
+        finally:
+            self._busy.discard(delivery.webhook)
+            self._look.set()
 
 
 def send(
     hooks: Webhooks, delivery: Delivery, allowed: Callable[[Address], bool] = is_public
 ) -> None:
     """Try one delivery, and note how it went."""
-    try:
+
+    def one(delivery: Delivery) -> None:
         status = _post(delivery, allowed)
-    except (ConfigurationError, OSError, http.client.HTTPException) as error:
-        hooks.failed(delivery, str(error) or type(error).__name__)
-        return
-    if 200 <= status < 300:
+        if not 200 <= status < 300:
+            raise ConfigurationError(f"the receiver answered {status}")
         hooks.delivered(delivery)
-    else:
-        hooks.failed(delivery, f"the receiver answered {status}")
+
+    each([delivery], one, lambda d, error: hooks.failed(d, str(error) or type(error).__name__))
 
 
 def _post(delivery: Delivery, allowed: Callable[[Address], bool]) -> int:
@@ -185,8 +201,11 @@ def _post(delivery: Delivery, allowed: Callable[[Address], bool]) -> int:
     connection = kind(parts.hostname, parts.port, timeout=SECONDS)
     # The address that was checked, under the name that the certificate and Host are for.
     plain = socket.create_connection((address, connection.port), SECONDS)
+    # All of it together: a receiver could answer a byte within each time-out.
+    begun, end = time.monotonic(), threading.Timer(SECONDS, _cut, (connection,))
     try:
         connection.sock = plain
+        end.start()
         if secure:
             context = ssl.create_default_context()
             connection.sock = context.wrap_socket(plain, server_hostname=parts.hostname)
@@ -199,14 +218,25 @@ def _post(delivery: Delivery, allowed: Callable[[Address], bool]) -> int:
             SIGNATURE: signature(delivery.secret, body, int(time.time())),
         }
         target = (parts.path or "/") + (f"?{parts.query}" if parts.query else "")
+        target = quote(target, safe="/?&=%+:@!$'()*,;~-._[]")
         connection.request("POST", target, body, headers)
         return connection.getresponse().status
+    except (OSError, http.client.HTTPException) as error:
+        slow = time.monotonic() - begun >= SECONDS
+        text = f"the receiver took more than {SECONDS:g} s" if slow else str(error)
+        raise OSError(text or type(error).__name__) from error
     finally:
+        end.cancel()
         connection.close()
         plain.close()
 
 
-webhooks_router = APIRouter(tags=["webhooks"])
+def _cut(connection: http.client.HTTPConnection) -> None:
+    with contextlib.suppress(OSError, AttributeError):
+        connection.sock.shutdown(socket.SHUT_RDWR)
+
+
+webhooks_router = LongRouter(tags=["webhooks"])
 
 
 class WebhookBody(BaseModel):
@@ -217,13 +247,13 @@ class WebhookBody(BaseModel):
 
 
 @webhooks_router.get("/webhooks")
-def webhooks(person: Manager, state: State) -> list[dict[str, Any]]:
+def webhooks(person: Manager, state: State) -> list[Json]:
     """All webhooks, with what waits for them and why."""
     return [asdict(hook) for hook in state.store.people.webhooks.all()]
 
 
 @webhooks_router.post("/webhooks", status_code=201)
-def add(body: WebhookBody, person: Manager, state: State) -> dict[str, Any]:
+def add(body: WebhookBody, person: Manager, state: State) -> Json:
     """Add a webhook at a public address; the secret that signs its messages is shown once."""
     if person.account is None:
         raise HTTPException(409, "webhooks belong to accounts, and there are none here")
@@ -233,7 +263,7 @@ def add(body: WebhookBody, person: Manager, state: State) -> dict[str, Any]:
 
 
 @webhooks_router.delete("/webhooks/{webhook_id}")
-def remove(webhook_id: int, person: Manager, state: State) -> dict[str, Any]:
+def remove(webhook_id: Id, person: Manager, state: State) -> Json:
     """Remove a webhook and what waits for it."""
     state.store.people.webhooks.remove(webhook_id, person.name)
     return {"removed": webhook_id}

@@ -7,40 +7,21 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from fastapi import APIRouter, HTTPException
+from fastapi import HTTPException
 from pydantic import BaseModel, Field
-from starlette.concurrency import run_in_threadpool
 
 from app.server.accepting import accept, acceptance_over, withdraw
-from app.server.api.guard import Annotator, Reader, Reviewer, State
-from app.server.api.objects import (
-    decide,
-    document_json,
-    joints_json,
-    opened,
-    record_of,
-    wait,
-    wait_on_loop,
-)
+from app.server.api.guard import Annotator, Count, Id, Json, LongRouter, Reader, Reviewer, State
+from app.server.api.objects import decide, document_json, joints_json, opened, record_of, wait
 from app.server.app_state import AppState
-from model.core.errors import CommandError
-from sessions.commands import (
-    AddComment,
-    AddRegion,
-    Redo,
-    Reject,
-    Reopen,
-    ResolveComment,
-    Submit,
-    Undo,
-    from_json,
-    to_json,
-)
+from model.core.errors import ArtiworldError, CommandError
+from sessions import commands as cmd
 from sessions.credentials import Person
-from sessions.live import LiveSession
-from sessions.review import RejectReason
+from sessions.database import now
+from sessions.review import RejectReason, transition
+from sessions.state import Context, apply
 
-sessions_router = APIRouter(tags=["sessions"])
+sessions_router = LongRouter(tags=["sessions"])
 KINDS: frozenset[str] = frozenset(
     {
         *"add_click remove_prompt clear_prompts add_part name_part delete_part".split(),
@@ -61,12 +42,12 @@ class CommandBody(BaseModel):
     """
 
     command: dict[str, Any]
-    expected_seq: int | None = None
+    expected_seq: Count | None = None
     labels: bool = False
 
 
 @sessions_router.get("/objects/{object_id}/commands")
-def history(object_id: int, person: Reader, state: State, after: int = 0) -> list[dict[str, Any]]:
+def history(object_id: Id, person: Reader, state: State, after: Count = 0) -> list[Json]:
     """All commands of an object in order, with author and time."""
     record_of(state, object_id)
     return [
@@ -75,35 +56,27 @@ def history(object_id: int, person: Reader, state: State, after: int = 0) -> lis
             "at": e.at,
             "who": e.who,
             "text": e.command.describe(),
-            "command": to_json(e.command),
+            "command": cmd.to_json(e.command),
         }
         for e in state.store.history(object_id, after=after)
     ]
 
 
 @sessions_router.post("/objects/{object_id}/commands")
-async def give(
-    object_id: int, body: CommandBody, person: Annotator, state: State
-) -> dict[str, Any]:
+def give(object_id: Id, body: CommandBody, person: Annotator, state: State) -> Json:
     """Give one command; the answer is the object after it."""
-    live, after = await run_in_threadpool(_give, object_id, body, person, state)
-    if body.labels and after["prompts"]:
-        await wait_on_loop(lambda: live.document.segmentation_current)
-        after = await run_in_threadpool(document_json, live.state)
-    return after
-
-
-def _give(
-    object_id: int, body: CommandBody, person: Person, state: AppState
-) -> tuple[LiveSession, dict[str, Any]]:
     kind = body.command.get("kind")
     if kind not in KINDS:
         raise HTTPException(422, f"command.kind: one of {', '.join(sorted(KINDS))}")
     if "answer" in body.command:
         raise HTTPException(422, "command.answer: labels come from the segmenter alone")
     _check_seq(state, object_id, body.expected_seq)
-    after = decide(state, object_id, from_json(body.command), person)
-    return state.session(object_id), after
+    after = decide(state, object_id, cmd.from_json(body.command), person)
+    live = state.session(object_id)
+    if body.labels and after["prompts"]:
+        wait(lambda: live.document.segmentation_current)
+        after = document_json(live.state)
+    return after
 
 
 class RegionBody(BaseModel):
@@ -116,51 +89,54 @@ class RegionBody(BaseModel):
         expected_seq: as of a command.
     """
 
-    part: int
-    elements: list[int] = Field(min_length=1, max_length=200_000)
+    part: Count
+    elements: list[Count] = Field(min_length=1, max_length=200_000)
     positive: bool = True
-    expected_seq: int | None = None
+    expected_seq: Count | None = None
 
 
 @sessions_router.post("/objects/{object_id}/regions", status_code=201)
-def add_region(object_id: int, body: RegionBody, person: Annotator, state: State) -> dict[str, Any]:
+def add_region(object_id: Id, body: RegionBody, person: Annotator, state: State) -> Json:
     """Mark a region of an object as part of something; the answer is the object after it."""
-    count = opened(state, object_id).need_asset().element_count
-    elements = np.unique(np.asarray(body.elements, np.int64))
-    if elements[0] < 0 or elements[-1] >= count:
-        raise HTTPException(422, f"elements: the object has those from 0 to {count - 1}")
     _check_seq(state, object_id, body.expected_seq)
-    state.store.people.role_for(object_id, Undo(), person.name, person.role)  # before it is stored
+    # Refused now, before the elements are stored.
+    state.store.people.role_for(object_id, cmd.Undo(), person.name, person.role)
+    count = opened(state, object_id, person).need_asset().element_count
+    elements = np.unique(np.asarray(body.elements, np.int64))
+    if elements[-1] >= count:
+        raise HTTPException(422, f"elements: the object has those from 0 to {count - 1}")
     ref = state.store.put_array(elements)
-    command = AddRegion(body.part, ref, body.positive, len(elements), "script")
+    command = cmd.AddRegion(body.part, ref, body.positive, len(elements), "script")
     return decide(state, object_id, command, person)
 
 
 @sessions_router.post("/objects/{object_id}/undo")
-def undo(object_id: int, person: Annotator, state: State) -> dict[str, Any]:
+def undo(object_id: Id, person: Annotator, state: State) -> Json:
     """Take back the last decision."""
-    return decide(state, object_id, Undo(), person)
+    return decide(state, object_id, cmd.Undo(), person)
 
 
 @sessions_router.post("/objects/{object_id}/redo")
-def redo(object_id: int, person: Annotator, state: State) -> dict[str, Any]:
+def redo(object_id: Id, person: Annotator, state: State) -> Json:
     """Do again what was taken back last."""
-    return decide(state, object_id, Redo(), person)
+    return decide(state, object_id, cmd.Redo(), person)
 
 
 @sessions_router.post("/objects/{object_id}/prediction", status_code=202)
-def predict(object_id: int, person: Annotator, state: State) -> dict[str, Any]:
+def predict(object_id: Id, person: Annotator, state: State) -> Json:
     """Begin to predict the joints; ask for the result until it isn't running any more."""
-    obj = opened(state, object_id)
-    wait(lambda: obj.document.segmentation_current)
+    record_of(state, object_id)
     # Refused now, where the result would be: the job takes a while.
-    state.store.people.role_for(object_id, Undo(), person.name, person.role)
+    state.store.people.role_for(object_id, cmd.Undo(), person.name, person.role)
+    transition(state.session(object_id).refresh().present.review.state, "predict")
+    obj = opened(state, object_id, person)
+    wait(lambda: obj.document.segmentation_current)
     obj.predict(person.name)
     return {"running": True}
 
 
 @sessions_router.get("/objects/{object_id}/prediction")
-def prediction(object_id: int, person: Reader, state: State) -> dict[str, Any]:
+def prediction(object_id: Id, person: Reader, state: State) -> Json:
     """The last prediction, and whether one is running."""
     record_of(state, object_id)
     doc = state.session(object_id).document
@@ -175,14 +151,25 @@ def prediction(object_id: int, person: Reader, state: State) -> dict[str, Any]:
     }
 
 
-def _check_seq(state: AppState, object_id: int, expected: int | None) -> None:
+def _admitted(state: AppState, object_id: int, command: cmd.Command, person: Person) -> None:
+    """Refuse now what would be refused after a wait.
+
+    Raises:
+        CommandError: as of the command, for the present state.
+    """
+    record_of(state, object_id)
+    role = state.store.people.role_for(object_id, command, person.name, person.role)
+    apply(state.session(object_id).refresh(), command, Context(person.name, now(), role))
+
+
+def _check_seq(state: AppState, object_id: Id, expected: int | None) -> None:
     record_of(state, object_id)
     seq = state.session(object_id).state.seq
     if expected is not None and seq != expected:
         raise HTTPException(409, f"the object is at command {seq}, not {expected}")
 
 
-reviews_router = APIRouter(tags=["reviews"])
+reviews_router = LongRouter(tags=["reviews"])
 
 
 class CommentBody(BaseModel):
@@ -231,61 +218,53 @@ class DoneBody(BaseModel):
 
 
 @reviews_router.post("/objects/{object_id}/comments", status_code=201)
-def add_comment(
-    object_id: int, body: NewCommentBody, person: Reviewer, state: State
-) -> dict[str, Any]:
+def add_comment(object_id: Id, body: NewCommentBody, person: Reviewer, state: State) -> Json:
     """Pin a comment to an object; it stays in its state."""
-    return decide(state, object_id, AddComment(body.text, body.joint, body.place), person)
+    return decide(state, object_id, cmd.AddComment(body.text, body.joint, body.place), person)
 
 
 @reviews_router.put("/objects/{object_id}/comments/{number}")
 def resolve_comment(
-    object_id: int, number: int, body: DoneBody, person: Annotator, state: State
-) -> dict[str, Any]:
+    object_id: Id, number: Id, body: DoneBody, person: Annotator, state: State
+) -> Json:
     """Mark a comment as done, or as open again."""
-    return decide(state, object_id, ResolveComment(number, body.done), person)
+    return decide(state, object_id, cmd.ResolveComment(number, body.done), person)
 
 
 @reviews_router.get("/objects/{object_id}/checks")
-def checks(object_id: int, person: Reader, state: State) -> dict[str, Any]:
+def checks(object_id: Id, person: Reader, state: State) -> Json:
     """Validation report of the joints, once it is complete."""
-    obj = opened(state, object_id)
-    wait(
-        lambda: (
-            obj.validation.report is not None
-            or bool(obj.validation.problem)
-            or obj.document.tree is None
-        )
-    )
+    obj = opened(state, object_id, person)
+    wait(lambda: not obj.validation.awaited)
     report = obj.validation.report
     found = None if report is None else report.to_json()
     return {"report": found, "problem": obj.validation.problem}
 
 
 @reviews_router.post("/objects/{object_id}/submit")
-def submit(object_id: int, body: CommentBody, person: Annotator, state: State) -> dict[str, Any]:
+def submit(object_id: Id, body: CommentBody, person: Annotator, state: State) -> Json:
     """Hand an object in for review, once the checks that the project requires found nothing."""
     if state.store.project.settings.required:
-        obj = opened(state, object_id)
+        _admitted(state, object_id, cmd.Submit(body.comment), person)
+        obj = opened(state, object_id, person)
         asked, check = obj.live.refresh(), obj.validation
-        wait(lambda: obj.document.tree is None or bool(check.report or check.problem))
+        wait(lambda: not check.awaited)
         if refusal := check.required_problem():
             raise CommandError(refusal)
-        command = Submit(body.comment)
+        command = cmd.Submit(body.comment)
         return document_json(obj.live.do(command, person.name, role=person.role, since=asked))
-    return decide(state, object_id, Submit(body.comment), person)
+    return decide(state, object_id, cmd.Submit(body.comment), person)
 
 
 @reviews_router.post("/objects/{object_id}/accept")
-def accept_object(
-    object_id: int, body: AcceptBody, person: Reviewer, state: State
-) -> dict[str, Any]:
+def accept_object(object_id: Id, body: AcceptBody, person: Reviewer, state: State) -> Json:
     """Accept an object; its asset is written and read back first."""
-    obj = opened(state, object_id)
+    _admitted(state, object_id, cmd.Accept(body.comment, override=body.override), person)
+    obj = opened(state, object_id, person)
     asked = obj.live.refresh()  # it may have been submitted at another server just now
-    wait(lambda: obj.validation.report is not None or bool(obj.validation.problem))
+    wait(lambda: not obj.validation.awaited)
     seen = obj.validation.report if body.warnings_seen else None
-    refused: list[CommandError] = []
+    refused: list[ArtiworldError] = []
     accept(
         obj,
         body.comment,
@@ -308,13 +287,13 @@ def accept_object(
 
 
 @reviews_router.post("/objects/{object_id}/reject")
-def reject(object_id: int, body: RejectBody, person: Reviewer, state: State) -> dict[str, Any]:
+def reject(object_id: Id, body: RejectBody, person: Reviewer, state: State) -> Json:
     """Send an object back to its annotator."""
-    command = Reject(body.reason, body.comment, "", body.joint, body.place, listed=True)
+    command = cmd.Reject(body.reason, body.comment, "", body.joint, body.place, listed=True)
     return decide(state, object_id, command, person)
 
 
 @reviews_router.post("/objects/{object_id}/reopen")
-def reopen(object_id: int, body: CommentBody, person: Reviewer, state: State) -> dict[str, Any]:
+def reopen(object_id: Id, body: CommentBody, person: Reviewer, state: State) -> Json:
     """Reopen an accepted or rejected object."""
-    return decide(state, object_id, Reopen(body.comment), person)
+    return decide(state, object_id, cmd.Reopen(body.comment), person)

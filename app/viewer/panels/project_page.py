@@ -133,7 +133,7 @@ class ProjectPage(Dialog):
         title = plain(self._app_state.store.project.settings.name) or words.TITLE
         with self._open(title) as modal:
             said = gui.add_html(f'<p class="aw-project">{words.READING}</p>')
-        job = self._app_state.workers.readers[-1].submit(
+        job = self._app_state.workers.reading.submit(
             read_overview,
             self._app_state.workspace,
             config.database,

@@ -12,7 +12,7 @@ from typing import Any
 import viser
 from viser._icons import svg_from_icon
 
-from app.server.page import ArtiworldPressMessage, show_markup
+from app.server.page import ArtiworldPressMessage, excused, show_markup
 from app.viewer.tab import Tab, plain
 from app.viewer.words import common as words
 from app.viewer.words.common import NONE, OTHER
@@ -66,10 +66,15 @@ class Presses:
         if callback is None:
             return
         value = str(message.value)
+
+        def press() -> None:
+            with excused(f"{message.action:.40} {value[:80]!r}"):
+                callback(value)
+
         if at_once:
-            callback(value)
+            press()
         else:
-            self._tab.act(lambda: callback(value))
+            self._tab.act(press)
 
 
 class Place:
