@@ -258,6 +258,9 @@ class BenchCommand(Command):
     offset: int | None = option("segment: object at which the subset begins", "N")
     parts: int | None = option("segment: most parts of an object", "N", parse=count)
     first: Literal["deepest", "random"] | None = option("segment: place of the first click")
+    without: tuple[str, ...] | None = option(
+        "segment: leave out each of these mechanisms by itself, or all in turn", "NAME", nargs="+"
+    )
     half: Literal["choose", "table", "all"] | None = option(
         "scans, joints, assets, robot: half of the objects, to choose with or for the table "
         "(default: table)"

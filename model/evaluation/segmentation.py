@@ -199,7 +199,7 @@ def run(config: BenchConfig, progress: Progress = no_progress) -> BenchReport:
         segmenter = load_segmenter(name)
         for data in config.sets:
             row = BenchRow(name, data)
-            for number, item in enumerate(_objects(config, data, row.left_out)):
+            for number, item in enumerate(bench_objects(config, data, row.left_out)):
                 progress(number / max(config.limit or 79, 1) % 1.0, f"{name}: {item.name}")
                 begin, busy = time.perf_counter(), time.process_time()
                 session = segmenter.encode(item.asset)
@@ -222,7 +222,8 @@ def run(config: BenchConfig, progress: Progress = no_progress) -> BenchReport:
     return report
 
 
-def _objects(config: BenchConfig, data: DataSet, left_out: list[str]) -> Iterator[BenchObject]:
+def bench_objects(config: BenchConfig, data: DataSet, left_out: list[str]) -> Iterator[BenchObject]:
+    """Objects of a data set; ``left_out`` gets a line for each that can't be read."""
     common = (config.points, config.limit, config.least, config.parts)
     if data == "room":
         rooms = config.data / "scans" / "scannet"
