@@ -94,8 +94,7 @@ class BenchRow:
         guesses: for each object, proposed parts, those with an IoU over a half with a moving part,
             moving parts, and those found so.
         seen: for each object and round of visible clicks, the IoU of visible pixels and of all.
-        reachable: best IoU of each part that any choice of superpoints gives; local refinement
-            may exceed it.
+        reachable: best IoU of each part that any choice of superpoints gives.
         moves: whether each part moves; bases don't.
         left_out: which objects could not be read, and why.
     """

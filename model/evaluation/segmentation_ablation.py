@@ -71,7 +71,7 @@ def _weights(**weights: float) -> dict[str, Any]:
     made = Penalties.for_object
     return {
         "scores.Penalties.for_object": staticmethod(
-            lambda *, of_mesh, local: replace(made(of_mesh=of_mesh, local=local), **weights)
+            lambda *, of_mesh: replace(made(of_mesh=of_mesh), **weights)
         )
     }
 
@@ -137,7 +137,6 @@ SWITCHES: dict[str, Switch] = {
     "penalty of size bounds": Switch({"scores._SIZE": 0.0}),
     "penalty of ineffective clicks": Switch({"scores._INEFFECTIVE": 0.0}),
     "penalty of far changes": Switch(_weights(far=0.0), "clouds"),
-    "local refinement": Switch({"local_refinement.LocalRefinement.applies_to": lambda *_: False}),
     "small components": Switch({"labels.with_small_components": _given}, "clouds"),
     "tidying": Switch({"solver.PartSolver.tidy": _given}),
     "shared superpoints": Switch({"labels.LabelFinisher._divide_superpoints": _nothing}),

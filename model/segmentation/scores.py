@@ -164,20 +164,12 @@ class Penalties:
     demand_near: float = 2.0
 
     @classmethod
-    def for_object(cls, *, of_mesh: bool, local: bool) -> Penalties:
-        """Those of objects.
-
-        Args:
-            of_mesh: whole shells come and go, however near to their border a click is.
-            local: in a local refinement, which is there for details.
+    def for_object(cls, *, of_mesh: bool) -> Penalties:
+        """Those of objects; on meshes whole shells come and go, however near to their border a
+        click is.
         """
-        return cls(
-            far=0.0 if of_mesh else cls.far,
-            large=LARGE if of_mesh else 0.0,
-            large_beside=LARGE,
-            small_first=10.0 if local else cls.small_first,
-            detail=0.0 if local else 1.0,
-        )
+        far, large = (0.0, LARGE) if of_mesh else (cls.far, 0.0)
+        return cls(far=far, large=large, large_beside=LARGE, detail=1.0)
 
     @classmethod
     def for_room(cls) -> Penalties:
@@ -281,16 +273,14 @@ def _nearer_than_border(superpoints: Superpoints, mask: Bool, superpoint: int) -
 
 MOVING_SCORERS = ("first_click_moving.npz", "later_click_moving.npz")
 
-InputDomain = Literal["mesh", "cloud", "local", "room"]
-"""Input domain: a mesh, a cloud, a cloud in a local refinement, or a room."""
+InputDomain = Literal["mesh", "cloud", "room"]
+"""Input domain: a mesh, a cloud, or a room."""
 SCORERS: dict[InputDomain, tuple[str, str]] = {
     "mesh": ("first_click.npz", "later_click.npz"),
     "cloud": ("first_click_cloud.npz", "later_click_cloud.npz"),
-    # Local refinements have no superpoints of several nodes, as the trees learned from.
-    "local": ("first_click.npz", "later_click_close.npz"),
     "room": ("room_first_click.npz", "room_later_click.npz"),
 }
-"""Files of the scorers of first and later clicks. Local refinements of meshes use ``mesh``."""
+"""Files of the scorers of first and later clicks."""
 
 Scorers = tuple[Scorer | None, Scorer | None]
 """Scorers of first and of later clicks."""

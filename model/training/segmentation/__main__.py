@@ -41,9 +41,9 @@ class Training:
 
     Attributes:
         out: folder for ``edges.npz``, ``boxes.npz``, ``first_click.npz``, ``later_click.npz``,
-            ``first_click_cloud.npz``, ``later_click_cloud.npz``, ``later_click_close.npz``,
-            ``first_click_moving.npz``, ``later_click_moving.npz``, ``part_masks.npz`` and, of
-            rooms, ``room_first_click.npz`` and ``room_later_click.npz``.
+            ``first_click_cloud.npz``, ``later_click_cloud.npz``, ``first_click_moving.npz``,
+            ``later_click_moving.npz``, ``part_masks.npz`` and, of rooms, ``room_first_click.npz``
+            and ``room_later_click.npz``.
         skip_edges, skip_boxes, skip_parts, skip_clouds, skip_rooms, skip_moving, skip_corrective,
         skip_proposals: keep the models that are there.
         edges, boxes, clicks, clouds, moving, corrective, proposals: their settings.
