@@ -221,8 +221,10 @@ def run(config: BenchConfig, progress: Progress = no_progress) -> BenchReport:
     return report
 
 
-def bench_objects(config: BenchConfig, data: DataSet, left_out: list[str]) -> Iterator[BenchObject]:
-    """Objects of a data set; ``left_out`` gets a line for each that can't be read."""
+def bench_objects(
+    config: BenchConfig, data: DataSet, left_out: list[str] | None
+) -> Iterator[BenchObject]:
+    """Objects of a data set; ``left_out`` as of :func:`.dataset_objects`."""
     common = (config.points, config.limit, config.least, config.parts)
     if data == "room":
         rooms = config.data / "scans" / "scannet"

@@ -179,6 +179,7 @@ def ablate(
 
     Raises:
         ConfigurationError: for an unknown mechanism.
+        ArtiworldError: if an object can't be read.
     """
     chosen = list(SWITCHES) if ALL in names else list(names)
     for name in chosen:
@@ -188,7 +189,7 @@ def ablate(
     out: list[dict[str, Any]] = []
     for data in config.sets:
         found: dict[str, list[tuple[Rounds, float]]] = {}
-        for number, item in enumerate(bench_objects(config, data, [])):
+        for number, item in enumerate(bench_objects(config, data, None)):
             progress(number / max(config.limit or 79, 1) % 1.0, item.name)
             for name, rounds, seconds in _ablated(item, chosen):
                 found.setdefault(name, []).append((rounds, seconds))
@@ -216,7 +217,7 @@ def _ablated(item: BenchObject, names: Sequence[str]) -> Iterator[tuple[str, Rou
     """
     picture, mesh = picture_of(item.asset, item.front), item.asset.mesh
     weight = (np.ones(len(item.labels)) if mesh is None else mesh.face_areas) * (item.labels >= 0)
-    session = whole = DefaultSegmenter().encode(item.asset)
+    whole = DefaultSegmenter().encode(item.asset)
     for name in (_WHOLE, *names):
         switch = SWITCHES.get(name, Switch({}))
         if switch.of == ("meshes" if mesh is None else "clouds"):
