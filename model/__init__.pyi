@@ -13,8 +13,7 @@ from .core.geometry import Mesh, PointCloud
 from .core.joint import Joint
 from .core.progress import no_progress
 from .core.tree import KinematicTree
-from .data.datasets import GroundTruth
-from .data.registry import DatasetOptions, open_dataset
+from .data.registry import DatasetOptions, GroundTruth, open_dataset
 from .geometry.prepare import Prepared, PrepareSettings, prepare
 from .geometry.splitting import split
 from .io.assets.asset_folder import write_asset

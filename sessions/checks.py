@@ -61,9 +61,14 @@ def put_field(command: object, field: str, value: object) -> None:
     object.__setattr__(command, field, value)
 
 
-def clean_name(value: str | None, what: str) -> str | None:
-    """Return a clean short name, or None where it is empty."""
-    return None if value is None else clean_text(value, NAME_LIMIT, what) or None
+def clean_field(command: object, field: str, limit: int, what: str, *, lines: bool = False) -> None:
+    """Clean a text of a frozen dataclass in its ``__post_init__``; see :func:`clean_text`."""
+    put_field(command, field, clean_text(getattr(command, field), limit, what, lines=lines))
+
+
+def name_field(command: object, field: str, what: str) -> None:
+    """The same for a short name; None and "" are none."""
+    put_field(command, field, clean_text(getattr(command, field) or "", NAME_LIMIT, what) or None)
 
 
 def check_part(part: int) -> None:

@@ -1,278 +1,84 @@
-"""Every edit as a small frozen value with a JSON form.
+"""All commands: those about the review, and by import those of the other modules. Their JSON form.
 
-A command holds a decision of a person (or the result of a job), not its effect on the state, which
-is in :mod:`sessions.edits`. Stored commands are kept for good: a kind or a field is never renamed,
-and new fields have defaults.
+A command holds a decision of a person, or the result of a job, with its effect on the document, its
+words and its stored name. A new one takes a class in the module of its kind, nothing else.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, cast, get_args
+from dataclasses import dataclass, replace
+from typing import Any, cast
 
 from model.core import codec
-from model.core.articulated_object import Prediction
-from model.core.asset import UpAxis
-from model.core.composite_joints import Composite
 from model.core.errors import CommandError
-from model.core.joint import Joint
-from model.segmentation.prompts import BASE, MAX_PARTS, Click
-from sessions.checks import (
-    NAME_LIMIT,
-    check_count,
-    check_finite,
-    check_part,
-    check_ref,
-    check_unit_scale,
-    clean_name,
-    clean_text,
-    put_field,
+from sessions.checks import NAME_LIMIT, check_finite, clean_field, clean_text, put_field
+from sessions.document import (
+    CommentRecord,
+    Document,
+    ReviewRecord,
+    SavedRecord,
+    acceptance_problems,
 )
-from sessions.review import REJECT_REASONS, RejectReason
-from sessions.scene_commands import DecideObjects, PickOut, SetArticulable
-from sessions.tool_commands import ApplyTool, CropOut, CutFaces, LeaveOut, ObjectFrame, Placed
+from sessions.joint_commands import *  # noqa: F403
+from sessions.part_commands import *  # noqa: F403
+from sessions.review import REJECT_REASONS, RejectReason, ReviewState
+from sessions.scene_commands import *  # noqa: F403
+from sessions.state import Command, Context, JobResult, Redo, Undo
+from sessions.tool_commands import *  # noqa: F403
 
+__all__ = ["NAME_LIMIT", "Command", "Context", "JobResult", "Redo", "Undo"]
+
+KINDS = Command.KINDS
 COMMENT_LIMIT = 2000
 NOTE_LIMIT = 500
-UP_AXES: tuple[UpAxis, ...] = get_args(UpAxis)
 
 
 @dataclass(frozen=True)
-class AddClick:
-    """A prompt point."""
-
-    click: Click
-
-
-@dataclass(frozen=True)
-class AddRegion:
-    """Elements chosen by box, lasso or brush.
-
-    Attributes:
-        part: the part they belong to.
-        elements: reference of the stored (K,) int64 array.
-        positive: False where they don't belong to the part.
-        count: K, for display.
-        tool: display name of the tool that chose them.
-    """
-
-    part: int
-    elements: str
-    positive: bool = True
-    count: int = 0
-    tool: str = "box"
-
-    def __post_init__(self) -> None:
-        check_part(self.part)
-        check_ref(self.elements, "elements")
-        check_count(self.count)
-        put_field(self, "tool", clean_text(self.tool, NAME_LIMIT, "tool"))
-
-
-@dataclass(frozen=True)
-class RemovePrompt:
-    """Remove prompts that belong together, such as a click and another mask for it.
-
-    Attributes:
-        index: of the first one; counts all the prompts in the order they were given.
-        count: how many from there on.
-    """
-
-    index: int
-    count: int = 1
-
-    def __post_init__(self) -> None:
-        if self.count < 1:
-            raise CommandError(f"count must be 1 or more, got {self.count}")
-
-
-@dataclass(frozen=True)
-class ClearPrompts:
-    """Remove all prompts of ``part``, or of every part where it is None."""
-
-    part: int | None = None
-
-    def __post_init__(self) -> None:
-        if self.part is not None:
-            check_part(self.part)
-
-
-@dataclass(frozen=True)
-class AddPart:
-    """A part that has no prompt yet."""
-
-    part: int
-    name: str | None = None
-
-    def __post_init__(self) -> None:
-        check_part(self.part)
-        put_field(self, "name", clean_name(self.name, "the part's name"))
-
-
-@dataclass(frozen=True)
-class NamePart:
-    """Name a part: door, drawer, lid, …, or None for no name."""
-
-    part: int
-    name: str | None
-
-    def __post_init__(self) -> None:
-        check_part(self.part)
-        put_field(self, "name", clean_name(self.name, "the part's name"))
-
-
-@dataclass(frozen=True)
-class DeletePart:
-    """Remove a part with its prompts, its name and its link."""
-
-    part: int
-
-    def __post_init__(self) -> None:
-        check_part(self.part)
-        if self.part == BASE:
-            raise CommandError("part 0 is the base and can't be deleted; clear its prompts instead")
-
-
-@dataclass(frozen=True)
-class SetCategory:
-    """Set the object's category, or None."""
-
-    category: str | None
-
-    def __post_init__(self) -> None:
-        put_field(self, "category", clean_name(self.category, "the category"))
-
-
-@dataclass(frozen=True)
-class SetFrame:
-    """Set the up axis and metres per unit of the source. Restarts the annotation.
-
-    Earlier versions gave it; now :class:`Prepare` says more.
-    """
-
-    up_axis: UpAxis
-    unit_scale: float
-
-    def __post_init__(self) -> None:
-        if self.up_axis not in UP_AXES:
-            raise CommandError(f"up_axis must be one of {', '.join(UP_AXES)}, got {self.up_axis!r}")
-        check_unit_scale(self.unit_scale, "unit_scale")
-
-
-@dataclass(frozen=True)
-class Prepare:
-    """Level, size and clean the source. Restarts the annotation.
-
-    Attributes:
-        unit_scale: metres per unit of the source.
-        frame: the object's frame in that of the source as it is read.
-        leave_out: what is left out from now on.
-        what: human-readable summary of the change.
-    """
-
-    unit_scale: float
-    frame: ObjectFrame
-    leave_out: LeaveOut
-    what: str
-
-    def __post_init__(self) -> None:
-        check_unit_scale(self.unit_scale, "unit_scale")
-        put_field(self, "what", clean_text(self.what, NAME_LIMIT, "what was changed"))
-
-
-@dataclass(frozen=True)
-class RecordSegmentation:
-    """A segmenter's result. Amends the present document; no undo step.
-
-    Attributes:
-        prompts_key: :func:`sessions.document.prompts_key` of the prompts that it answers.
-        labels: reference of the stored (E,) int16 labels.
-        segmenter: who answered.
-        seconds: how long it took.
-        counts: label → number of elements, -1 is unassigned.
-    """
-
-    prompts_key: str
-    labels: str
-    segmenter: str
-    seconds: float
-    counts: Mapping[int, int]
-
-    def __post_init__(self) -> None:
-        check_ref(self.labels, "labels")
-        for part, count in self.counts.items():
-            if not -1 <= part < MAX_PARTS or count < 0:
-                raise CommandError(f"counts: {part} has {count} elements; not a part and a count")
-
-
-@dataclass(frozen=True)
-class RecordPrediction:
-    """A predictor's result.
-
-    Attributes:
-        prediction: the answer; without a tree it changes no joint.
-        segmentation: reference of the labels that it was made for.
-    """
-
-    prediction: Prediction
-    segmentation: str
-
-    def __post_init__(self) -> None:
-        check_ref(self.segmentation, "segmentation")
-
-
-@dataclass(frozen=True)
-class SetJoint:
-    """Replace the joint of ``joint.child``: type, axis, origin, limits, name or parent."""
-
-    joint: Joint
-
-
-@dataclass(frozen=True)
-class SetComposite:
-    """Let the part ``child`` move by one joint, or by a chain of several.
-
-    Attributes:
-        child: link of the part.
-        motion: kind, and the pitch of a screw.
-    """
-
-    child: str
-    motion: Composite
-
-
-@dataclass(frozen=True)
-class SetRoot:
-    """Make ``link`` the root; the joints on the path to the former root are reversed."""
-
-    link: str
-
-
-@dataclass(frozen=True)
-class ResetJoint:
-    """Reset the joint of ``child`` to the predicted one."""
-
-    child: str
-
-
-@dataclass(frozen=True)
-class LockJoint:
-    """Lock or unlock the joint of ``child``: the next prediction keeps a locked joint."""
-
-    child: str
-    locked: bool
-
-
-@dataclass(frozen=True)
-class SetCompletion:
+class SetCompletion(Command, kind="set_completion", action="adjust"):
     """Turn the completion of unscanned geometry in the asset on or off."""
 
     complete: bool
 
+    def describe(self) -> str:
+        return "complete the parts" if self.complete else "leave the parts as scanned"
+
+    def edit(self, document: Document, context: Context) -> Document:
+        if self.complete is document.complete:
+            return document
+        return replace(document, complete=self.complete)
+
+
+class _Decision(Command):
+    """A decision about the whole object, with a comment."""
+
+    comment: str
+
+    def __post_init__(self) -> None:
+        clean_field(self, "comment", COMMENT_LIMIT, "the comment", lines=True)
+
+    def edit(self, document: Document, context: Context) -> Document:
+        return replace(document)
+
+    def review(self, before: ReviewRecord, state: ReviewState, context: Context) -> ReviewRecord:
+        return ReviewRecord(state, context.who, context.at, comment=self.comment)
+
 
 @dataclass(frozen=True)
-class Accept:
+class Submit(_Decision, kind="submit", action="submit"):
+    """Hand the object in for review.
+
+    Attributes:
+        comment: for the reviewer.
+    """
+
+    comment: str = ""
+
+    def edit(self, document: Document, context: Context) -> Document:
+        return _complete(document, self.kind)
+
+
+@dataclass(frozen=True)
+class Accept(_Decision, kind="accept", action="accept"):
     """Accept the object.
 
     Attributes:
@@ -288,33 +94,26 @@ class Accept:
     decided_at: str = ""
 
     def __post_init__(self) -> None:
-        put_field(
-            self, "comment", clean_text(self.comment, COMMENT_LIMIT, "the comment", lines=True)
-        )
+        super().__post_init__()
         notes = tuple(clean_text(n[:NOTE_LIMIT], NOTE_LIMIT, "a note") for n in self.note_problems)
         put_field(self, "note_problems", notes)
-        put_field(self, "override", clean_text(self.override, COMMENT_LIMIT, "the reason"))
-        put_field(self, "decided_at", clean_text(self.decided_at, NAME_LIMIT, "the time"))
+        clean_field(self, "override", COMMENT_LIMIT, "the reason")
+        clean_field(self, "decided_at", NAME_LIMIT, "the time")
 
+    def edit(self, document: Document, context: Context) -> Document:
+        return _complete(document, self.kind)
 
-@dataclass(frozen=True)
-class Submit:
-    """Hand the object in for review.
-
-    Attributes:
-        comment: for the reviewer.
-    """
-
-    comment: str = ""
-
-    def __post_init__(self) -> None:
-        put_field(
-            self, "comment", clean_text(self.comment, COMMENT_LIMIT, "the comment", lines=True)
+    def review(self, before: ReviewRecord, state: ReviewState, context: Context) -> ReviewRecord:
+        return replace(
+            super().review(before, state, context),
+            problems=self.note_problems,
+            override=self.override,
+            decided_at=self.decided_at,
         )
 
 
 @dataclass(frozen=True)
-class Reject:
+class Reject(_Decision, kind="reject", action="reject"):
     """Reject the object: it goes back to its annotator.
 
     Attributes:
@@ -336,16 +135,40 @@ class Reject:
         if self.reason not in REJECT_REASONS:
             allowed = ", ".join(REJECT_REASONS)
             raise CommandError(f"reason must be one of {allowed}, got {self.reason!r}")
-        put_field(
-            self, "comment", clean_text(self.comment, COMMENT_LIMIT, "the comment", lines=True)
-        )
-        put_field(self, "decided_at", clean_text(self.decided_at, NAME_LIMIT, "the time"))
-        put_field(self, "joint", clean_text(self.joint, NAME_LIMIT, "the joint"))
+        super().__post_init__()
+        clean_field(self, "decided_at", NAME_LIMIT, "the time")
+        clean_field(self, "joint", NAME_LIMIT, "the joint")
         check_finite(self.place or (), "place")
+
+    def describe(self) -> str:
+        return f"reject ({self.reason.replace('_', ' ')})"
+
+    def edit(self, document: Document, context: Context) -> Document:
+        _check_joint(document, self.joint)
+        if self.listed and (self.comment or self.joint or self.place is not None):
+            text = self.comment or self.reason.replace("_", " ")
+            return _commented(document, text, self, context)
+        return replace(document)
+
+    def review(self, before: ReviewRecord, state: ReviewState, context: Context) -> ReviewRecord:
+        return replace(
+            super().review(before, state, context),
+            reason=self.reason,
+            decided_at=self.decided_at,
+            joint=self.joint,
+            place=self.place,
+        )
 
 
 @dataclass(frozen=True)
-class AddComment:
+class Reopen(_Decision, kind="reopen", action="reopen"):
+    """Reopen an accepted or rejected object."""
+
+    comment: str = ""
+
+
+@dataclass(frozen=True)
+class AddComment(Command, kind="add_comment", action="comment"):
     """A comment of a reviewer, for the annotator to deal with.
 
     Attributes:
@@ -358,134 +181,69 @@ class AddComment:
     place: tuple[float, float, float] | None = None
 
     def __post_init__(self) -> None:
-        text = clean_text(self.text, COMMENT_LIMIT, "the comment", lines=True)
-        if not text:
+        clean_field(self, "text", COMMENT_LIMIT, "the comment", lines=True)
+        if not self.text:
             raise CommandError("the comment is empty; say what should change")
-        put_field(self, "text", text)
-        put_field(self, "joint", clean_text(self.joint, NAME_LIMIT, "the joint"))
+        clean_field(self, "joint", NAME_LIMIT, "the joint")
         check_finite(self.place or (), "place")
+
+    def describe(self) -> str:
+        return f"comment: {self.text.splitlines()[0][:60]}"
+
+    def edit(self, document: Document, context: Context) -> Document:
+        return _commented(document, self.text, self, context)
 
 
 @dataclass(frozen=True)
-class ResolveComment:
+class ResolveComment(Command, kind="resolve_comment", action="resolve"):
     """Mark a comment, by its number from 1, as done or as open again."""
 
     number: int
     done: bool = True
 
+    def describe(self) -> str:
+        return f"comment {self.number} is {'done' if self.done else 'open'}"
+
+    def edit(self, document: Document, context: Context) -> Document:
+        comments, at = document.comments, self.number - 1
+        if not 0 <= at < len(comments):
+            raise CommandError(f"there is no comment {self.number}; there are {len(comments)}")
+        if comments[at].done is self.done:
+            return document
+        changed = replace(comments[at], done=self.done)
+        return replace(document, comments=(*comments[:at], changed, *comments[at + 1 :]))
+
 
 @dataclass(frozen=True)
-class Reopen:
-    """Reopen an accepted or rejected object."""
-
-    comment: str = ""
-
-    def __post_init__(self) -> None:
-        put_field(
-            self, "comment", clean_text(self.comment, COMMENT_LIMIT, "the comment", lines=True)
-        )
-
-
-@dataclass(frozen=True)
-class Saved:
+class Saved(JobResult, kind="saved"):
     """The asset was written to ``folder``. Amends the present document; no undo step."""
 
     folder: str
 
-
-@dataclass(frozen=True)
-class Undo:
-    """Undo the last step."""
+    def edit(self, document: Document, context: Context) -> Document:
+        return replace(document, saved=SavedRecord(self.folder, context.who, context.at))
 
 
-@dataclass(frozen=True)
-class Redo:
-    """Redo the step that was undone last."""
+def _complete(document: Document, verb: str) -> Document:
+    """Return the document anew; refuses one that can't be accepted."""
+    problems = acceptance_problems(document)
+    if problems:
+        raise CommandError(f"can't {verb}: " + "; ".join(problems))
+    return replace(document)
 
 
-Command = (
-    AddClick
-    | AddRegion
-    | ApplyTool
-    | CutFaces
-    | LeaveOut
-    | CropOut
-    | Placed
-    | SetArticulable
-    | DecideObjects
-    | PickOut
-    | RemovePrompt
-    | ClearPrompts
-    | AddPart
-    | NamePart
-    | DeletePart
-    | SetCategory
-    | SetFrame
-    | Prepare
-    | RecordSegmentation
-    | RecordPrediction
-    | SetJoint
-    | SetComposite
-    | SetRoot
-    | ResetJoint
-    | LockJoint
-    | SetCompletion
-    | Submit
-    | Accept
-    | Reject
-    | AddComment
-    | ResolveComment
-    | Reopen
-    | Saved
-    | Undo
-    | Redo
-)
-
-KINDS: Mapping[str, type[Command]] = {
-    "add_click": AddClick,
-    "add_region": AddRegion,
-    "apply_tool": ApplyTool,
-    "cut_faces": CutFaces,
-    "leave_out": LeaveOut,
-    "crop_out": CropOut,
-    "placed": Placed,
-    "set_articulable": SetArticulable,
-    "decide_objects": DecideObjects,
-    "pick_out": PickOut,
-    "remove_prompt": RemovePrompt,
-    "clear_prompts": ClearPrompts,
-    "add_part": AddPart,
-    "name_part": NamePart,
-    "delete_part": DeletePart,
-    "set_category": SetCategory,
-    "set_frame": SetFrame,
-    "prepare": Prepare,
-    "record_segmentation": RecordSegmentation,
-    "record_prediction": RecordPrediction,
-    "set_joint": SetJoint,
-    "set_composite": SetComposite,
-    "set_root": SetRoot,
-    "reset_joint": ResetJoint,
-    "lock_joint": LockJoint,
-    "set_completion": SetCompletion,
-    "submit": Submit,
-    "accept": Accept,
-    "reject": Reject,
-    "add_comment": AddComment,
-    "resolve_comment": ResolveComment,
-    "reopen": Reopen,
-    "saved": Saved,
-    "undo": Undo,
-    "redo": Redo,
-}
-"""All commands by their stored name."""
-
-_KIND_OF: Mapping[type[Command], str] = {cls: kind for kind, cls in KINDS.items()}
+def _commented(
+    document: Document, text: str, command: Reject | AddComment, context: Context
+) -> Document:
+    _check_joint(document, command.joint)
+    number = len(document.comments) + 1
+    comment = CommentRecord(number, text, command.joint, command.place, context.who, context.at)
+    return replace(document, comments=(*document.comments, comment))
 
 
-def kind_of(command: Command) -> str:
-    """Return the command's stored name."""
-    return _KIND_OF[type(command)]
+def _check_joint(document: Document, joint: str) -> None:
+    if joint and (document.tree is None or joint not in document.tree.joint_of):
+        raise CommandError(f"the comment is about {joint}, which has no joint here")
 
 
 def to_json(command: Command) -> dict[str, Any]:
@@ -494,9 +252,8 @@ def to_json(command: Command) -> dict[str, Any]:
     Raises:
         CommandError: where a number is NaN or infinite.
     """
-    kind = kind_of(command)
     try:
-        return {"kind": kind, **codec.write(command, kind)}
+        return {"kind": command.kind, **codec.write(command, command.kind)}
     except codec.CodecError as error:
         raise CommandError(str(error)) from error
 

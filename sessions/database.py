@@ -32,7 +32,7 @@ from sqlalchemy import (
 from sqlalchemy.engine import URL, make_url
 
 from model.core.errors import StoreError
-from sessions.commands import Command, kind_of
+from sessions.commands import Command
 from sessions.review import ReviewState
 
 FORMAT = "0004"
@@ -319,7 +319,7 @@ class Entry:
     @property
     def kind(self) -> str:
         """The command's name in JSON."""
-        return kind_of(self.command)
+        return self.command.kind
 
 
 @dataclass(frozen=True)

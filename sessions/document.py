@@ -4,18 +4,34 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
+from typing import Any, Literal, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
 
 from model.core.articulated_object import Prediction
 from model.core.asset import UpAxis
+from model.core.errors import CommandError
+from model.core.geometry import affine, quaternion_wxyz, uniform_scale
 from model.core.joint import Joint
-from model.core.tree import KinematicTree
+from model.core.tree import KinematicTree, holds_part
+from model.geometry.splitting import Plane
 from model.segmentation.prompts import BASE, MAX_PARTS, UNASSIGNED, Click
-from sessions.review import RejectReason, ReviewState
-from sessions.scene_commands import Decided, PickOut
-from sessions.tool_commands import SOURCE_FRAME, FaceCut, ObjectFrame
-from sessions.tree_edits import holds_part
+from sessions.checks import check_pose, check_ref, check_unit_scale
+from sessions.review import CommentRecord, RejectReason, ReviewRecord
+
+Decided = Literal["accept", "reject"]
+Position = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
+T = TypeVar("T")
+
+
+def as_record(record: type[T], command: Any) -> T:
+    """Return what a document keeps of a command with the same fields."""
+    return record(*(getattr(command, f.name) for f in fields(record)))  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True)
@@ -82,39 +98,66 @@ class SegmentationRecord:
 
 
 @dataclass(frozen=True)
-class ReviewRecord:
-    """The state of review.
-
-    Attributes:
-        state: see :mod:`sessions.review`.
-        by, at: author and time (ISO 8601, UTC) of the last change.
-        reason: why it was rejected, else None.
-        comment: the reviewer's comment.
-        problems: the warnings and errors known when it was accepted.
-        override: why it was accepted despite errors, else "".
-        decided_at: time of the scene's decision that led to the state, else "".
-        joint, place: what the comment is about; see :class:`~sessions.commands.Reject`.
-    """
-
-    state: ReviewState = "todo"
-    by: str = ""
-    at: str = ""
-    reason: RejectReason | None = None
-    comment: str = ""
-    problems: tuple[str, ...] = ()
-    override: str = ""
-    decided_at: str = ""
-    joint: str = ""
-    place: tuple[float, float, float] | None = None
-
-
-@dataclass(frozen=True)
 class SavedRecord:
     """The folder that the asset was written to last."""
 
     folder: str
     by: str
     at: str
+
+
+@dataclass(frozen=True)
+class FaceCut:
+    """Faces that are split along planes, so that a border needs no edges.
+
+    Attributes:
+        elements: reference of the stored (K,) int64 faces, as they are numbered before this cut.
+        planes: one after another on what is inside of those before; see
+            :func:`model.geometry.splitting.split_faces`.
+    """
+
+    elements: str
+    planes: tuple[Plane, ...]
+
+    def __post_init__(self) -> None:
+        check_ref(self.elements, "elements")
+        if not self.planes:
+            raise CommandError("a cut needs a plane")
+
+
+@dataclass(frozen=True)
+class ObjectFrame:
+    """The object's frame in that of the source: scale, then rotation, then shift.
+
+    Attributes:
+        position: (3,) metres, where the source's origin lies in the object's frame.
+        wxyz: the rotation from the source's frame to the object's, a unit quaternion.
+        scale: of the object against the source.
+    """
+
+    position: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    wxyz: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
+    scale: float = 1.0
+
+    def __post_init__(self) -> None:
+        check_pose(self.position, self.wxyz)
+        check_unit_scale(self.scale, "scale")
+
+    @property
+    def object_from_read(self) -> npt.NDArray[np.float64]:
+        """(4, 4) from the source as it was read."""
+        w, x, y, z = self.wxyz
+        return affine(self.scale * Rotation.from_quat([x, y, z, w]).as_matrix(), self.position)
+
+    def then(self, matrix: npt.NDArray[np.float64]) -> ObjectFrame:
+        """The frame after a further (4, 4) rotation, uniform scale and shift of the object."""
+        whole, scale = matrix @ self.object_from_read, self.scale * uniform_scale(matrix[:3, :3])
+        px, py, pz = whole[:3, 3].tolist()
+        return ObjectFrame((px, py, pz), quaternion_wxyz(whole / scale), scale)
+
+
+SOURCE_FRAME = ObjectFrame()
+"""The frame of the source itself."""
 
 
 @dataclass(frozen=True)
@@ -128,25 +171,68 @@ class LeftOut:
 
 @dataclass(frozen=True)
 class CropRecord:
-    """An object that was cut out of this scan; see :class:`~sessions.tool_commands.CropOut`."""
+    """An object that was cut out of this scan.
+
+    Attributes:
+        name: of the new object.
+        path: its file.
+        elements: reference of the stored (K,) int64 elements of the whole source.
+        count: K, for display.
+        position: (3,) metres, where the new object's origin lies in this scan's frame.
+        wxyz: its orientation there, a unit quaternion.
+    """
 
     name: str
     path: str
     elements: str
     count: int
-    position: tuple[float, float, float]
-    wxyz: tuple[float, float, float, float]
+    position: Position
+    wxyz: Quaternion = (1.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
 class Placement:
-    """Place of the object in a scan; see :class:`~sessions.tool_commands.Placed`."""
+    """Place of the object in the scan that it was cut out of.
+
+    Attributes:
+        scene: path of the scan.
+        scene_sha256: of the scan's file.
+        elements: reference of the scan's (K,) int64 elements that it is made of.
+        position, wxyz: as in :class:`CropRecord`.
+    """
 
     scene: str
     scene_sha256: str
     elements: str
-    position: tuple[float, float, float]
-    wxyz: tuple[float, float, float, float]
+    position: Position
+    wxyz: Quaternion = (1.0, 0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Picked:
+    """A piece of an object of a scene that became an object of its own; the rest stays.
+
+    Attributes:
+        object: the object's id in the scene.
+        id: of the new object, which no other has.
+        name: display name.
+        path: file of the new object.
+        rest: file of the rest of the old one.
+        count: elements of the new one, for display.
+        position, wxyz: pose of the new file's origin in the scene; metres, a unit quaternion.
+        rest_position, rest_wxyz: of the rest's.
+    """
+
+    object: str
+    id: str
+    name: str
+    path: str
+    rest: str
+    count: int
+    position: Position
+    wxyz: Quaternion
+    rest_position: Position
+    rest_wxyz: Quaternion
 
 
 @dataclass(frozen=True)
@@ -160,27 +246,6 @@ class DecisionRecord:
     by: str
     at: str
     looked: bool = False
-
-
-@dataclass(frozen=True)
-class CommentRecord:
-    """A reviewer's comment.
-
-    Attributes:
-        number: from 1, in the order in which they were given.
-        text: human-readable.
-        joint, place: what it is about; see :class:`~sessions.commands.Reject`.
-        by, at: author and time (ISO 8601, UTC).
-        done: whether the annotator dealt with it.
-    """
-
-    number: int
-    text: str
-    joint: str
-    place: tuple[float, float, float] | None
-    by: str
-    at: str
-    done: bool = False
 
 
 @dataclass(frozen=True)
@@ -226,7 +291,7 @@ class Document:
     prediction_for: str | None = None
     tree: KinematicTree | None = None
     locked: frozenset[str] = frozenset()
-    review: ReviewRecord = ReviewRecord()
+    review: ReviewRecord = field(default_factory=ReviewRecord)
     saved: SavedRecord | None = None
     annotator: str = ""
     edits: int = 0
@@ -238,7 +303,7 @@ class Document:
     placement: Placement | None = None
     articulable: Mapping[str, bool] = field(default_factory=dict)
     decided: tuple[DecisionRecord, ...] = ()
-    picked: tuple[PickOut, ...] = ()
+    picked: tuple[Picked, ...] = ()
     frame: ObjectFrame = SOURCE_FRAME
     complete: bool | None = None
     comments: tuple[CommentRecord, ...] = ()
@@ -254,6 +319,11 @@ class Document:
         if self.segmentation is None:
             return not self.prompts
         return self.segmentation.prompts_key == self.key
+
+    @property
+    def needs_labels(self) -> bool:
+        """True if the segmenter hasn't answered the prompts."""
+        return bool(self.prompts) and not self.segmentation_current
 
     @property
     def prediction_stale(self) -> bool:

@@ -8,16 +8,18 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from typing import Any
 from weakref import WeakValueDictionary
 
-from model.core.errors import CommandError
+from model.core.errors import ArtiworldError, CommandError
 from sessions import commands as cmd
 from sessions.commands import Command, from_json, to_json
 from sessions.document import Document
 from sessions.review import Role
 from sessions.state import Context, SessionState, apply, replay
-from sessions.store import ConflictError, Store, clean_who, now
+from sessions.store import ConflictError, Store, clean_who, now, summary
 
 logger = logging.getLogger(__name__)
 
@@ -25,18 +27,33 @@ Subscriber = Callable[[SessionState, Command], None]
 
 MAX_ATTEMPTS = 40
 MAX_WAIT = 0.2  # seconds
-_BESIDE = cmd.RecordSegmentation, cmd.Saved, cmd.Placed, cmd.AddComment, cmd.ResolveComment
+_BESIDE = cmd.JobResult, cmd.AddComment, cmd.ResolveComment
 """Commands that decide and edit nothing, but for the labels."""
 
 
+@dataclass(frozen=True, eq=False)
+class _Announced:
+    """A decision that is shown and not stored yet, and the state after it."""
+
+    command: Command
+    context: Context
+    after: SessionState
+
+
 class LiveSession:
-    """The state of one object in this process. Every method may be called from any thread."""
+    """The state of one object in this process. Every method may be called from any thread.
+
+    Attributes:
+        summary: fields of the object's record that commands changed since the session was opened.
+    """
 
     def __init__(self, store: Store, object_id: int) -> None:
         self.store = store
         self.object_id = object_id
         self._lock = threading.RLock()
         self._state = store.load(object_id)
+        self._announced: _Announced | None = None
+        self.summary: dict[str, Any] = {}
         self._subscribers: dict[int, Subscriber] = {}
         self._next_key = 0
         self._queue: deque[tuple[int, SessionState, Command]] = deque()
@@ -46,9 +63,9 @@ class LiveSession:
 
     @property
     def state(self) -> SessionState:
-        """The state now."""
+        """The state now, with the announced decision."""
         with self._lock:
-            return self._state
+            return self._state if self._announced is None else self._announced.after
 
     @property
     def document(self) -> Document:
@@ -88,18 +105,69 @@ class LiveSession:
             StoreError: where it couldn't be stored; the state is as before. Or where it was, and
                 the asset of a withdrawn acceptance couldn't be moved.
         """
-        command = from_json(to_json(command))
         who = clean_who(who)
         role = self.store.people.role_for(self.object_id, command, who, role)
+        return self._carry_out(command, Context(who, at, role), since)
+
+    def _carry_out(
+        self, command: Command, context: Context, since: SessionState | None = None
+    ) -> SessionState:
+        command = from_json(to_json(command))
         try:
             with self._lock:
-                after = self._do(command, Context(who, at, role), since)
+                self._store_announced()
+                after = self._do(command, context, since)
         finally:
             self._deliver()
         beside = (after.present, *after.past[-1:], *after.future[-1:])
         if any(document.review.state == "accepted" for document in beside):
             self.settle()
         return after
+
+    def announce(self, command: Command, who: str) -> SessionState:
+        """Show a decision at once that :meth:`complete` stores, or whatever is stored before.
+
+        Returns:
+            The state after it; :attr:`state` until then.
+
+        Raises:
+            CommandError, StoreError: see :meth:`do`.
+        """
+        command, who = from_json(to_json(command)), clean_who(who)
+        context = Context(who, now(), self.store.people.role_for(self.object_id, command, who))
+        with self._lock:
+            self._store_announced()
+            after = apply(self._state, command, context)
+            self._announced = _Announced(command, context, after)
+        self._deliver()
+        return after
+
+    def complete(self, announced: SessionState, command: Command) -> bool:
+        """Store ``command`` in place of the announced one; False where that is stored already.
+
+        Args:
+            announced: the state that :meth:`announce` returned.
+
+        Raises:
+            CommandError, StoreError: see :meth:`do`; the announced decision is gone.
+        """
+        with self._lock:
+            waiting = self._announced
+            if waiting is None or waiting.after is not announced:
+                return False
+            self._announced = None
+        self._carry_out(command, waiting.context)
+        return True
+
+    def store_announced(self) -> None:
+        """Store an announced decision now; :meth:`complete` then does nothing.
+
+        Raises:
+            CommandError, StoreError: see :meth:`do`; it is gone.
+        """
+        with self._lock:
+            self._store_announced()
+        self._deliver()
 
     def moved_since(self, state: SessionState) -> str:
         """Say how the object was decided or edited since ``state``, or "".
@@ -147,6 +215,11 @@ class LiveSession:
 
         return unsubscribe
 
+    def _store_announced(self) -> None:
+        waiting, self._announced = self._announced, None
+        if waiting is not None:
+            self._do(waiting.command, waiting.context, None)
+
     def _do(self, command: Command, context: Context, since: SessionState | None) -> SessionState:
         who, role = context.who, context.role
         for attempt in range(MAX_ATTEMPTS):
@@ -168,7 +241,7 @@ class LiveSession:
                 self._catch_up()
                 continue
             self._issued_here.add(after.seq)
-            self._advance(after, command)
+            self._advance(after, command, who, at)
             return after
         raise AssertionError("unreachable")
 
@@ -190,10 +263,11 @@ class LiveSession:
     def _catch_up(self) -> None:
         for entry in self.store.history(self.object_id, after=self._state.seq):
             context = Context(entry.who, entry.at)
-            self._advance(replay([(entry.seq, entry.command, context)], self._state), entry.command)
+            after = replay([(entry.seq, entry.command, context)], self._state)
+            self._advance(after, entry.command, entry.who, entry.at)
 
-    def _advance(self, state: SessionState, command: Command) -> None:
-        self._state = state
+    def _advance(self, state: SessionState, command: Command, who: str, at: str) -> None:
+        self._state, self.summary = state, summary(state, who, at)
         self._queue.extend((key, state, command) for key in self._subscribers)
 
     def _deliver(self) -> None:
@@ -233,6 +307,14 @@ class SessionHub:
             if session is None:
                 session = self._sessions[object_id] = LiveSession(self.store, object_id)
             return session
+
+    def store_announced(self) -> None:
+        """Store what is announced in any session: the server ends."""
+        with self._lock:
+            sessions = list(self._sessions.values())
+        for session in sessions:
+            with suppress(ArtiworldError):  # the objects' own tabs are gone
+                session.store_announced()
 
     def sync(self, last: Mapping[int, int]) -> None:
         """Apply the commands of other processes.

@@ -17,7 +17,7 @@ from sqlalchemy import Connection, delete, func, insert, select, update
 from model.core.errors import ConfigurationError
 from sessions.account_tables import AuditLog, accounts, assignments, presence, record
 from sessions.accounts import COMMAND_LINE, PROGRAMS, Account, Accounts, in_use, name_key
-from sessions.commands import Command, Placed, RecordSegmentation, Saved
+from sessions.commands import Command, JobResult
 from sessions.credentials import Credentials, Identities
 from sessions.database import Database, ObjectRecord, now, objects
 from sessions.review import ROLES, NotPermittedError, ReviewState, Role
@@ -209,9 +209,6 @@ def _put(connection: Connection, object_id: int, account_id: int, **values: Any)
     connection.execute(insert(presence).values(object_id=object_id, account_id=account_id, **line))
 
 
-JOB_RESULTS = (RecordSegmentation, Saved, Placed)
-"""Commands that only a job gives; the server lets nobody send them."""
-
 HANDING_OVER = ("submit", "accept", "reject")
 """Stored names of the commands after which it is somebody else's turn."""
 
@@ -254,7 +251,7 @@ class People:
         with self._database.reading() as connection:
             if not in_use(connection):
                 return most or "reviewer"
-            if isinstance(command, JOB_RESULTS) or who in PROGRAMS:
+            if isinstance(command, JobResult) or who in PROGRAMS:
                 return "annotator"
             account = _active(connection, who)
             role = account.role

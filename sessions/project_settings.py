@@ -16,7 +16,7 @@ from model.io.export.registry import exporter_names
 from model.validation.report import Kind
 from sessions.account_tables import accounts, record
 from sessions.accounts import COMMAND_LINE, in_use
-from sessions.checks import NAME_LIMIT, clean_text, put_field
+from sessions.checks import NAME_LIMIT, clean_field, clean_text, put_field
 from sessions.database import Database, metadata, now
 from sessions.review import NotPermittedError
 
@@ -82,12 +82,11 @@ class ProjectSettings:
     def __post_init__(self) -> None:
         try:
             for field in ("name", "license", "author"):
-                put_field(self, field, clean_text(getattr(self, field), 200, f"{field}"))
-            text = clean_text(self.instructions, INSTRUCTIONS_LIMIT, "instructions", lines=True)
+                clean_field(self, field, 200, field)
+            clean_field(self, "instructions", INSTRUCTIONS_LIMIT, "instructions", lines=True)
             labels = tuple(_clean(label) for label in self.labels)
         except CommandError as error:
             raise ConfigurationError(str(error)) from error
-        put_field(self, "instructions", text)
         put_field(self, "labels", labels)
         wrong = [f for f in self.formats if f not in exporter_names()]
         if wrong or not self.formats:

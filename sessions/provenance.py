@@ -14,33 +14,14 @@ from model.core import codec
 from model.core.asset import Source
 from model.io.geometry_files import turned_up
 from model.segmentation.prompts import Click
-from sessions.commands import (
-    LockJoint,
-    Placed,
-    Prepare,
-    RecordPrediction,
-    RecordSegmentation,
-    Redo,
-    ResetJoint,
-    Saved,
-    SetComposite,
-    SetFrame,
-    SetJoint,
-    SetRoot,
-    Undo,
-    to_json,
-)
-from sessions.describe import describe
-from sessions.document import Document
+from sessions import commands as cmd
+from sessions.document import Document, ObjectFrame
 from sessions.state import SessionState
 from sessions.store import Entry
-from sessions.tool_commands import ApplyTool, ObjectFrame
 
 FORMAT = 1
 MASKS = "masks "
 """Name of the tool that took parts from masks, before the file."""
-
-_JOINT_EDITS = (SetJoint, SetComposite, SetRoot, ResetJoint, LockJoint)
 
 
 def provenance(
@@ -110,11 +91,11 @@ def effective(history: Iterable[Entry]) -> list[Entry]:
     undone: list[Entry] = []
     amendments: list[Entry] = []
     for entry in history:
-        if isinstance(entry.command, Undo):
+        if isinstance(entry.command, cmd.Undo):
             undone.append(done.pop())
-        elif isinstance(entry.command, Redo):
+        elif isinstance(entry.command, cmd.Redo):
             done.append(undone.pop())
-        elif isinstance(entry.command, (RecordSegmentation, Saved, Placed)):
+        elif isinstance(entry.command, cmd.JobResult):
             amendments.append(entry)
         else:
             done.append(entry)
@@ -153,7 +134,7 @@ def _segmenter(document: Document) -> dict[str, Any]:
 
 def _masks(kept: list[Entry]) -> list[str]:
     """The files of other systems' masks that parts were taken from."""
-    tools = [e.command.tool for e in kept if isinstance(e.command, ApplyTool)]
+    tools = [e.command.tool for e in kept if isinstance(e.command, cmd.ApplyTool)]
     return [tool for tool in tools if tool.startswith(MASKS)]
 
 
@@ -161,7 +142,7 @@ def _predictor(document: Document, kept: list[Entry]) -> dict[str, Any] | None:
     prediction = document.prediction
     if prediction is None:
         return None
-    made = next((e for e in reversed(kept) if isinstance(e.command, RecordPrediction)), None)
+    made = next((e for e in reversed(kept) if isinstance(e.command, cmd.RecordPrediction)), None)
     return {
         "backend": prediction.backend,
         "file": prediction.file,
@@ -178,19 +159,19 @@ def _predictor(document: Document, kept: list[Entry]) -> dict[str, Any] | None:
 def _edits(kept: list[Entry]) -> list[dict[str, Any]]:
     out: list[dict[str, Any]] = []
     for e in kept:
-        starts_afresh = isinstance(e.command, (SetFrame, Prepare)) or (
-            isinstance(e.command, RecordPrediction) and e.command.prediction.tree is not None
+        starts_afresh = isinstance(e.command, (cmd.SetFrame, cmd.Prepare)) or (
+            isinstance(e.command, cmd.RecordPrediction) and e.command.prediction.tree is not None
         )
         if starts_afresh:
             out = []
-        elif isinstance(e.command, _JOINT_EDITS):
+        elif isinstance(e.command, cmd.JointEdit):
             out.append(
                 {
                     "seq": e.seq,
                     "who": e.who,
                     "at": e.at,
-                    "what": describe(e.command),
-                    "command": to_json(e.command),
+                    "what": e.command.describe(),
+                    "command": cmd.to_json(e.command),
                 }
             )
     return out
@@ -200,7 +181,7 @@ def _people(kept: list[Entry]) -> list[dict[str, Any]]:
     """Contributors, earliest first, with the number of their decisions."""
     counts: dict[str, int] = {}
     for e in kept:
-        if not isinstance(e.command, (RecordSegmentation, Saved, Placed)):
+        if not isinstance(e.command, cmd.JobResult):
             counts[e.who] = counts.get(e.who, 0) + 1
     return [{"who": who, "decisions": n} for who, n in counts.items()]
 

@@ -21,7 +21,7 @@ from typing import Any, Final, NoReturn
 from model.core.errors import ConfigurationError, InputFileError
 from model.core.files import draft_of, file_sha256, read_json, written_to
 from model.core.progress import Progress, no_progress, scaled_progress
-from model.evaluation.report import escaped, table
+from model.core.tables import escaped, table
 from model.io.assets.reader import PROVENANCE, TREE, URDF, read_provenance
 from sessions.project_settings import FORMS
 from sessions.releases import (

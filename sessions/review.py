@@ -1,8 +1,9 @@
-"""Annotation and review of an object: states, roles, allowed transitions."""
+"""Annotation and review of an object: states, roles, allowed transitions; their records."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Literal, get_args
 
 from model.core.errors import CommandError
@@ -80,6 +81,54 @@ PERMITTED: Mapping[Role, frozenset[Action]] = {
     "manager": frozenset(ACTIONS),
 }
 """The permitted actions of each role. A person who works alone is a reviewer."""
+
+
+@dataclass(frozen=True)
+class ReviewRecord:
+    """The state of review.
+
+    Attributes:
+        state: see :data:`REVIEW_STATES`.
+        by, at: author and time (ISO 8601, UTC) of the last change.
+        reason: why it was rejected, else None.
+        comment: the reviewer's comment.
+        problems: the warnings and errors known when it was accepted.
+        override: why it was accepted despite errors, else "".
+        decided_at: time of the scene's decision that led to the state, else "".
+        joint, place: what the comment is about; see :class:`~sessions.commands.Reject`.
+    """
+
+    state: ReviewState = "todo"
+    by: str = ""
+    at: str = ""
+    reason: RejectReason | None = None
+    comment: str = ""
+    problems: tuple[str, ...] = ()
+    override: str = ""
+    decided_at: str = ""
+    joint: str = ""
+    place: tuple[float, float, float] | None = None
+
+
+@dataclass(frozen=True)
+class CommentRecord:
+    """A reviewer's comment.
+
+    Attributes:
+        number: from 1, in the order in which they were given.
+        text: human-readable.
+        joint, place: what it is about; see :class:`~sessions.commands.Reject`.
+        by, at: author and time (ISO 8601, UTC).
+        done: whether the annotator dealt with it.
+    """
+
+    number: int
+    text: str
+    joint: str
+    place: tuple[float, float, float] | None
+    by: str
+    at: str
+    done: bool = False
 
 
 def transition(state: ReviewState, action: Action, role: Role = "reviewer") -> ReviewState:

@@ -7,23 +7,20 @@ a scene's session holds which of them are articulable, and the decisions about s
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, replace
 
 from model.core.errors import CommandError
-from sessions.checks import NAME_LIMIT, PATH_LIMIT, check_count, check_pose, clean_text, put_field
-from sessions.review import REJECT_REASONS, RejectReason
+from sessions import review
+from sessions.checks import NAME_LIMIT, PATH_LIMIT, check_count, check_pose, clean_field
+from sessions.document import Decided, DecisionRecord, Document, Picked, as_record
+from sessions.state import Command, Context
 
 ID_LIMIT = 1000
 MOST_OBJECTS = 100_000
 
-Decided = Literal["accept", "reject"]
-Position = tuple[float, float, float]
-Quaternion = tuple[float, float, float, float]
-
 
 @dataclass(frozen=True)
-class SetArticulable:
+class SetArticulable(Command, kind="set_articulable", action="adjust"):
     """Decide whether an object of this scene is articulable, whatever the finder decided.
 
     Attributes:
@@ -35,12 +32,23 @@ class SetArticulable:
     articulable: bool | None
 
     def __post_init__(self) -> None:
-        if not 0 < len(self.object) <= ID_LIMIT:
-            raise CommandError(f"an object's id must have 1 to {ID_LIMIT} characters")
+        _check_id(self.object)
+
+    def describe(self) -> str:
+        words = {True: "is", False: "is not", None: "may be"}[self.articulable]
+        return f"{self.object} {words} articulable"
+
+    def edit(self, document: Document, context: Context) -> Document:
+        if document.articulable.get(self.object) is self.articulable:
+            return document
+        decided = {k: v for k, v in document.articulable.items() if k != self.object}
+        if self.articulable is not None:
+            decided[self.object] = self.articulable
+        return replace(document, articulable=decided)
 
 
 @dataclass(frozen=True)
-class DecideObjects:
+class DecideObjects(Command, kind="decide_objects", action="adjust"):
     """Accept or reject objects from the scene; undo reverts each of them.
 
     Attributes:
@@ -54,55 +62,58 @@ class DecideObjects:
     decision: Decided
     objects: tuple[int, ...]
     above: float | None = None
-    reason: RejectReason = "other"
+    reason: review.RejectReason = "other"
     looked: bool = False
 
     def __post_init__(self) -> None:
         if self.decision not in ("accept", "reject"):
             raise CommandError(f"decision must be accept or reject, got {self.decision!r}")
-        if self.reason not in REJECT_REASONS:
-            raise CommandError(f"reason must be one of {', '.join(REJECT_REASONS)}")
+        if self.reason not in review.REJECT_REASONS:
+            raise CommandError(f"reason must be one of {', '.join(review.REJECT_REASONS)}")
         if not 0 < len(self.objects) <= MOST_OBJECTS or len(set(self.objects)) < len(self.objects):
             raise CommandError("objects must be different ones, and at least one")
         if self.above is not None and not (math.isfinite(self.above) and 0 <= self.above <= 1):
             raise CommandError(f"above must be 0..1, got {self.above}")
 
+    def describe(self) -> str:
+        count = len(self.objects)
+        above = "" if self.above is None else f" above {100 * self.above:.0f} %"
+        return f"{self.decision} {count} object{'s'[: count != 1]}{above}"
+
+    def edit(self, document: Document, context: Context) -> Document:
+        if context.role == "annotator":
+            raise CommandError("only a reviewer may accept and reject objects")
+        record = DecisionRecord(
+            self.decision, self.objects, self.above, self.reason, context.who, context.at,
+            self.looked,
+        )  # fmt: skip
+        return replace(document, decided=(*document.decided, record))
+
 
 @dataclass(frozen=True)
-class PickOut:
-    """Make a piece of an object of this scene an object of its own; the rest stays.
-
-    Attributes:
-        object: the object's id in the scene.
-        id: of the new object, which no other has.
-        name: display name.
-        path: file of the new object.
-        rest: file of the rest of the old one.
-        count: elements of the new one, for display.
-        position, wxyz: pose of the new file's origin in the scene; metres, a unit quaternion.
-        rest_position, rest_wxyz: of the rest's.
-    """
-
-    object: str
-    id: str
-    name: str
-    path: str
-    rest: str
-    count: int
-    position: Position
-    wxyz: Quaternion
-    rest_position: Position
-    rest_wxyz: Quaternion
+class PickOut(
+    Picked, Command, kind="pick_out", action="adjust", words="pick {name} out of {object}"
+):
+    """Make a piece of an object of this scene an object of its own; the rest stays."""
 
     def __post_init__(self) -> None:
-        for id in (self.object, self.id):
-            if not 0 < len(id) <= ID_LIMIT:
-                raise CommandError(f"an object's id must have 1 to {ID_LIMIT} characters")
+        _check_id(self.object)
+        _check_id(self.id)
         if self.object == self.id:
             raise CommandError(f"the new object needs an id of its own, not {self.id!r}")
-        put_field(self, "name", clean_text(self.name, NAME_LIMIT, "the object's name"))
+        clean_field(self, "name", NAME_LIMIT, "the object's name")
         for field in ("path", "rest"):
-            put_field(self, field, clean_text(getattr(self, field), PATH_LIMIT, "the path"))
+            clean_field(self, field, PATH_LIMIT, "the path")
         check_count(self.count)
         check_pose(self.position, self.wxyz)
         check_pose(self.rest_position, self.rest_wxyz)
+
+    def edit(self, document: Document, context: Context) -> Document:
+        if any(p.id == self.id for p in document.picked):
+            raise CommandError(f"{self.id} was picked out already")
+        return replace(document, picked=(*document.picked, as_record(Picked, self)))
+
+
+def _check_id(id: str) -> None:
+    if not 0 < len(id) <= ID_LIMIT:
+        raise CommandError(f"an object's id must have 1 to {ID_LIMIT} characters")

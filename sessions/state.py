@@ -4,26 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import ClassVar
 
-from model.core.errors import CommandError
-from sessions.commands import Command, Placed, RecordSegmentation, Redo, Saved, Undo
-from sessions.document import Document, acceptance_problems, prompts_key, review_problems
-from sessions.edits import Context, amend, edit
-
-__all__ = [
-    "MAX_UNDO",
-    "Context",
-    "Document",
-    "JobRequest",
-    "SessionState",
-    "acceptance_problems",
-    "apply",
-    "needed_jobs",
-    "prompts_key",
-    "replay",
-    "review_problems",
-]
+from model.core.errors import ArtiworldError, CommandError
+from sessions.document import Document
+from sessions.review import Action, ReviewRecord, ReviewState, Role, transition
 
 MAX_UNDO = 1000
 
@@ -66,16 +51,130 @@ class SessionState:
 
 
 @dataclass(frozen=True)
-class JobRequest:
-    """Work that the state asks for.
+class Context:
+    """Author and time of a command.
 
     Attributes:
-        kind: the kind of work.
-        prompts_key: the prompts that it is asked for; the answer carries it back.
+        who: the person.
+        at: ISO 8601, UTC.
+        role: the person's role.
     """
 
-    kind: Literal["segment"]
-    prompts_key: str
+    who: str
+    at: str
+    role: Role = "reviewer"
+
+
+class Command:
+    """A decision of a person, or the result of a job, as a small frozen value with a JSON form.
+
+    Stored commands are kept for good: a kind or a field is never renamed, and new fields have
+    defaults.
+
+    Attributes:
+        KINDS: all commands by their stored name.
+        kind: the stored name.
+    """
+
+    KINDS: ClassVar[dict[str, type[Command]]] = {}
+    kind: ClassVar[str]
+    _action: ClassVar[Action] = "annotate"
+    _words: ClassVar[str]
+
+    def __init_subclass__(
+        cls, kind: str = "", action: Action | None = None, words: str = ""
+    ) -> None:
+        """Enter a command.
+
+        Args:
+            kind: its stored name; "" for a base of several.
+            action: that of its base where it is None.
+            words: of what it does, with fields in braces; "" is its stored name.
+        """
+        cls._action = action or cls._action
+        if kind:
+            cls.kind, cls._words = kind, words or kind.replace("_", " ")
+            Command.KINDS[kind] = cls
+
+    @property
+    def action(self) -> Action:
+        """Its place in the course of a review."""
+        return self._action
+
+    def describe(self) -> str:
+        """Return what it does, in a few words for an undo button or a list of edits."""
+        return self._words.format_map(vars(self))
+
+    def edit(self, document: Document, context: Context) -> Document:
+        """Return the document after it; the same object where it changes nothing.
+
+        Raises:
+            CommandError: where the document doesn't allow it; the message says why.
+        """
+        raise NotImplementedError
+
+    def review(self, before: ReviewRecord, state: ReviewState, context: Context) -> ReviewRecord:
+        """Return the record of the review after it, in the state that its action leads to."""
+        if state == before.state:
+            return before
+        # The reviewer's comment stays while the annotator corrects the object.
+        return replace(before, state=state, by=context.who, at=context.at)
+
+    def apply(self, state: SessionState, context: Context) -> SessionState:
+        """Return the state after it; see :func:`apply`."""
+        before = state.present
+        try:
+            after = self.edit(before, context)
+        except CommandError:
+            raise
+        except ArtiworldError as error:
+            raise CommandError(str(error)) from error
+        if after is before:
+            return state
+        review = transition(before.review.state, self.action, context.role)
+        edited = self.action in ("annotate", "submit")
+        after = replace(
+            after,
+            review=self.review(before.review, review, context),
+            annotator=context.who if edited else before.annotator,
+            edits=before.edits + 1,
+            label=self.describe(),
+        )
+        return SessionState(after, (*state.past, before)[-MAX_UNDO:], (), state.seq + 1)
+
+
+class JobResult(Command):
+    """Amends the present document; no undo step. The server lets nobody send it."""
+
+    def apply(self, state: SessionState, context: Context) -> SessionState:
+        amended = self.edit(state.present, context)
+        if amended is state.present:
+            return state
+        return replace(state, present=amended, seq=state.seq + 1)
+
+
+@dataclass(frozen=True)
+class Undo(Command, kind="undo"):
+    """Undo the last step."""
+
+    def apply(self, state: SessionState, context: Context) -> SessionState:
+        if not state.past:
+            raise CommandError("there is nothing to undo")
+        _check_review_kept(state.present, state.past[-1], context)
+        future = (*state.future, state.present)
+        return SessionState(state.past[-1], state.past[:-1], future, state.seq + 1)
+
+
+@dataclass(frozen=True)
+class Redo(Command, kind="redo"):
+    """Redo the step that was undone last."""
+
+    def apply(self, state: SessionState, context: Context) -> SessionState:
+        if not state.future:
+            raise CommandError("there is nothing to redo")
+        _check_review_kept(state.present, state.future[-1], context)
+        past = (*state.past, state.present)[-MAX_UNDO:]
+        return SessionState(state.future[-1], past, state.future[:-1], state.seq + 1)
 
 
 def apply(state: SessionState, command: Command, context: Context) -> SessionState:
@@ -84,31 +183,7 @@ def apply(state: SessionState, command: Command, context: Context) -> SessionSta
     Raises:
         CommandError: where the state doesn't allow the command; the message says why.
     """
-    seq = state.seq + 1
-    match command:
-        case Undo():
-            if not state.past:
-                raise CommandError("there is nothing to undo")
-            _check_review_kept(state.present, state.past[-1], context)
-            return SessionState(
-                state.past[-1], state.past[:-1], (*state.future, state.present), seq
-            )
-        case Redo():
-            if not state.future:
-                raise CommandError("there is nothing to redo")
-            _check_review_kept(state.present, state.future[-1], context)
-            past = (*state.past, state.present)[-MAX_UNDO:]
-            return SessionState(state.future[-1], past, state.future[:-1], seq)
-        case RecordSegmentation() | Saved() | Placed():
-            amended = amend(state.present, command, context)
-            if amended is state.present:
-                return state
-            return replace(state, present=amended, seq=seq)
-        case _:
-            after = edit(state.present, command, context)
-            if after is state.present:
-                return state
-            return SessionState(after, (*state.past, state.present)[-MAX_UNDO:], (), seq)
+    return command.apply(state, context)
 
 
 def replay(
@@ -126,14 +201,6 @@ def replay(
         if state.seq != seq:
             state = replace(state, seq=seq)
     return state
-
-
-def needed_jobs(state: SessionState) -> tuple[JobRequest, ...]:
-    """Return the jobs that the present document needs."""
-    document = state.present
-    if document.prompts and not document.segmentation_current:
-        return (JobRequest("segment", document.key),)
-    return ()
 
 
 def _check_review_kept(before: Document, after: Document, context: Context) -> None:

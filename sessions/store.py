@@ -21,7 +21,7 @@ from sqlalchemy import Connection, Row, delete, exc, insert, select, update
 from model.core import codec
 from model.core.errors import CommandError, StoreError
 from sessions.checks import clean_text
-from sessions.commands import NAME_LIMIT, Command, from_json, kind_of, to_json
+from sessions.commands import NAME_LIMIT, Command, from_json, to_json
 from sessions.database import (
     Database,
     Entry,
@@ -40,16 +40,6 @@ from sessions.review import Role
 from sessions.serialise import VERSION, state_from_json, state_to_json
 from sessions.state import Context, SessionState, apply, replay
 from sessions.storage import STORAGE_VARIABLE, ArrayFiles, AssetStorage
-
-__all__ = [
-    "ConflictError",
-    "Entry",
-    "ObjectRecord",
-    "PendingAcceptance",
-    "Store",
-    "clean_who",
-    "now",
-]
 
 SNAPSHOT_EVERY = 50
 """Commands between two snapshots."""
@@ -212,13 +202,13 @@ class Store:
             "seq": after.seq,
             "at": at,
             "who": who,
-            "kind": kind_of(command),
+            "kind": command.kind,
             "payload": _dumps(written),
         }
         blob = _compressed(after) if after.seq % SNAPSHOT_EVERY == 0 else None
         try:
             with self._database.writing() as connection:
-                self._append(connection, line, _summary(after, who, at), blob)
+                self._append(connection, line, summary(after, who, at), blob)
         except StoreError as error:
             if isinstance(error.__cause__, exc.IntegrityError):
                 # Without a lock on writers both processes inserted; the second one is refused.
@@ -305,7 +295,7 @@ class Store:
         self,
         connection: Connection,
         line: dict[str, Any],
-        summary: dict[str, Any],
+        columns: dict[str, Any],
         blob: bytes | None,
     ) -> None:
         object_id, seq = line["object_id"], line["seq"]
@@ -314,7 +304,7 @@ class Store:
             raise self._conflict(object_id, seq - 1, current)
         connection.execute(insert(commands).values(line))
         self.people.decided(connection, line)
-        connection.execute(update(objects).where(objects.c.id == object_id).values(summary))
+        connection.execute(update(objects).where(objects.c.id == object_id).values(columns))
         if blob is None:
             return
         connection.execute(
@@ -413,10 +403,11 @@ def _new(key: str, sha256: str | None, name: str) -> dict[str, Any]:
     at = now()
     plain = clean_text(name[:NAME_LIMIT], NAME_LIMIT, "the object's name") or Path(key).name
     line = {"path": key, "name": plain, "sha256": sha256, "created": at}
-    return line | _summary(SessionState(), "", at)
+    return line | summary(SessionState(), "", at)
 
 
-def _summary(state: SessionState, who: str, at: str) -> dict[str, Any]:
+def summary(state: SessionState, who: str, at: str) -> dict[str, Any]:
+    """Return the fields of an object's record after a command of ``who``."""
     document = state.present
     rejected = document.review.state == "rejected"
     return {

@@ -1,16 +1,15 @@
-"""Uses of tools with their results, so that replaying needs no segmenter."""
+"""Commands of tools, and about the source; see :mod:`sessions.commands`.
+
+Several kinds of edits in one step, elements that are left out or cut out of a scan, and the frame.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import get_args
 
-import numpy as np
-import numpy.typing as npt
-from scipy.spatial.transform import Rotation
-
+from model.core.asset import UpAxis
 from model.core.errors import CommandError
-from model.core.geometry import affine, quaternion_wxyz, uniform_scale
-from model.geometry.splitting import Plane
 from model.segmentation.prompts import BASE
 from sessions.checks import (
     NAME_LIMIT,
@@ -20,10 +19,24 @@ from sessions.checks import (
     check_pose,
     check_ref,
     check_unit_scale,
-    clean_name,
-    clean_text,
-    put_field,
+    clean_field,
+    name_field,
 )
+from sessions.document import (
+    CropRecord,
+    Document,
+    FaceCut,
+    LeftOut,
+    ObjectFrame,
+    PartInfo,
+    Placement,
+    RegionRef,
+    as_record,
+)
+from sessions.part_commands import add_prompt, with_part, with_prompts, without_part
+from sessions.state import Command, Context, JobResult
+
+UP_AXES: tuple[UpAxis, ...] = get_args(UpAxis)
 
 
 @dataclass(frozen=True)
@@ -50,13 +63,13 @@ class ToolRegion:
         check_part(self.part)
         check_ref(self.elements, "elements")
         check_count(self.count)
-        put_field(self, "name", clean_name(self.name, "the part's name"))
+        name_field(self, "name", "the part's name")
         if self.like is not None:
             check_part(self.like)
 
 
 @dataclass(frozen=True)
-class ApplyTool:
+class ApplyTool(Command, kind="apply_tool"):
     """The changes of one use of a tool, as one step.
 
     Attributes:
@@ -72,35 +85,40 @@ class ApplyTool:
     delete: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
-        put_field(self, "tool", clean_text(self.tool, NAME_LIMIT, "tool"))
+        clean_field(self, "tool", NAME_LIMIT, "tool")
         check_count(self.replaces, "replaces")
         for part in self.delete:
             check_part(part)
             if part == BASE:
                 raise CommandError("part 0 is the base and can't be deleted")
 
+    def describe(self) -> str:
+        parts = sorted({r.part for r in self.regions})
+        whose = "" if not parts else f", part {parts[0]}"
+        return self.tool + (whose if len(parts) < 2 else f", {len(parts)} parts")
+
+    def edit(self, document: Document, context: Context) -> Document:
+        have = len(document.prompts)
+        if self.replaces > have:
+            raise CommandError(
+                f"{self.tool} replaces {self.replaces} prompts, but there are {have}"
+            )
+        before = document
+        if self.replaces:
+            document = replace(document, prompts=document.prompts[: -self.replaces])
+        for part in self.delete:
+            if document.part(part) is not None:
+                document = without_part(document, part, context)
+        for r in self.regions:
+            if document.part(r.part) is None:
+                document = with_part(document, PartInfo(r.part, r.name, r.like))
+            region = RegionRef(r.part, r.elements, r.positive, r.count, self.tool)
+            document = add_prompt(document, region)
+        return before if document is before else with_prompts(document, document.prompts)
+
 
 @dataclass(frozen=True)
-class FaceCut:
-    """Faces that are split along planes, so that a border needs no edges.
-
-    Attributes:
-        elements: reference of the stored (K,) int64 faces, as they are numbered before this cut.
-        planes: one after another on what is inside of those before; see
-            :func:`model.geometry.splitting.split_faces`.
-    """
-
-    elements: str
-    planes: tuple[Plane, ...]
-
-    def __post_init__(self) -> None:
-        check_ref(self.elements, "elements")
-        if not self.planes:
-            raise CommandError("a cut needs a plane")
-
-
-@dataclass(frozen=True)
-class CutFaces:
+class CutFaces(Command, kind="cut_faces", words="{tool} through faces"):
     """A cut that splits faces, which renumbers all faces.
 
     So regions of the present parts, by the new numbers, replace the prompts.
@@ -116,46 +134,38 @@ class CutFaces:
     regions: tuple[ToolRegion, ...]
 
     def __post_init__(self) -> None:
-        put_field(self, "tool", clean_text(self.tool, NAME_LIMIT, "tool"))
+        clean_field(self, "tool", NAME_LIMIT, "tool")
+
+    def edit(self, document: Document, context: Context) -> Document:
+        bare = replace(document, prompts=(), face_cuts=(*document.face_cuts, self.cut))
+        return ApplyTool(self.tool, self.regions).edit(bare, context)
 
 
 @dataclass(frozen=True)
-class ObjectFrame:
-    """The object's frame in that of the source: scale, then rotation, then shift.
+class SetFrame(Command, kind="set_frame", words="read with {up_axis} up, scale {unit_scale:g}"):
+    """Set the up axis and metres per unit of the source. Restarts the annotation.
 
-    Attributes:
-        position: (3,) metres, where the source's origin lies in the object's frame.
-        wxyz: the rotation from the source's frame to the object's, a unit quaternion.
-        scale: of the object against the source.
+    Earlier versions gave it; now :class:`Prepare` says more.
     """
 
-    position: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    wxyz: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
-    scale: float = 1.0
+    up_axis: UpAxis
+    unit_scale: float
 
     def __post_init__(self) -> None:
-        check_pose(self.position, self.wxyz)
-        check_unit_scale(self.scale, "scale")
+        if self.up_axis not in UP_AXES:
+            raise CommandError(f"up_axis must be one of {', '.join(UP_AXES)}, got {self.up_axis!r}")
+        check_unit_scale(self.unit_scale, "unit_scale")
 
-    @property
-    def object_from_read(self) -> npt.NDArray[np.float64]:
-        """(4, 4) from the source as it was read."""
-        w, x, y, z = self.wxyz
-        return affine(self.scale * Rotation.from_quat([x, y, z, w]).as_matrix(), self.position)
-
-    def then(self, matrix: npt.NDArray[np.float64]) -> ObjectFrame:
-        """The frame after a further (4, 4) rotation, uniform scale and shift of the object."""
-        whole, scale = matrix @ self.object_from_read, self.scale * uniform_scale(matrix[:3, :3])
-        px, py, pz = whole[:3, 3].tolist()
-        return ObjectFrame((px, py, pz), quaternion_wxyz(whole / scale), scale)
-
-
-SOURCE_FRAME = ObjectFrame()
-"""The frame of the source itself."""
+    def edit(self, document: Document, context: Context) -> Document:
+        read = self.up_axis, self.unit_scale
+        if (document.up_axis, document.unit_scale) == read:
+            return document
+        after = replace(_afresh(document), up_axis=read[0], unit_scale=read[1])
+        return replace(after, joint_edits=0)
 
 
 @dataclass(frozen=True)
-class LeaveOut:
+class LeaveOut(Command, kind="leave_out"):
     """Leave out elements of the source, such as a room's floor and walls.
 
     This renumbers the rest, so the annotation restarts.
@@ -175,56 +185,95 @@ class LeaveOut:
         if self.elements is not None:
             check_ref(self.elements, "elements")
         check_count(self.count)
-        put_field(self, "what", clean_text(self.what, NAME_LIMIT, "what is left out"))
+        clean_field(self, "what", NAME_LIMIT, "what is left out")
+
+    @property
+    def record(self) -> LeftOut | None:
+        """The elements that are left out then; None for none."""
+        return None if self.elements is None else as_record(LeftOut, self)
+
+    def describe(self) -> str:
+        return f"leave out {self.what}" if self.elements else "leave nothing out"
+
+    def edit(self, document: Document, context: Context) -> Document:
+        if self.record == document.left_out:
+            return document
+        return replace(_afresh(document), left_out=self.record)
 
 
 @dataclass(frozen=True)
-class CropOut:
-    """Record an object that was cut out of this scan.
+class Prepare(Command, kind="prepare", words="{what}"):
+    """Level, size and clean the source. Restarts the annotation.
 
     Attributes:
-        name: of the new object.
-        path: its file.
-        elements: reference of the stored (K,) int64 elements of the whole source.
-        count: K, for display.
-        position: (3,) metres, where the new object's origin lies in this scan's frame.
-        wxyz: its orientation there, a unit quaternion.
+        unit_scale: metres per unit of the source.
+        frame: the object's frame in that of the source as it is read.
+        leave_out: what is left out from now on.
+        what: human-readable summary of the change.
     """
 
-    name: str
-    path: str
-    elements: str
-    count: int
-    position: tuple[float, float, float]
-    wxyz: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
+    unit_scale: float
+    frame: ObjectFrame
+    leave_out: LeaveOut
+    what: str
 
     def __post_init__(self) -> None:
-        put_field(self, "name", clean_text(self.name, NAME_LIMIT, "the object's name"))
-        put_field(self, "path", clean_text(self.path, PATH_LIMIT, "the object's path"))
+        check_unit_scale(self.unit_scale, "unit_scale")
+        clean_field(self, "what", NAME_LIMIT, "what was changed")
+
+    def edit(self, document: Document, context: Context) -> Document:
+        left_out = self.leave_out.record
+        after = replace(document, unit_scale=self.unit_scale, frame=self.frame, left_out=left_out)
+        return document if after == document else replace(_afresh(after), joint_edits=0)
+
+
+@dataclass(frozen=True)
+class CropOut(CropRecord, Command, kind="crop_out", words="cut out {name}"):
+    """Record an object that was cut out of this scan."""
+
+    def __post_init__(self) -> None:
+        clean_field(self, "name", NAME_LIMIT, "the object's name")
+        clean_field(self, "path", PATH_LIMIT, "the object's path")
         check_ref(self.elements, "elements")
         check_count(self.count)
         check_pose(self.position, self.wxyz)
 
+    def edit(self, document: Document, context: Context) -> Document:
+        crop = as_record(CropRecord, self)
+        if crop in document.crops:
+            return document
+        return replace(document, crops=(*document.crops, crop))
+
 
 @dataclass(frozen=True)
-class Placed:
-    """Record the place of this object in the scan that it was cut out of. No undo step.
-
-    Attributes:
-        scene: path of the scan.
-        scene_sha256: of the scan's file.
-        elements: reference of the scan's (K,) int64 elements that it is made of.
-        position, wxyz: as in :class:`CropOut`.
-    """
-
-    scene: str
-    scene_sha256: str
-    elements: str
-    position: tuple[float, float, float]
-    wxyz: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
+class Placed(Placement, JobResult, kind="placed"):
+    """Record the place of this object in the scan that it was cut out of. No undo step."""
 
     def __post_init__(self) -> None:
-        put_field(self, "scene", clean_text(self.scene, PATH_LIMIT, "the scan's path"))
-        put_field(self, "scene_sha256", clean_text(self.scene_sha256, NAME_LIMIT, "the digest"))
+        clean_field(self, "scene", PATH_LIMIT, "the scan's path")
+        clean_field(self, "scene_sha256", NAME_LIMIT, "the digest")
         check_ref(self.elements, "elements")
         check_pose(self.position, self.wxyz)
+
+    def describe(self) -> str:
+        return f"placed in {self.scene.rpartition('/')[2]}"
+
+    def edit(self, document: Document, context: Context) -> Document:
+        placement = as_record(Placement, self)
+        if placement == document.placement:
+            return document
+        return replace(document, placement=placement)
+
+
+def _afresh(document: Document) -> Document:
+    """Return it without all that refers to elements, whose numbers changed."""
+    return replace(
+        document,
+        prompts=(),
+        face_cuts=(),
+        segmentation=None,
+        prediction=None,
+        prediction_for=None,
+        tree=None,
+        locked=frozenset(),
+    )

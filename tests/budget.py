@@ -19,7 +19,7 @@ ROOT = Path(__file__).parents[1]
 FILE = "tests/budget.toml"
 PACKAGES = ("app", "model", "sessions")
 MOST_MEMBERS = 15
-VAGUE = re.compile(r"(What|Who|How|Where|Whether|Of)\b")
+VAGUE = re.compile(r"(What|Who|How|Where|Whether|Of|Those)\b")
 
 
 def counts() -> dict[str, dict[str, int]]:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import io
+import json
+import struct
 import time
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -70,9 +72,57 @@ def part(link: str, *pieces: trimesh.Trimesh, name: str | None = None) -> Part:
     return Part(link, joined(*pieces), name=name)
 
 
+def linked(joints: Sequence[Joint], *parts: Part, name: str = "linked") -> ArticulatedObject:
+    """An object of parts and joints; links without a part are helpers."""
+    ends = (link for j in joints for link in (j.parent, j.child))
+    links = dict.fromkeys([*(p.link for p in parts), *ends])
+    return ArticulatedObject(name, parts, KinematicTree(tuple(links), tuple(joints)))
+
+
 def two(joint: Joint, base: Part, moving: Part) -> ArticulatedObject:
     """An object of two parts, ``link_0`` and ``link_1``."""
-    return ArticulatedObject("two", (base, moving), KinematicTree(("link_0", "link_1"), (joint,)))
+    return linked((joint,), base, moving, name="two")
+
+
+def slide(name: str, child: str, upper: float, way: float = 1.0, **more: Any) -> Joint:
+    """A joint of ``link_0`` or ``base`` that slides along x from 0 to ``upper``."""
+    parent = more.pop("parent", "link_0")
+    return Joint(name, "prismatic", parent, child, (way, 0, 0), lower=0, upper=upper, **more)
+
+
+def read_glb(data: bytes) -> tuple[dict[str, Any], bytes]:
+    """The JSON of a GLB and its binary chunk."""
+    assert data[:4] == b"glTF" and int.from_bytes(data[8:12], "little") == len(data)
+    end = 20 + int.from_bytes(data[12:16], "little")
+    return json.loads(data[20:end]), data[end + 8 :]
+
+
+def write_glb(path: Path, tree: dict[str, Any], binary: bytes = b"") -> Path:
+    """A GLB of a JSON and a binary chunk, which is left out where it's empty."""
+    text = json.dumps({"asset": {"version": "2.0"}, **tree}).encode()
+    text += b" " * (-len(text) % 4)
+    if binary:
+        binary = struct.pack("<I4s", len(binary), b"BIN\0") + binary
+    size = 20 + len(text) + len(binary)
+    head = struct.pack("<4sIII4s", b"glTF", 2, size, len(text), b"JSON")
+    path.write_bytes(head + text + binary)
+    return path
+
+
+def ply_head(count: int, *fields: str, faces: int = 0, more: str = "", style: str = "ascii") -> str:
+    """A PLY's header: the number of vertices and their fields as "type name name …" (x, y and z
+    by themselves), that of triangles or polygons and what they have more."""
+
+    def properties(groups: Sequence[str]) -> list[str]:
+        split = (group.split() for group in groups)
+        return [f"property {kind} {name}" for kind, *names in split for name in names]
+
+    rows = ["ply", f"format {style} 1.0", "comment made elsewhere", f"element vertex {count}"]
+    rows += properties(fields or ("float x y z",))
+    if faces:
+        rows += [f"element face {faces}", "property list uchar int vertex_indices"]
+        rows += properties([more] if more else [])
+    return "\n".join([*rows, "end_header", ""])
 
 
 def mesh_of(triangles: npt.NDArray) -> Mesh:

@@ -32,6 +32,7 @@ SLOW = (
     "tests/app/test_scene_command.py",
     "tests/app/test_scene_formats.py",
     "tests/app/test_cli.py",
+    "tests/test_base_installation.py",
     "tests/app/test_documents.py",
     "tests/model/physics/test_collision_shapes.py",
     "tests/model/segmentation/test_fronts.py",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from model.core.articulated_object import ArticulatedObject, Part
-from model.core.geometry import PointCloud
+from model.core.geometry import PointCloud, merged_clouds
 from model.core.joint import Joint
 from model.core.tree import KinematicTree
 
@@ -22,19 +22,13 @@ def sheet(corner, first, second, count: int, rng, color=(150, 120, 90)) -> Point
     return PointCloud(points.astype(np.float32), None, colors)
 
 
-def joined(*clouds: PointCloud) -> PointCloud:
-    points, colors = (np.concatenate([getattr(c, k) for c in clouds]) for k in ("points", "colors"))
-    return PointCloud(points, None, colors)
-
-
 def cabinet(count: int = 1500) -> ArticulatedObject:
     """Its top, sides and fronts alone: nobody saw the back, the bottom and the inside."""
     rng = np.random.default_rng(0)
     w, d, h = (WIDTH, 0, 0), (0, DEPTH, 0), (0, 0, HEIGHT)
-    body = joined(
+    body = merged_clouds((
         sheet((0, 0, 0), d, h, 2 * count, rng), sheet((WIDTH, 0, 0), d, h, 2 * count, rng),
-        sheet((0, 0, HEIGHT), w, d, count, rng),
-    )  # fmt: skip
+        sheet((0, 0, HEIGHT), w, d, count, rng)))  # fmt: skip
     low = (0, 0, SPLIT - 0.004)
     drawer = sheet((0, 0, 0), w, low, count, rng, (200, 30, 30))
     high = (0, 0, HEIGHT - SPLIT)

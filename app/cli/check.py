@@ -7,8 +7,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from rich.text import Text
-
 from app.cli import output
 from app.cli.commands import CheckCommand
 from app.cli.export import (
@@ -20,9 +18,11 @@ from app.cli.export import (
     run_all,
     shape_store,
 )
+from app.cli.output import Result
 from app.cli.predict import predicted_confidence
 from model.core.articulated_object import ArticulatedObject, inertial_problems
 from model.core.errors import ConfigurationError
+from model.core.progress import Progress
 from model.core.shapes import Primitive
 from model.io.assets.reader import load_object, reading_notes
 from model.io.export.registry import EXPORTERS
@@ -60,8 +60,8 @@ class CheckTask:
     engines: tuple[str, ...] = (MUJOCO,)
 
 
-def check(options: CheckCommand) -> int:
-    """Check all assets, print the findings, and return the exit code: 1 where one has an error.
+def check(options: CheckCommand, progress: Progress) -> Result:
+    """Check all assets; the exit code is 1 where one has an error.
 
     Errors are what can't be read back, and broken joints unless these are allowed.
     """
@@ -77,16 +77,14 @@ def check(options: CheckCommand) -> int:
         for asset, name in zip(assets, asset_names(assets), strict=True)
     ]
     rows: dict[int, dict[str, Any]] = {}
-    with output.session(options.json) as show:
-        show.progress(0.0, f"checking {len(tasks)} assets")
-        for i, answer in run_all(check_one, tasks, options.jobs):
-            rows[i] = answer if isinstance(answer, dict) else _failed(tasks[i], answer)
-            show.progress(len(rows) / len(tasks), tasks[i].name)
+    progress(0.0, f"checking {len(tasks)} assets")
+    for i, answer in run_all(check_one, tasks, options.jobs):
+        rows[i] = answer if isinstance(answer, dict) else _failed(tasks[i], answer)
+        progress(len(rows) / len(tasks), tasks[i].name)
     found = [rows[i] for i in range(len(tasks))]
     report = {"assets": found, "summary": summary(found)}
-    show.result(report, lambda: _print(report))
     key = "readable" if options.allow_broken else "fine"
-    return 0 if all(row[key] for row in found) else 1
+    return Result(report, lambda: _print(report), int(not all(row[key] for row in found)))
 
 
 def _readable_formats(given: tuple[str, ...]) -> list[str]:
@@ -248,50 +246,40 @@ def _engines(found: list[dict[str, bool]]) -> dict[str, int]:
 
 
 def _print(report: dict[str, Any]) -> None:
-    columns = (
-        "asset",
-        "read back",
-        "shapes",
-        "free kept",
-        "one hull",
-        "rest mm",
-        "range mm",
-        "validation",
-        "errors",
-    )
-    out = output.console()
-    out.print(output.table_of(None, columns, map(_cells, report["assets"])))
+    output.print_records(None, map(_cells, report["assets"]))
     for row in report["assets"]:
         output.print_notes(f"{row['name']}: {note}" for note in row.get("notes", ()))
         warnings = _joints_with(row.get("gate"), "look")
         lines = warnings[:MOST_WARNINGS]
         if len(warnings) > MOST_WARNINGS:
             lines.append(f"{len(warnings) - MOST_WARNINGS} more, with --json")
-        for line in lines:
-            out.print(Text(f"warning: {row['name']}: {line}", "yellow"))
-    out.print(_closing_line(report["summary"]))
+        output.print_notes((f"{row['name']}: {line}" for line in lines), "warning")
+    output.console().print(_closing_line(report["summary"]))
 
 
-def _cells(row: dict[str, Any]) -> list[str | Text]:
+def _cells(row: dict[str, Any]) -> dict[str, Any]:
     """An asset's row of the table."""
-    if "error" in row:
-        return [row["name"], *[""] * 7, Text(row["error"], "bold red")]
-    errors = row["inertia_problems"] + [p for f in row["formats"] for p in f["problems"]]
-    errors += _joints_with(row["gate"], "broken")
-    figures = [""] * 5
-    if collision := row["collision"]:
-        over_range = max(collision["overlap_over_range_m"].values(), default=0)
-        figures = [
-            str(collision["shapes"]),
-            f"{100 * collision['free_kept']:.1f} %",
-            f"{100 * collision['free_kept_by_one_hull']:.1f} %",
-            f"{1000 * collision['overlap_at_rest_m']:.1f}",
-            f"{1000 * over_range:.1f}",
-        ]
-    fine = sum(f["fine"] for f in row["formats"])
-    verdict = VERDICTS[row["gate"]["verdict"]] if row["gate"] else ""
-    read = f"{fine} of {len(row['formats'])}"
-    return [row["name"], read, *figures, verdict, Text("\n".join(errors), "bold red")]
+    read = verdict = ""
+    figures: dict[str, str] = dict.fromkeys(
+        ("shapes", "free kept", "one hull", "rest mm", "range mm"), ""
+    )
+    errors: list[str] = [row["error"]] if "error" in row else []
+    if "error" not in row:
+        errors = row["inertia_problems"] + [p for f in row["formats"] for p in f["problems"]]
+        errors += _joints_with(row["gate"], "broken")
+        read = f"{sum(f['fine'] for f in row['formats'])} of {len(row['formats'])}"
+        verdict = VERDICTS[row["gate"]["verdict"]] if row["gate"] else ""
+        if collision := row["collision"]:
+            over_range = max(collision["overlap_over_range_m"].values(), default=0)
+            figures = {
+                "shapes": str(collision["shapes"]),
+                "free kept": f"{100 * collision['free_kept']:.1f} %",
+                "one hull": f"{100 * collision['free_kept_by_one_hull']:.1f} %",
+                "rest mm": f"{1000 * collision['overlap_at_rest_m']:.1f}",
+                "range mm": f"{1000 * over_range:.1f}",
+            }
+    found = {"validation": verdict, "errors": output.wrong(errors)}
+    return {"asset": row["name"], "read back": read, **figures, **found}
 
 
 def _joints_with(report: dict[str, Any] | None, verdict: str) -> list[str]:

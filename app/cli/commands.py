@@ -1,32 +1,35 @@
-"""All subcommands of ``artiworld``, with the options of those that work on people's objects.
-
-Each ``run`` imports the module that does the work, which may be heavy; nothing else here does.
-"""
+"""All subcommands of ``artiworld``, with the options of those that work on people's objects."""
 
 from __future__ import annotations
 
 import logging
 import math
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar, Literal
 
+from app.cli.bench_commands import BENCHES
 from app.cli.options import (
     ENGINE_HELP,
     MASKS_HELP,
     SEGMENTER_HELP,
+    UP_AXES,
     Command,
+    Group,
     OidcOptions,
     PhysicsOptions,
     PredictorOptions,
     ReadingOptions,
+    ReportCommand,
+    SegmenterOptions,
     Vector,
     argument,
+    database_option,
     direction,
     flag,
     group,
-    json_flag,
     measured,
     option,
     positive_count,
@@ -34,17 +37,10 @@ from app.cli.options import (
     repeated,
     required,
     seed_option,
-    segmenter_option,
+    workspace_option,
 )
-from app.cli.research_commands import BenchCommand, EvaluateCommand, GenerateCommand, TrainCommand
-from app.cli.team_commands import (
-    AuditCommand,
-    ProjectCommand,
-    ReleaseCommand,
-    RepeatCommand,
-    StatsCommand,
-    UserCommand,
-)
+from app.cli.research_commands import EvaluateCommand, GenerateCommand, TrainCommand
+from app.cli.team_commands import PROJECT, RELEASE, USERS, AuditCommand, RepeatCommand, StatsCommand
 from app.server.config import TOKEN_VARIABLE
 from app.server.ending import EndSignals
 from model.core.packages import at_place
@@ -59,8 +55,7 @@ class ServeCommand(Command):
     log_level: ClassVar[int] = logging.INFO
     paths: tuple[Path, ...] = argument(
         "meshes, scans, URDFs, MJCFs, folders, or one scene (default: the bundled examples)",
-        "PATH",
-        "*",
+        "[PATH ...]",
         (),
     )
     assets: tuple[Path, ...] = repeated(
@@ -73,10 +68,8 @@ class ServeCommand(Command):
     finder_url: str | None = option(
         "openai finder: address of the server, such as http://localhost:11434/v1", "URL"
     )
-    workspace: Path = option("folder of sessions and accepted assets", "DIR", Path("workspace"))
-    database: str | None = option(
-        "URL of a SQLite or PostgreSQL database (default: one in the workspace)", "URL"
-    )
+    workspace: Path = workspace_option()
+    database: str | None = database_option()
     host: str = option(
         "address to listen at; others than this machine need a token", "HOST", "127.0.0.1"
     )
@@ -92,7 +85,7 @@ class ServeCommand(Command):
     reading: ReadingOptions = group(ReadingOptions)
     max_upload_mb: int = option("largest upload from a browser", "MB", 500)
     masks: Path | None = option(f"{MASKS_HELP}; of the one PATH", "FILE")
-    segmenter: str = segmenter_option()
+    segmentation: SegmenterOptions = group(SegmenterOptions)
     prediction: PredictorOptions = group(PredictorOptions)
     storage: str | None = option(
         "where accepted assets are kept, such as s3://bucket/prefix; or set ARTIWORLD_STORAGE "
@@ -109,15 +102,17 @@ class ServeCommand(Command):
 
 
 @dataclass(frozen=True, kw_only=True)
-class PrepareCommand(Command):
+class PrepareCommand(ReportCommand):
     """Level, size and clean a scan."""
 
+    place: ClassVar[str] = "app.cli.segment:prepare_scan"
     scan: Path = argument("a mesh or a point cloud, in any rotation and unit", "SCAN")
     out: Path = required("folder for the prepared object", "DIR")
     up: Vector | None = option(
         "up in the file: auto, an axis, or a direction X,Y,Z (default: auto)",
         "UP",
         parse=direction,
+        tokens=UP_AXES,
     )
     height: float | None = option("metres of the object along z", "METRES", parse=positive_number)
     length: tuple[Vector, Vector, float] | None = option(
@@ -129,56 +124,19 @@ class PrepareCommand(Command):
         "metres per unit of the file, where neither is given", "METRES", 1.0, parse=positive_number
     )
     keep_support: bool = flag("keep what the object stands on and what stands beside it")
-    json: bool = json_flag()
-
-    def run(self) -> int:
-        """Write the prepared object and say how it was turned."""
-        from app.cli import output
-        from app.cli.segment import prepare_files
-        from model.geometry.prepare import PrepareSettings
-
-        settings = PrepareSettings(
-            self.up,
-            self.height,
-            self.length,
-            self.unit_scale,
-            self.keep_support,
-        )
-        with output.session(self.json) as show:
-            report = prepare_files(self.scan, self.out, settings, show.progress)
-        show.result(report, lambda: output.print_prepared(report, self.out))
-        return 0
 
 
 @dataclass(frozen=True, kw_only=True)
-class SegmentCommand(Command):
+class SegmentCommand(ReportCommand):
     """Cut a scan into parts by clicks from a file, or by masks of another system."""
 
+    place: ClassVar[str] = "app.cli.segment:segment"
     scan: Path = argument("a mesh, a point cloud or a folder of parts", "SCAN")
-    prompts: Path | None = required("JSON file of clicks; not needed with --masks", "FILE")
-    masks: Path | None = option(MASKS_HELP, "FILE", instead_of="prompts")
+    prompts: Path | None = option("JSON file of clicks; not needed with --masks", "FILE")
+    masks: Path | None = option(MASKS_HELP, "FILE")
     out: Path = required("folder for the parts", "DIR")
-    segmenter: str = segmenter_option()
+    segmentation: SegmenterOptions = group(SegmenterOptions)
     reading: ReadingOptions = group(ReadingOptions)
-    json: bool = json_flag()
-
-    def run(self) -> int:
-        """Write the parts and list them."""
-        from app.cli import output, segment
-
-        with output.session(self.json) as show:
-            report = segment.segment(
-                self.scan,
-                self.prompts,
-                self.out,
-                masks=self.masks,
-                segmenter=self.segmenter,
-                up_axis=self.reading.up_axis,
-                unit_scale=self.reading.unit_scale,
-                progress=show.progress,
-            )
-        show.result(report, lambda: output.print_parts(report, self.out))
-        return 0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -186,14 +144,15 @@ class PredictPredictorOptions(PredictorOptions):
     """As of ``serve``, which needs ``--token`` for its own visitors."""
 
     backend_token: str | None = option(
-        f"token of the backend; or set {BACKEND_TOKEN_VARIABLE}", "TOKEN", flag="--token"
+        f"token of the backend; or set {BACKEND_TOKEN_VARIABLE}", "TOKEN", flag="token"
     )
 
 
 @dataclass(frozen=True, kw_only=True)
-class PredictCommand(Command):
+class PredictCommand(ReportCommand):
     """Predict the joints of a folder of parts."""
 
+    place: ClassVar[str] = "app.cli.predict:predict"
     folder: Path = argument(
         "folder with link_0, link_1, … or an object.json; or a URDF or MJCF, or a GLB whose "
         "meshes are named after parts",
@@ -209,28 +168,6 @@ class PredictCommand(Command):
     )
     seed: int = seed_option()
     reading: ReadingOptions = group(ReadingOptions)
-    json: bool = json_flag()
-
-    def run(self) -> int:
-        """Write the articulated object and list its joints."""
-        from app.cli import output, predict
-        from app.cli.predict import chosen_predictor
-
-        with output.session(self.json) as show:
-            report = predict.predict(
-                self.folder,
-                self.out,
-                predictor=chosen_predictor(self.prediction),
-                category=self.category,
-                seed=self.seed,
-                up_axis=self.reading.up_axis,
-                unit_scale=self.reading.unit_scale,
-                collision=self.collision,
-                complete=self.complete,
-                progress=show.progress,
-            )
-        show.result(report, lambda: output.print_joints(report, self.out))
-        return 0
 
 
 def scene_formats(text: str) -> tuple[str, ...]:
@@ -263,15 +200,15 @@ prices.__name__ = "pair of prices"
 
 
 @dataclass(frozen=True, kw_only=True)
-class SceneInspectCommand(Command):
+class SceneInspectCommand(ReportCommand):
     """List what is in a scene and what can be articulated."""
 
+    place: ClassVar[str] = "app.cli.scene:inspect"
     scene: Path = argument("a scene: a description, or GLB, USD or PLY with its geometry", "SCENE")
     assets: tuple[Path, ...] = repeated(
         "folder of the scene's 3D assets (default: the scene's folder)", "DIR"
     )
     format: str | None = option("format of the scene (default: detected from the file)", "NAME")
-    json: bool = json_flag()
     finder: str = option(
         "finder of articulable objects: lexicon, openai:MODEL (any server with OpenAI's "
         "protocol; key in OPENAI_API_KEY) or qwen3:FOLDER",
@@ -291,15 +228,12 @@ class SceneInspectCommand(Command):
     )
     dry_run: bool = flag("estimate what asking would cost, and do nothing")
 
-    def run(self) -> int:
-        """List the objects, or estimate the cost of asking about them."""
-        return at_place(f"app.cli.scene:{'estimate' if self.dry_run else 'inspect'}")(self)
-
 
 @dataclass(frozen=True, kw_only=True)
 class SceneConvertCommand(SceneInspectCommand):
     """Articulate every object that can be, in place."""
 
+    place: ClassVar[str] = "app.cli.scene:convert"
     out: Path = required(
         "folder for the articulated scene; a run that was killed is resumed there", "DIR"
     )
@@ -311,7 +245,7 @@ class SceneConvertCommand(SceneInspectCommand):
     )
     predictor: str = option("predictor of the joints", "NAME", DEFAULT_PREDICTOR)
     seed: int = seed_option()
-    formats: tuple[str, ...] = option(
+    formats: Sequence[str] = option(
         "write the scene as sdf and usd too, besides MJCF", "NAME,NAME", (), parse=scene_formats
     )
     clicks: tuple[tuple[str, Path], ...] = repeated(
@@ -324,50 +258,39 @@ class SceneConvertCommand(SceneInspectCommand):
     ray: str | None = option("let a Ray cluster do the work (host:port, auto, or local)", "ADDRESS")
     keep_limits: bool = flag("leave joint limits as predicted where the motion hits neighbours")
     collision: bool = flag("make collision shapes; without them every base is fixed in MJCF")
-    time_limit: float = option("time for one asset", "SECONDS", 1800.0)
-
-    def run(self) -> int:
-        """Convert the scene, or estimate the cost of asking about its objects."""
-        return at_place(f"app.cli.scene:{'estimate' if self.dry_run else 'convert'}")(self)
-
-
-class SceneCommand(Command):
-    """Articulate a whole scene, its objects in place."""
-
-    subcommands: ClassVar[dict[str, type[Command]]] = {
-        "convert": SceneConvertCommand,
-        "inspect": SceneInspectCommand,
-    }
+    time_limit: float = option("time for one asset", "SECONDS", 1800.0, parse=positive_number)
 
 
 @dataclass(frozen=True, kw_only=True)
 class BackendCommand(Command):
     """Predict for other machines over HTTP."""
 
+    place: ClassVar[str] = "app.cli.serve:serve_backend"
     predictor: str = option("predictor of the joints", "NAME", DEFAULT_PREDICTOR)
     host: str = option(
         "address to listen at; others than this machine need a token", "HOST", "127.0.0.1"
     )
     port: int = option("port to listen at; 0 for any", "PORT", 8090)
     token: str | None = option(f"token that clients need; or set {BACKEND_TOKEN_VARIABLE}", "TOKEN")
-    workers: int = option("objects predicted at the same time", "N", 1)
-    waiting: int = option("requests under way before more are refused", "N", 16)
-    max_request_mb: int = option("largest object that a client may send", "MB", 200)
-
-    def run(self) -> int:
-        """Answer requests until interrupted."""
-        return at_place("app.cli.serve:serve_backend")(self)
+    workers: int = option("objects predicted at the same time", "N", 1, parse=positive_count)
+    waiting: int = option(
+        "requests under way before more are refused", "N", 16, parse=positive_count
+    )
+    max_request_mb: int = option(
+        "largest object that a client may send", "MB", 200, parse=positive_count
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
-class ExportCommand(Command):
+class ExportCommand(ReportCommand):
     """Write articulated objects for simulators."""
 
+    place: ClassVar[str] = "app.cli.export:export"
     assets: tuple[Path, ...] = argument(
-        "asset folders, URDF and MJCF files, or folders of assets", "ASSET", nargs="+"
+        "asset folders, URDF and MJCF files, or folders of assets", "ASSET [ASSET ...]"
     )
-    format: tuple[str, ...] = required(
-        "urdf, ros, mjcf, usd, sdf, glb, or all", "NAME,NAME", repeat=True
+    format: tuple[str, ...] = repeated(
+        "urdf, ros, mjcf, usd, sdf, glb, or all (required)", "NAME,NAME"
     )
     out: Path = required(
         "folder for the files; several assets, and several formats of each, get folders in it",
@@ -394,19 +317,15 @@ class ExportCommand(Command):
     )
     qcode: str | None = option("its Wikidata item, for the package (default: by category)", "QCODE")
     jobs: int | None = option("processes for several assets (default: as many as processors)", "N")
-    json: bool = json_flag()
-
-    def run(self) -> int:
-        """Write the files; 2 where an asset could not be written."""
-        return at_place("app.cli.export:export")(self)
 
 
 @dataclass(frozen=True, kw_only=True)
-class CheckCommand(Command):
+class CheckCommand(ReportCommand):
     """Check whether articulated objects work in simulators."""
 
+    place: ClassVar[str] = "app.cli.check:check"
     assets: tuple[Path, ...] = argument(
-        "asset folders, URDF and MJCF files, or folders of assets", "ASSET", nargs="+"
+        "asset folders, URDF and MJCF files, or folders of assets", "ASSET [ASSET ...]"
     )
     format: tuple[str, ...] = repeated("formats to write and read back (default: all)", "NAME,NAME")
     gate: bool = flag("sweep every joint, and drive it in --engine", default=True)
@@ -419,53 +338,40 @@ class CheckCommand(Command):
     )
     physics: PhysicsOptions = group(PhysicsOptions)
     jobs: int | None = option("processes (default: as many as processors)", "N")
-    json: bool = json_flag()
-
-    def run(self) -> int:
-        """Print the findings; 1 where an asset has an error."""
-        return at_place("app.cli.check:check")(self)
 
 
 @dataclass(frozen=True, kw_only=True)
-class DoctorCommand(Command):
+class DoctorCommand(ReportCommand):
     """Say what is installed, usable and wrong."""
 
-    workspace: Path = option("folder of sessions and accepted assets", "DIR", Path("workspace"))
-    database: str | None = option(
-        "URL of a SQLite or PostgreSQL database (default: one in the workspace)", "URL"
-    )
+    place: ClassVar[str] = "app.cli.doctor:doctor"
+    workspace: Path = workspace_option()
+    database: str | None = database_option()
     port: int = option("port that serve would listen at", "PORT", 8080)
-    json: bool = json_flag()
-
-    def run(self) -> int:
-        """Examine everything; 1 where something is wrong."""
-        from app.cli import doctor, output
-
-        with output.session(self.json) as show:
-            checks = doctor.examine(self.workspace, self.database, self.port)
-        show.result(doctor.to_json(checks), lambda: output.print_checks(checks))
-        return 1 if any(check.status == "wrong" for check in checks) else 0
 
 
-COMMANDS: dict[str, type[Command]] = {
+COMMANDS: dict[str, type[Command] | Group] = {
     "serve": ServeCommand,
     "prepare": PrepareCommand,
     "segment": SegmentCommand,
     "predict": PredictCommand,
-    "scene": SceneCommand,
+    "scene": Group(
+        "Articulate a whole scene, its objects in place.",
+        {"convert": SceneConvertCommand, "inspect": SceneInspectCommand},
+    ),
     "backend": BackendCommand,
     "export": ExportCommand,
     "check": CheckCommand,
     "evaluate": EvaluateCommand,
     "generate": GenerateCommand,
     "train": TrainCommand,
-    "bench": BenchCommand,
-    "project": ProjectCommand,
+    "bench": Group("Measure speed and accuracy.", BENCHES),
+    "project": PROJECT,
     "stats": StatsCommand,
     "repeat": RepeatCommand,
-    "release": ReleaseCommand,
-    "user": UserCommand,
+    "release": RELEASE,
+    "user": USERS,
     "audit": AuditCommand,
     "doctor": DoctorCommand,
 }
-"""Name → subcommand, in the order of the help page."""
+"""Name → subcommand or group of them, in the order of the help page."""

@@ -14,14 +14,19 @@ from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
 from typing import Any, Literal
 
+from rich.text import Text
 from sqlalchemy import create_engine, exc, inspect, text
 from sqlalchemy.engine import make_url
 
+from app.cli import output
+from app.cli.commands import DoctorCommand
+from app.cli.output import Result
 from app.server.network import check_address
 from model.core.errors import ArtiworldError
 from model.core.files import static_assets
 from model.core.memory import machine_memory
 from model.core.packages import install_command
+from model.core.progress import Progress
 from model.io.model_files import find_assets
 from model.prediction.registry import load_predictor, predictor_names
 from model.scenes.registry import load_reader, reader_names
@@ -62,6 +67,13 @@ class Check:
     status: Status
     found: str
     remedy: str = ""
+
+
+def doctor(options: DoctorCommand, _: Progress) -> Result:
+    """Examine everything; the exit code is 1 where something is wrong."""
+    checks = examine(options.workspace, options.database, options.port)
+    report = to_json(checks)
+    return Result(report, lambda: _print(checks), int(not report["ok"]))
 
 
 def examine(workspace: Path, database: str | None = None, port: int = 8080) -> list[Check]:
@@ -257,3 +269,14 @@ def _memory() -> Check:
 
 def _line(error: object) -> str:
     return " ".join(str(error).split())
+
+
+def _print(checks: list[Check]) -> None:
+    styles = {"fine": "green", "note": "yellow", "wrong": "bold red"}
+    output.print_records(
+        None,
+        [{"": Text(c.status, styles[c.status]), "what": c.name, "found": c.found} for c in checks],
+    )
+    for c in checks:
+        if c.remedy:
+            output.print_notes([f"{c.name}: {c.remedy}"], c.status, styles[c.status])

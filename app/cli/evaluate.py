@@ -13,39 +13,27 @@ from typing import Any
 
 import numpy as np
 
-from app.cli import output
 from app.cli.benchmarks.predictions import bench_segment
-from app.cli.output import Result, check_output
+from app.cli.output import Result, check_output, each_with_progress, print_records
 from app.cli.research_commands import EvaluateCommand
 from app.cli.simulated_annotator import BY_HAND, AnnotatorConfig, AnnotatorScore, annotate
 from model.core.errors import ConfigurationError
 from model.core.files import write_json
-from model.core.progress import Progress, no_progress, scaled_progress
+from model.core.pool import robust_map
+from model.core.progress import Progress, no_progress
+from model.core.tables import escaped, table
 from model.data.folders import export_parts
 from model.data.registry import DatasetOptions, open_dataset
-from model.evaluation.compare import compare, print_comparison, print_reports, print_table
+from model.evaluation.compare import compare, print_comparison, print_reports
 from model.evaluation.html_report import write_html
-from model.evaluation.pool import robust_map
 from model.evaluation.predictions import Frame
-from model.evaluation.report import Report, escaped, read_report, table, write_markdown
+from model.evaluation.report import read_report, write_markdown
 from model.evaluation.run import TRUTH, Corruption, EvaluationConfig, chosen_ids, require_predictor
 from model.evaluation.run import evaluate as evaluate_method
 from model.io.model_files import safe_link
 from model.prediction.registry import DEFAULT
 from model.segmentation.registry import load_segmenter
 from model.validation.engines import MUJOCO, require_engines
-
-COLUMNS = (
-    "predictor",
-    "objects",
-    "right %",
-    "clicks",
-    "part IoU",
-    "wrong joints %",
-    "corrections",
-    "commands",
-    "saved %",
-)
 
 
 @dataclass(frozen=True)
@@ -55,7 +43,7 @@ class AnnotatorReport:
     config: AnnotatorConfig
     scores: tuple[AnnotatorScore, ...]
 
-    def rows(self) -> list[tuple[str, ...]]:
+    def rows(self) -> list[dict[str, Any]]:
         """A row for each predictor: means over the objects that were correct in the end.
 
         ``saved`` is the share of the corrections by hand that the predictor saved, over objects
@@ -63,7 +51,7 @@ class AnnotatorReport:
         """
         return [self._row(name) for name in (*self.config.predictors, BY_HAND)]
 
-    def _row(self, name: str) -> tuple[str, ...]:
+    def _row(self, name: str) -> dict[str, Any]:
         scores = [s for s in self.scores if s.predictor == name]
         right = [s for s in scores if s.right]
         hand = {
@@ -72,32 +60,39 @@ class AnnotatorReport:
         both = [(s.corrections, hand[s.object_id]) for s in right if s.object_id in hand]
         needed = sum(b for _, b in both)
         saved = 1 - sum(a for a, _ in both) / needed if needed else math.nan
-        joints = sum(s.joints for s in right)
-        return (
-            name,
-            str(len(scores)),
-            _percent(len(right) / len(scores) if scores else math.nan),
-            _mean([s.clicks for s in right]),
-            _mean([s.part_iou for s in right], 3),
-            _percent(sum(s.wrong for s in right) / joints if joints else math.nan),
-            _mean([s.corrections for s in right]),
-            _mean([s.commands for s in right]),
-            "" if name == BY_HAND else _percent(saved),
-        )
+        joints, wrong = sum(s.joints for s in right), sum(s.wrong for s in right)
+        return {
+            "predictor": name,
+            "objects": str(len(scores)),
+            "right %": _percent(len(right) / len(scores) if scores else math.nan),
+            "clicks": _mean([s.clicks for s in right]),
+            "part IoU": _mean([s.part_iou for s in right], 3),
+            "wrong joints %": _percent(wrong / joints if joints else math.nan),
+            "corrections": _mean([s.corrections for s in right]),
+            "commands": _mean([s.commands for s in right]),
+            "saved %": "" if name == BY_HAND else _percent(saved),
+        }
 
     def to_json(self) -> dict[str, Any]:
         """Settings, rows and all scores."""
-        rows = [dict(zip(COLUMNS, row, strict=True)) for row in self.rows()]
         settings = {
             k: getattr(self.config, k)
             for k in ("segmenter", "names", "points", "target", "clicks", "seed")
         }
-        return {"settings": settings, "rows": rows, "objects": [asdict(s) for s in self.scores]}
+        return {
+            "settings": settings,
+            "rows": self.rows(),
+            "objects": [asdict(s) for s in self.scores],
+        }
 
     def to_markdown(self) -> str:
         """The table, and the objects that were not correct in the end."""
-        lines = ["# The simulated annotator", ""]
-        lines += table(COLUMNS, self.rows())
+        rows = self.rows()
+        lines = [
+            "# The simulated annotator",
+            "",
+            *table(list(rows[0]), [list(r.values()) for r in rows]),
+        ]
         lines += [
             "",
             "Means over objects that were correct in the end. Clicks until every part's IoU is "
@@ -144,8 +139,8 @@ LEAST_CLOUD = 1000
 SEGMENTATION_SETS = ("procedural", "procedural-noisy", "procedural-one-sided")
 
 
-def evaluate(options: EvaluateCommand) -> int:
-    """Score, or do what is asked for instead, and print the table.
+def evaluate(options: EvaluateCommand, progress: Progress) -> Result:
+    """Score, or do what is asked for instead.
 
     Raises:
         ConfigurationError: where options exclude each other or can't work.
@@ -161,19 +156,12 @@ def evaluate(options: EvaluateCommand) -> int:
     asked = [name for name in instead if getattr(options, name)]
     if len(asked) > 1:
         raise ConfigurationError(f"--{asked[0]} and --{asked[1]} don't go together; run one")
-    with output.session(options.json) as show:
-        work = instead[asked[0]] if asked else _score
-        report, table = work(options, show.progress)
-    show.result(report, table)
-    return 0
+    return (instead[asked[0]] if asked else _score)(options, progress)
 
 
 def _score(options: EvaluateCommand, progress: Progress) -> Result:
     configs = configurations(options)
-    reports: list[Report] = []
-    for i, config in enumerate(configs):
-        span = scaled_progress(progress, i / len(configs), (i + 1) / len(configs))
-        reports.append(evaluate_method(config, progress=span))
+    reports = [evaluate_method(c, progress=p) for c, p in each_with_progress(configs, progress)]
     if options.out is not None:
         for config, report in zip(configs, reports, strict=True):
             assert config.out is not None
@@ -183,7 +171,8 @@ def _score(options: EvaluateCommand, progress: Progress) -> Result:
         pairs = list(zip(configs, reports, strict=True))
         write_html(pairs, options.out / "report.html", options.pictures)
     several = [r.to_json() for r in reports]
-    return several[0] if len(several) == 1 else {"runs": several}, lambda: print_reports(reports)
+    found = several[0] if len(several) == 1 else {"runs": several}
+    return Result(found, lambda: print_reports(reports))
 
 
 def configurations(options: EvaluateCommand) -> list[EvaluationConfig]:
@@ -249,7 +238,7 @@ def _export(options: EvaluateCommand, progress: Progress) -> Result:
         for problem in problems:
             print(f"left out: {problem}")
 
-    return {"folders": written, "problems": problems}, table
+    return Result({"folders": written, "problems": problems}, table)
 
 
 def _annotate(options: EvaluateCommand, progress: Progress) -> Result:
@@ -276,7 +265,8 @@ def _annotate(options: EvaluateCommand, progress: Progress) -> Result:
     if options.out is not None:
         write_json(options.out / "person.json", report.to_json())
         (options.out / "person.md").write_text(report.to_markdown(), encoding="utf-8")
-    return report.to_json(), lambda: print_table("The simulated annotator", COLUMNS, report.rows())
+    title = "The simulated annotator"
+    return Result(report.to_json(), lambda: print_records(title, report.rows()))
 
 
 def _bench_segmentation(options: EvaluateCommand, progress: Progress) -> Result:
@@ -285,7 +275,7 @@ def _bench_segmentation(options: EvaluateCommand, progress: Progress) -> Result:
     if options.root is not None:
         rooms = any(options.root.glob("*_labels.npz"))
         sets += ["room"] if rooms else ["partnet", "partnet-one-sided"]
-    report, table = bench_segment(
+    found = bench_segment(
         options.root,
         sets,
         [options.segmenter],
@@ -294,8 +284,8 @@ def _bench_segmentation(options: EvaluateCommand, progress: Progress) -> Result:
         points=options.points,
     )
     if options.out is not None:
-        write_json(options.out / "segmentation.json", report)
-    return report, table
+        write_json(options.out / "segmentation.json", found.report)
+    return found
 
 
 def _compare(options: EvaluateCommand, _: Progress) -> Result:
@@ -306,4 +296,4 @@ def _compare(options: EvaluateCommand, _: Progress) -> Result:
     if options.out is not None:
         write_json(options.out / "comparison.json", comparison.to_json())
         (options.out / "comparison.md").write_text(comparison.to_markdown(), encoding="utf-8")
-    return comparison.to_json(), lambda: print_comparison(comparison)
+    return Result(comparison.to_json(), lambda: print_comparison(comparison))

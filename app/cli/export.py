@@ -13,17 +13,15 @@ from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar, cast, get_args
 
-from rich.text import Text
-
 from app.cli import output
 from app.cli.commands import ExportCommand
 from app.cli.options import PhysicsOptions
-from app.cli.output import check_output
+from app.cli.output import Result, check_output
 from app.server.export_tasks import ExportTask, export_one
 from model.core.errors import ArtiworldError, ConfigurationError, InputFileError
 from model.core.joint import JointDynamics
+from model.core.pool import robust_map
 from model.core.progress import Progress
-from model.evaluation.pool import robust_map
 from model.io.export.registry import exporter_names, load_exporter
 from model.io.export.simready import AboutPackage, remember, remembered
 from model.physics.collision.build import CollisionSettings, Method
@@ -35,6 +33,10 @@ T = TypeVar("T")
 
 ASSET_FILES = ("object.urdf", "mobility.urdf", "object.xml", "model.sdf")
 """Files that mark a folder as an asset: ours, PartNet-Mobility's, exports to MJCF and SDF."""
+
+
+MOST_FILES = 10
+"""Files of one folder that get a row each; a folder with more gets one row."""
 
 
 class Crashed(RuntimeError):
@@ -186,8 +188,11 @@ def _dynamics(text: str | None, option: str, usual: JointDynamics) -> JointDynam
     return replace(usual, damping=damping, friction=friction)
 
 
-def export(options: ExportCommand) -> int:
-    """Write all assets in all formats, print the files, and return the exit code."""
+def export(options: ExportCommand, progress: Progress) -> Result:
+    """Write all assets in all formats.
+
+    The exit code is 2 where one of several can't be written, 1 where one alone doesn't read back.
+    """
     formats = named_formats(options.format)
     package = None
     if options.profile is not None and "usd" not in formats:
@@ -211,17 +216,13 @@ def export(options: ExportCommand) -> int:
         tasks.append(
             ExportTask(asset, folders, physics, store, options.check, options.complete, package)
         )
-    with output.session(options.json) as show:
-        if several:
-            report = _export_all(tasks, options.jobs, show.progress)
-        else:
-            report = export_one(tasks[0], show.progress)
     if several:
-        show.result(report, lambda: _print_batch(report))
-        return 2 if report["failed"] else 0
+        report = _export_all(tasks, options.jobs, progress)
+        return Result(report, lambda: _print_batch(report), 2 if report["failed"] else 0)
+    report = export_one(tasks[0], progress)
     alone = report["formats"][0] | {"asset": report["asset"]} if len(formats) == 1 else report
-    show.result(alone, lambda: _print_one(report))
-    return 1 if any(f.get("problems") for f in report["formats"]) else 0
+    wrong = any(f.get("problems") for f in report["formats"])
+    return Result(alone, lambda: _print_one(report), int(wrong))
 
 
 def _is_collection(paths: Iterable[Path]) -> bool:
@@ -260,31 +261,43 @@ def _export_all(tasks: list[ExportTask], jobs: int | None, progress: Progress) -
 
 def _print_one(report: dict[str, Any]) -> None:
     for entry in report["formats"]:
-        output.print_files(entry | {"asset": report["asset"]}, Path(entry["folder"]))
-        for problem in entry.get("problems", []):
-            output.console().print(Text(f"wrong: {problem}", "bold red"))
+        print_files(entry | {"asset": report["asset"]}, Path(entry["folder"]))
+        output.print_notes(entry.get("problems", []), "wrong", "bold red")
         output.print_notes(entry.get("notes", []))
 
 
+def print_files(report: dict[str, Any], out: Path) -> None:
+    """Print the files that ``export`` wrote; a folder of many, as of shapes, gets one row."""
+    folders: dict[str, dict[str, int]] = {}
+    for file in report["files"]:
+        folders.setdefault(os.path.dirname(file["file"]), {})[file["file"]] = file["bytes"]
+    sizes: dict[str, int] = {}
+    for folder, files in folders.items():
+        many = folder and len(files) > MOST_FILES
+        sizes |= {f"{folder}/ · {len(files)} files": sum(files.values())} if many else files
+    rows = [{"file": name, "bytes": size} for name, size in sizes.items()]
+    output.print_figures(f"{report['asset']} as {report['format']}", rows)
+    output.console().print(f"written to {out}")
+
+
 def _print_batch(report: dict[str, Any]) -> None:
-    rows = []
-    for row in report["assets"]:
-        if "error" in row:
-            rows.append((row["asset"], "", "", "", Text(row["error"], "bold red")))
-            continue
-        wrong = [p for f in row["formats"] for p in f.get("problems", [])]
-        rows.append(
-            (
-                row["asset"],
-                ", ".join(f["format"] for f in row["formats"]),
-                str(sum(row["collision_shapes"].values())),
-                str(sum(len(f["files"]) for f in row["formats"])),
-                Text("; ".join(wrong), "bold red"),
-            )
-        )
-    columns = ("asset", "formats", "collision shapes", "files", "wrong")
-    output.console().print(output.table_of(None, columns, rows))
+    output.print_records(None, map(_cells, report["assets"]))
     for row in report["assets"]:
         notes = dict.fromkeys(n for f in row.get("formats", ()) for n in f.get("notes", ()))
         output.print_notes(f"{row['asset']}: {note}" for note in notes)
     output.console().print(f"{report['written']} written, {report['failed']} failed")
+
+
+def _cells(row: dict[str, Any]) -> dict[str, Any]:
+    """An asset's row of the table."""
+    formats = row.get("formats", ())
+    problems = (
+        [row["error"]] if "error" in row else [p for f in formats for p in f.get("problems", ())]
+    )
+    return {
+        "asset": row["asset"],
+        "formats": ", ".join(f["format"] for f in formats),
+        "collision shapes": sum(row.get("collision_shapes", {}).values()),
+        "files": sum(len(f["files"]) for f in formats),
+        "wrong": output.wrong([row["error"]] if "error" in row else problems),
+    }

@@ -6,25 +6,33 @@ internal error, with its details in a log file. Nothing heavy is imported before
 
 from __future__ import annotations
 
-import argparse
 import difflib
 import logging
 import os
-import re
 import signal
 import sys
 import traceback
 import warnings
 from collections.abc import Sequence
-from typing import Any, NoReturn
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+import tyro
+from tyro._errors import on_parse_error
+from tyro.conf import DisallowNone, OmitArgPrefixes, Positional
 
 from app.cli.commands import COMMANDS
-from app.cli.options import SIGNED_OPTIONS, Command, add_commands, from_namespace
+from app.cli.options import REGISTRY, Command, Group, description, shown
 from app.server.ending import write_crash
 from model.core.errors import ArtiworldError
 
-_SIGNED = re.compile(r"-([xyz]$|[\d.])")
-_DESCRIPTION = "Turn rigid scans and meshes into articulated, simulator-ready assets."
+PROGRAM = Group(
+    "Turn rigid scans and meshes into articulated, simulator-ready assets.\n\n"
+    "COMMAND --help lists the options of a command. --version prints the version; --debug, before\n"
+    "or after a command, shows tracebacks.",
+    COMMANDS,
+)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -56,39 +64,100 @@ def parse(arguments: Sequence[str]) -> tuple[Command, bool]:
     Raises:
         SystemExit: after --help, --version or a mistake.
     """
-    values = make_parser().parse_args(_with_subcommand(_joined_signs(arguments)))
-    return from_namespace(values.command, values), values.debug
+    words = [word for word in arguments if word != "--debug"]
+    if words[:1] == ["--version"]:
+        from importlib.metadata import version  # takes a third of the time of --help
+
+        print(f"artiworld {version('artiworld')}")
+        raise SystemExit(0)
+    chosen, program, words = _named(words)
+    if isinstance(chosen, Group):
+        raise _listed(chosen, program, words)
+    with on_parse_error(_report):
+        command, left = tyro.cli(
+            chosen,
+            prog=program,
+            description=description(chosen),
+            args=words,
+            config=(OmitArgPrefixes, DisallowNone),
+            registry=REGISTRY,
+            return_unknown_args=True,
+        )
+    return _with_paths(command, left, program) if left else command, "--debug" in arguments
 
 
-def make_parser() -> argparse.ArgumentParser:
-    """All commands and options."""
-    parser = _Parser(prog="artiworld", description=_DESCRIPTION)
-    parser.add_argument("--version", action=_Version)
-    parser.add_argument("--debug", action="store_true", help="show tracebacks and debug messages")
-    add_commands(parser, COMMANDS, title="commands", metavar="COMMAND")
-    return parser
+def _named(words: list[str]) -> tuple[type[Command] | Group, str, list[str]]:
+    """The command or group that ``words`` name, the words that call it, and those behind.
+
+    ``release WORKSPACE`` is short for ``release create WORKSPACE``; ``bench --json ui`` is as
+    ``bench ui --json``.
+    """
+    chosen: type[Command] | Group = PROGRAM
+    program = ["artiworld"]
+    while isinstance(chosen, Group) and words and words[0] not in ("-h", "--help"):
+        names = chosen.commands
+        first = words[0] if chosen.default or not words[0].startswith("-") else None
+        name = first or next((word for word in words if word in names), "")
+        if name in names:
+            words = [*words[: words.index(name)], *words[words.index(name) + 1 :]]
+        elif not (name := chosen.default):
+            break
+        program.append(name)
+        chosen = names[name]
+    return chosen, " ".join(program), words
 
 
-def _with_subcommand(words: list[str]) -> list[str]:
-    """``release WORKSPACE`` as ``release create WORKSPACE``; help is that of all subcommands."""
-    at = next((i for i, word in enumerate(words) if not word.startswith("-")), len(words))
-    command = COMMANDS.get(words[at]) if at < len(words) else None
-    if command is None or not command.default_subcommand or len(words) == at + 1:
-        return words
-    if words[at + 1] in (*command.subcommands, "-h", "--help"):
-        return words
-    return [*words[: at + 1], command.default_subcommand, *words[at + 1 :]]
+def _listed(group: Group, program: str, words: Sequence[str]) -> SystemExit:
+    """Print the commands of a group, or the mistake that ``words`` name none of them."""
+    if words[:1] not in (["-h"], ["--help"]):
+        known = f"one of {', '.join(group.commands)}"
+        text = f"COMMAND {words[0]!r} isn't {known}" if words else f"COMMAND is missing: {known}"
+        return _mistake(text, program)
+    print(f"usage: {program} COMMAND [OPTION ...]\n\n{group.help}\n\ncommands:")
+    width = max(map(len, group.commands))
+    for name, each in group.commands.items():
+        print(f"  {name:<{width}}  {description(each)}")
+    return SystemExit(0)
 
 
-def _joined_signs(words: Sequence[str]) -> list[str]:
-    """Join ``--up-axis -z`` with "=", as argparse would take the -z for an option."""
-    out: list[str] = []
-    for word in words:
-        if out and out[-1] in SIGNED_OPTIONS and _SIGNED.match(word):
-            out[-1] += f"={word}"
-        else:
-            out.append(word)
-    return out
+def _with_paths(command: Command, words: Sequence[str], program: str) -> Command:
+    """``command`` with the paths that stand behind an option: tyro reads those before it alone."""
+    several = [
+        f.name
+        for f in fields(command)  # type: ignore[arg-type]
+        if f.metadata.get("marker") is Positional and isinstance(getattr(command, f.name), tuple)
+    ]
+    wrong = next((w.partition("=")[0] for w in words if w.startswith("-")), "")
+    if several and not wrong:
+        paths = (*getattr(command, several[0]), *map(Path, words))
+        return replace(command, **{several[0]: paths})  # type: ignore[type-var]
+    known = [option.split()[0].strip(",") for option in shown(type(command))]
+    near = difflib.get_close_matches(wrong, known, n=1)
+    hint = f" (did you mean {near[0]}?)" if near else ""
+    raise _mistake(f"unrecognized arguments: {' '.join(words)}{hint}", program)
+
+
+def _report(event: Any) -> None:
+    """Print what is wrong with the words in one line, in place of tyro's boxes, and exit."""
+    named = argument.display_name() if (argument := getattr(event, "argument", None)) else ""
+    match type(event).__name__:
+        case "MissingArgs":
+            needed = (str(each.arg.get_invocation_text()[1]) for each in event.missing_arguments)
+            left = "".join(f"; {word!r} is unknown" for word in event.unrecognized_tokens)
+            text = f"missing {', '.join(needed)}{left}"
+        case "InvalidChoice":
+            text = f"{named} {event.value} is none of {', '.join(event.choices)}"
+        case "InstantiationFailure":
+            text = f"{named} {event.message}"
+        case _:
+            text = f"{named} needs a value"
+    raise _mistake(text, event.prog)
+
+
+def _mistake(text: str, program: str) -> SystemExit:
+    """Print the mistake; returns the end of the program."""
+    print(f"{program}: {_printable(text)}; see {program} --help", file=sys.stderr)
+    return SystemExit(2)
 
 
 def _set_up_logging(level: int, debug: bool) -> None:
@@ -102,51 +171,6 @@ def _set_up_logging(level: int, debug: bool) -> None:
     warnings.simplefilter("ignore")
     for package in ("app", "model", "sessions"):
         logging.getLogger(package).setLevel(level)
-
-
-class _Parser(argparse.ArgumentParser):
-    """argparse with one line for a mistake; paths may stand before, between and after options."""
-
-    def __init__(self, **settings: Any) -> None:
-        super().__init__(allow_abbrev=False, **settings)
-        self._intermixed = False
-
-    def parse_known_args(  # type: ignore[override]
-        self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
-    ) -> tuple[argparse.Namespace, list[str]]:
-        """Plain argparse refuses the B of ``A --option B``: it takes all paths at the first one."""
-        found: argparse.Namespace
-        found, left = super().parse_known_args(args, namespace)  # type: ignore[assignment]
-        if not left or self._intermixed or self._subparsers is not None:
-            return found, left
-        self._intermixed = True  # it calls this method, for the options and then for the paths
-        try:
-            found, left = self.parse_known_intermixed_args(args, namespace)  # type: ignore[assignment]
-        finally:
-            self._intermixed = False
-        if left:  # reported here, where the command and its options are known
-            self.error(f"unrecognized arguments: {' '.join(left)}{self._hint(left)}")
-        return found, left
-
-    def _hint(self, words: Sequence[str]) -> str:
-        """The option that is most similar to the first of ``words`` that looks like one."""
-        asked = next((w.partition("=")[0] for w in words if w.startswith("--")), "")
-        near = difflib.get_close_matches(asked, self._option_string_actions, n=1)
-        return f" (did you mean {near[0]}?)" if near else ""
-
-    def error(self, message: str) -> NoReturn:
-        self.exit(2, f"{self.prog}: {message}; see {self.prog} --help\n")
-
-
-class _Version(argparse.Action):
-    def __init__(self, option_strings: list[str], dest: str) -> None:
-        super().__init__(option_strings, dest, nargs=0, help="print the version and exit")
-
-    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
-        from importlib.metadata import version  # takes a third of the time of --help
-
-        print(f"artiworld {version('artiworld')}")
-        parser.exit()
 
 
 def _printable(text: str) -> str:

@@ -1,247 +1,260 @@
 """Command-line options declared as documented dataclasses, and those that several commands share.
 
 A subcommand is a :class:`Command`: a frozen dataclass whose fields are its arguments and options,
-each with its help beside it, and whose ``run`` does the work. The parser, the help pages and
-``docs/command-line.md`` are made of these fields alone.
+each with its help beside it. tyro makes the parser, the help pages and ``docs/command-line.md`` of
+these fields.
 """
 
 from __future__ import annotations
 
-import argparse
 import logging
 import math
-from collections.abc import Callable
-from dataclasses import MISSING, dataclass, field, fields, is_dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import MISSING, Field, dataclass, field, fields
 from pathlib import Path
-from types import NoneType, UnionType
-from typing import Any, ClassVar, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+from types import NoneType
+from typing import Annotated, Any, ClassVar, Literal, TypeVar, get_args, get_origin, get_type_hints
 
+import tyro
+from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction
+from tyro.constructors import (
+    ConstructorRegistry,
+    PrimitiveConstructorSpec,
+    StructConstructorSpec,
+    StructFieldSpec,
+    StructTypeInfo,
+)
+
+from model.core.packages import at_place
 from model.prediction import DEFAULT, TOKEN_VARIABLE
 
 T = TypeVar("T")
 
 
-class Command:
+class Options:
+    """A group of options; its subclasses are frozen dataclasses."""
+
+
+class Command(Options):
     """A subcommand; the first line of a subclass's docstring is its description.
 
     Attributes:
+        place: "module:function" that does the work. It is imported when the command runs, as it may
+            be heavy; it takes the command and a :class:`~model.core.progress.Progress`, and returns
+            a :class:`~app.cli.output.Result`.
         log_level: least severe message that is shown.
-        subcommands: name → command, where the command only groups others.
-        default_subcommand: the one of them that is meant where none is named, or "".
     """
 
+    place: ClassVar[str]
     log_level: ClassVar[int] = logging.ERROR
-    subcommands: ClassVar[dict[str, type[Command]]] = {}
-    default_subcommand: ClassVar[str] = ""
 
     def run(self) -> int:
-        """Carry the command out and return the exit code. Heavy modules are imported here."""
-        raise NotImplementedError
+        """Carry the command out, print its result and return the exit code."""
+        from app.cli.output import run
+
+        return run(at_place(self.place), self, getattr(self, "json", False))
 
 
 @dataclass(frozen=True)
-class Option:
-    """Help text and parsing of a field.
+class Group:
+    """Subcommands below one name.
 
     Attributes:
-        help: one line; the default is appended.
-        metavar: stands for the value.
-        flag: option name, unless it is that of the field; "" for a positional argument.
-        parse: converts a word to the value; raises ValueError, which shows its ``__name__``.
-        repeat: whether the option may be repeated; the field is a tuple.
-        nargs: "+" or "*" for several words; the field is a tuple.
-        negatable: whether a flag has a ``--no-`` form.
-        synonym: a second option that sets the same field.
-        instead_of: the field of a required option that isn't needed where this one is given.
+        help: one sentence.
+        default: the subcommand that is meant where none is named, or "".
     """
 
     help: str
-    metavar: str | tuple[str, ...] | None = None
-    flag: str | None = None
-    parse: Callable[[str], Any] | None = None
-    repeat: bool = False
-    nargs: str | None = None
-    negatable: bool = False
-    synonym: Option | None = None
-    instead_of: str = ""
+    commands: Mapping[str, type[Command] | Group]
+    default: str = ""
 
 
-def required(help: str, metavar: str, **settings: Any) -> Any:
-    """Declare a field as an option that must be given; ``settings`` as of :class:`Option`."""
-    return field(metadata={"option": Option(help, metavar, **settings)})
+def description(command: type[Command] | Group) -> str:
+    """One sentence on a command or group."""
+    return command.help if isinstance(command, Group) else str(command.__doc__).splitlines()[0]
 
 
 def option(
-    help: str, metavar: str | tuple[str, ...] | None = None, default: Any = None, **settings: Any
+    help: str,
+    metavar: str | None = None,
+    default: Any = None,
+    *,
+    flag: str | None = None,
+    parse: Callable[[str], Any] | None = None,
+    marker: Any = None,
+    tokens: tuple[str, ...] = (),
 ) -> Any:
-    """Declare a field as an option with a value; ``tuple[X, X]`` takes two words."""
-    return field(default=default, metadata={"option": Option(help, metavar, **settings)})
+    """Declare a field as an option with a value; a tuple takes several words.
+
+    Args:
+        help: one line; the default is appended.
+        metavar: stands for the value; None for the choices.
+        flag: name of the option, unless it is that of the field.
+        parse: converts a word to the value; raises ValueError, which shows its ``__name__``.
+        marker: of :mod:`tyro.conf`.
+        tokens: values that begin with a minus.
+    """
+    shown = tyro.conf.arg(
+        name=flag, metavar=metavar, help=help + _default_text(help, default), help_behavior_hint=""
+    )
+    settings = {"shown": shown, "parse": parse, "marker": marker, "tokens": tokens}
+    return field(default=default, metadata=settings)
+
+
+def required(help: str, metavar: str, **settings: Any) -> Any:
+    """Declare a field as an option that must be given; ``settings`` as of :func:`option`."""
+    return option(help, metavar, MISSING, **settings)
 
 
 def repeated(help: str, metavar: str, default: Any = (), **settings: Any) -> Any:
     """Declare a tuple as an option that may be repeated, one value each time."""
-    return option(help, metavar, default, repeat=True, **settings)
+    text = f"{help}{_default_text(help, default)}; may be repeated"
+    return option(text, metavar, default, marker=UseAppendAction, **settings)
+
+
+def argument(help: str, metavar: str | None, default: Any = MISSING) -> Any:
+    """Declare a field as a positional argument; a tuple takes several."""
+    return option(help, metavar, default, marker=Positional)
 
 
 def flag(help: str, default: bool | None = False, *, negatable: bool = False) -> Any:
-    """Declare a ``bool`` as an option without a value; one that is on can be switched off."""
-    return option(help, None, default, negatable=negatable or bool(default))
+    """Declare a ``bool`` as an option without a value; one that isn't off has a ``--no-`` form."""
+    pair = negatable or default is not False
+    return option(help, None, default, marker=None if pair else FlagCreatePairsOff)
 
 
-def argument(
-    help: str, metavar: str | None, nargs: str | None = None, default: Any = MISSING
-) -> Any:
-    """Declare a field as a positional argument."""
-    return field(default=default, metadata={"option": Option(help, metavar, "", nargs=nargs)})
-
-
-def group(options: type[T], title: str | None = None) -> T:
-    """Declare a field that holds a dataclass of options, which stand among the command's own."""
-    return field(default_factory=options, metadata={"title": title})
-
-
-def add_commands(
-    parser: argparse.ArgumentParser, commands: dict[str, type[Command]], **settings: Any
-) -> None:
-    """Add ``commands`` and their options to ``parser``; the one chosen becomes ``command``.
-
-    Args:
-        settings: of :meth:`argparse.ArgumentParser.add_subparsers`.
-    """
-    kinds = parser.add_subparsers(required=True, parser_class=type(parser), **settings)
-    for name, command in commands.items():
-        text = (command.__doc__ or "").partition("\n")[0]
-        short = text[0].lower() + text[1:].rstrip(".")
-        below = kinds.add_parser(name, help=short, description=text)
-        if command.subcommands:
-            add_commands(below, command.subcommands, metavar="|".join(command.subcommands))
-        else:
-            add_options(below, command)
-            below.set_defaults(command=command)
-        # Also after the command; SUPPRESS keeps its default from undoing the one before it.
-        below.add_argument(
-            "--debug", action="store_true", default=argparse.SUPPRESS, help=argparse.SUPPRESS
-        )
-
-
-def add_options(parser: Any, options: type) -> None:
-    """Add the fields of a dataclass to ``parser``, an argparse parser or argument group."""
-    hints = get_type_hints(options)
-    for each in fields(options):
-        hint = hints[each.name]
-        if is_dataclass(hint):
-            title = each.metadata["title"]
-            add_options(parser.add_argument_group(title) if title else parser, hint)  # type: ignore[arg-type]
-            continue
-        spec: Option = each.metadata["option"]
-        default = None if each.default is MISSING else each.default
-        if spec.flag == "":
-            settings = {} if default is None else {"default": default}
-            parser.add_argument(each.name, **settings, **_settings(spec, hint, default))
-            continue
-        name = spec.flag or f"--{each.name.replace('_', '-')}"
-        parser.add_argument(
-            name,
-            dest=each.name,
-            required=each.default is MISSING,
-            default=list(default) if isinstance(default, tuple) else default,
-            **_settings(spec, hint, default),
-        )
-        if (also := spec.synonym) is not None:
-            settings = _settings(also, hint, None)
-            parser.add_argument(also.flag, dest=each.name, default=argparse.SUPPRESS, **settings)
-
-
-def _settings(spec: Option, hint: Any, default: Any) -> dict[str, Any]:
-    """Arguments of ``add_argument`` for an option whose field has the type ``hint``."""
-    if get_origin(hint) in (Union, UnionType):
-        (hint,) = (kind for kind in get_args(hint) if kind is not NoneType)
-    repeat = "; may be repeated" if spec.repeat else ""
-    text = {"help": spec.help + _default_text(spec.help, default) + repeat}
-    if hint is bool:
-        return text | {"action": argparse.BooleanOptionalAction if spec.negatable else "store_true"}
-    settings: dict[str, Any] = text | {"metavar": spec.metavar}
-    if spec.instead_of:
-        settings |= {"action": _InsteadOf, "const": spec.instead_of}
-    if spec.repeat:
-        settings["action"] = "append"
-    elif spec.nargs:
-        settings["nargs"] = spec.nargs
-    elif get_origin(hint) is tuple and spec.parse is None:
-        settings["nargs"] = len(get_args(hint))
-    if get_origin(hint) is tuple:
-        hint = get_args(hint)[0]
-    if get_origin(hint) is Literal:
-        return settings | {"choices": get_args(hint)}
-    return (
-        settings if spec.parse is None and hint is str else settings | {"type": spec.parse or hint}
-    )
-
-
-class _InsteadOf(argparse.Action):
-    """Stores its value; the option of the field ``const`` isn't required any more."""
-
-    def __call__(self, parser: Any, namespace: Any, values: Any, option: Any = None) -> None:
-        setattr(namespace, self.dest, values)
-        for each in parser._actions:
-            each.required &= each.dest != self.const
+def group(options: type[T]) -> T:
+    """Declare a field that holds a dataclass of options, which get a box of their own in help."""
+    return field(default_factory=options)
 
 
 def _default_text(help: str, default: Any) -> str:
-    if default is None or isinstance(default, bool) or default in ("", (), math.inf):
-        return ""
-    if "(default:" in help:
+    unsaid = default is MISSING or default is None or isinstance(default, bool)
+    if unsaid or default in ("", (), math.inf) or "(default:" in help:
         return ""
     shown = " ".join(map(str, default)) if isinstance(default, tuple) else default
     return f" (default: {shown:g})" if isinstance(shown, float) else f" (default: {shown})"
 
 
-def from_namespace(options: type[T], values: argparse.Namespace) -> T:
-    """The dataclass ``options`` with what :func:`add_options` read; lists become tuples."""
+REGISTRY = ConstructorRegistry()
+"""tyro's rules, with one for :class:`Options`."""
+
+
+@REGISTRY.struct_rule
+def _options_of(info: StructTypeInfo) -> StructConstructorSpec | None:
+    """Fields of a dataclass of options, as they were declared."""
+    if not (isinstance(info.type, type) and issubclass(info.type, Options)):
+        return None
+    found = tuple(
+        StructFieldSpec(
+            each.name,
+            _annotated(hint, **each.metadata) if each.metadata else hint,
+            tyro.MISSING if each.default is MISSING else each.default,
+        )
+        for each, hint in declared(info.type)
+    )
+    return StructConstructorSpec(info.type, found)
+
+
+def declared(options: type[Options]) -> Iterator[tuple[Field[Any], Any]]:
+    """Each field and its type, inherited ones last; groups of options have no metadata."""
     hints = get_type_hints(options)
-    found: dict[str, Any] = {}
-    for each in fields(options):  # type: ignore[arg-type]
-        if is_dataclass(hints[each.name]):
-            found[each.name] = from_namespace(hints[each.name], values)  # type: ignore[arg-type]
+    named = {each.name: each for each in fields(options)}  # type: ignore[arg-type]
+    order = [name for kind in options.__mro__ for name in vars(kind).get("__annotations__", ())]
+    for name in dict.fromkeys(order):
+        if name in named:
+            yield named[name], hints[name]
+
+
+def shown(options: type[Options]) -> dict[str, str]:
+    """Each option as help shows it, such as "--out DIR" → help, groups' ones too."""
+    found: dict[str, str] = {}
+    for each, hint in declared(options):
+        if not each.metadata:
+            found |= shown(hint)
             continue
-        value = getattr(values, each.name)
-        found[each.name] = tuple(value) if isinstance(value, list) else value
-    return options(**found)
+        conf, marker = each.metadata["shown"], each.metadata["marker"]
+        value = conf.metavar or _reader(_kind(hint), None).metavar
+        name = f"--{conf.name or each.name}".replace("_", "-")
+        if marker is Positional:
+            name = ""
+        elif _kind(hint) is bool and marker is None:
+            name = f"{name}, --no-{name[2:]}"
+        needed = " (required)" if each.default is MISSING else ""
+        found[f"{name} {value}".strip()] = conf.help + needed
+    return found
+
+
+def _annotated(hint: Any, shown: Any, parse: Any, marker: Any, tokens: tuple[str, ...]) -> Any:
+    """A field's type with what tyro needs to know of it."""
+    kind = _kind(hint)
+    if marker is UseAppendAction:
+        element = get_args(kind)[0]
+        hint = tuple[Annotated[element, _reader(element, parse)], ...]  # type: ignore[misc]
+    elif kind is not bool:
+        hint = Annotated[hint | Literal[tokens] if tokens else hint, _reader(kind, parse)]
+    return Annotated[marker[hint] if marker else hint, shown]
+
+
+def _kind(hint: Any) -> Any:
+    """``X`` of ``X | None``."""
+    kinds = [kind for kind in get_args(hint) if kind is not NoneType]
+    return kinds[0] if len(kinds) < len(get_args(hint)) else hint
+
+
+def _reader(kind: Any, parse: Callable[[str], Any] | None) -> PrimitiveConstructorSpec[Any]:
+    """The rule that reads one or several words as a value of type ``kind``."""
+    several = get_origin(kind) is tuple and (parse is None or get_args(kind)[-1] is Ellipsis)
+    element = get_args(kind)[0] if several else kind
+    choices = get_args(element) if get_origin(element) is Literal else None
+    read = parse or (str if choices else element)
+    expected = {int: "whole number", float: "number"}.get(read, read.__name__)
+
+    def from_words(words: list[str]) -> Any:
+        if not words:
+            raise ValueError("needs a value")
+        try:
+            values = tuple(read(word) for word in words)
+        except ValueError as error:
+            raise ValueError(f"{' '.join(words)} is no {expected}") from error
+        return values if several else values[0]
+
+    count = len(get_args(kind)) if several else 1
+    return PrimitiveConstructorSpec(
+        nargs="*" if several and get_args(kind)[-1] is Ellipsis else count,
+        metavar="" if choices is None else f"{{{','.join(choices)}}}",
+        instance_from_str=from_words,
+        is_instance=lambda _: True,
+        str_from_instance=lambda value: [str(value)],
+        choices=choices,
+    )
 
 
 Vector = tuple[float, float, float]
 
 UP_AXES = ("x", "y", "z", "-x", "-y", "-z")
-SIGNED_OPTIONS = ("--up-axis", "--up", "--length")
-"""Options whose value may begin with a minus."""
 
 ENGINE_HELP = "engines that drive the joints: mujoco, or mujoco,sapien"
 MASKS_HELP = "start from masks of another system: .npy, .npz, .ply, .glb, or a folder of meshes"
 SEGMENTER_HELP = "segmenter that turns clicks into parts (default: ArtiWorld's own)"
 
 
-def positive_number(text: str) -> float:
-    """Read a finite number above 0."""
-    value = float(text)
-    if not 0 < value < float("inf"):
-        raise ValueError
-    return value
+def _number(kind: type[float], low: float, named: str, *, above: bool = False) -> Any:
+    """Make a reader of finite numbers from ``low`` on, or above it."""
+
+    def read(text: str) -> float:
+        value = kind(text)
+        if not (low < value if above else low <= value) or math.isinf(value):
+            raise ValueError
+        return value
+
+    read.__name__ = named
+    return read
 
 
-def count(text: str) -> int:
-    """Read a whole number from 0."""
-    value = int(text)
-    if value < 0:
-        raise ValueError
-    return value
-
-
-def positive_count(text: str) -> int:
-    """Read a whole number from 1."""
-    value = int(text)
-    if value < 1:
-        raise ValueError
-    return value
+positive_number = _number(float, 0, "positive number", above=True)
+count = _number(int, 0, "whole number from 0")
+positive_count = _number(int, 1, "number from 1")
 
 
 def direction(text: str) -> Vector | None:
@@ -267,13 +280,10 @@ def measured(text: str) -> tuple[Vector, Vector, float]:
 
 direction.__name__ = "up direction (auto, x, -x, y, -y, z, -z or X,Y,Z)"
 measured.__name__ = "length (x1,y1,z1,x2,y2,z2=METRES)"
-positive_number.__name__ = "positive number"
-count.__name__ = "whole number"
-positive_count.__name__ = "number from 1"
 
 
 @dataclass(frozen=True, kw_only=True)
-class ReadingOptions:
+class ReadingOptions(Options):
     """Options for reading geometry files."""
 
     up_axis: Literal["x", "y", "z", "-x", "-y", "-z"] | None = option(
@@ -285,7 +295,7 @@ class ReadingOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
-class OidcOptions:
+class OidcOptions(Options):
     """Login with an organisation's OpenID Connect provider."""
 
     oidc_issuer: str | None = option("OpenID Connect provider with which people log in", "URL")
@@ -303,7 +313,7 @@ class OidcOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PredictorOptions:
+class PredictorOptions(Options):
     """The predictor, or an ArtiWorld backend that has one."""
 
     predictor: str = option("predictor of the joints", "NAME", DEFAULT)
@@ -312,7 +322,7 @@ class PredictorOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PhysicsOptions:
+class PhysicsOptions(Options):
     """Mass, collision shapes and joint dynamics.
 
     An option for shapes, masses or dynamics replaces what the asset's source declares.
@@ -341,22 +351,37 @@ class PhysicsOptions:
     no_cache: bool = flag("cache no collision shapes")
 
 
-def json_flag() -> Any:
-    """``--json``."""
-    return flag("print JSON and nothing else")
+@dataclass(frozen=True, kw_only=True)
+class SegmenterOptions(Options):
+    """The segmenter."""
+
+    segmenter: str = option(SEGMENTER_HELP, "NAME", "default")
+    point_sam: Path | None = option(
+        "use Point-SAM, with the published weights at PATH, as --segmenter point-sam:PATH", "PATH"
+    )
+
+    def __post_init__(self) -> None:
+        if self.point_sam is not None:
+            object.__setattr__(self, "segmenter", f"point-sam:{self.point_sam}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReportCommand(Command):
+    """A command with a result that a program can read."""
+
+    json: bool = flag("print JSON and nothing else")
+
+
+def workspace_option() -> Any:
+    """``--workspace DIR``."""
+    return option("folder of sessions and accepted assets", "DIR", Path("workspace"))
+
+
+def database_option() -> Any:
+    """``--database URL``."""
+    return option("URL of a SQLite or PostgreSQL database (default: one in the workspace)", "URL")
 
 
 def seed_option(help: str = "the only source of randomness") -> Any:
     """``--seed SEED``."""
     return option(help, "SEED", 0, parse=count)
-
-
-def segmenter_option() -> Any:
-    """``--segmenter NAME``; ``--point-sam PATH`` stands for ``--segmenter point-sam:PATH``."""
-    point_sam = Option(
-        "use Point-SAM, with the published weights at PATH",
-        "PATH",
-        "--point-sam",
-        "point-sam:{}".format,
-    )
-    return option(SEGMENTER_HELP, "NAME", "default", synonym=point_sam)

@@ -5,14 +5,13 @@ alone.
 from __future__ import annotations
 
 import json
-import math
 import os
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, TypeVar
 
 from rich.console import Console
 from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
@@ -21,11 +20,9 @@ from rich.table import Table
 from rich.text import Text
 
 from model.core.errors import ConfigurationError
-from model.core.joint import JOINT_KINDS
-from model.core.progress import Progress, no_progress
+from model.core.progress import Progress, no_progress, scaled_progress
 
-if TYPE_CHECKING:
-    from app.cli.doctor import Check
+T = TypeVar("T")
 
 
 def check_output(out: Path, *inputs: Path, option: str = "--out") -> None:
@@ -54,64 +51,75 @@ def check_output(out: Path, *inputs: Path, option: str = "--out") -> None:
         raise ConfigurationError(f"{option} {out} can't be written; choose a folder of your own")
 
 
-def other_files_error(out: Path) -> ConfigurationError:
-    """The error for an output folder that holds something else than an earlier result."""
-    return ConfigurationError(f"--out {out} holds other files; give a new or an empty folder")
+def check_replaceable(out: Path, is_earlier: Callable[[set[str]], bool]) -> None:
+    """Check that ``out`` is new, empty, or holds an earlier result, known by its files' names.
+
+    Raises:
+        ConfigurationError: where it holds something else.
+    """
+    found = {path.name for path in out.iterdir()} if out.is_dir() else set[str]()
+    if found and not is_earlier(found):
+        raise ConfigurationError(f"--out {out} holds other files; give a new or an empty folder")
 
 
-MOST_FILES = 10
-"""Files of one folder that get a row each; a folder with more gets one row."""
 PIPE_WIDTH = 120
 """Columns in a pipe or a file, for which rich takes 80."""
 
 
-Result = tuple[Any, Callable[[], object]]
-"""A report for a program, and the function that prints it for a person."""
-
-
 @dataclass(frozen=True)
-class Show:
-    """Output of a command's progress and result."""
+class Result:
+    """Outcome of a command.
 
-    as_json: bool
-    progress: Progress = no_progress
+    Attributes:
+        report: for a program, printed as JSON.
+        table: prints it for a person.
+        code: exit code.
+    """
 
-    def result(self, report: Any, table: Callable[[], object]) -> None:
-        """Print ``report`` as JSON, or call ``table``."""
-        if self.as_json:
-            print(json.dumps(report, indent=2, ensure_ascii=False))
-        else:
-            table()
+    report: Any
+    table: Callable[[], object]
+    code: int = 0
 
 
-@contextmanager
-def session(as_json: bool) -> Iterator[Show]:
-    """A :class:`Show`; with JSON, anything that libraries print meanwhile goes to stderr."""
+def run(work: Callable[[Any, Progress], Result], options: Any, as_json: bool) -> int:
+    """Print the result of ``work(options, progress)`` and return its exit code.
+
+    With JSON, anything that libraries print meanwhile goes to stderr.
+    """
     if not as_json:
         with progress_bar() as progress:
-            yield Show(False, progress)
-        return
+            result = work(options, progress)
+        result.table()
+        return result.code
     sys.stdout.flush()
     saved = os.dup(1)
     os.dup2(2, 1)
     try:
-        yield Show(True)
+        result = work(options, no_progress)
     finally:
         sys.stdout.flush()
         os.dup2(saved, 1)
         os.close(saved)
+    print(json.dumps(result.report, indent=2, ensure_ascii=False))
+    return result.code
 
 
 @contextmanager
 def progress_bar() -> Iterator[Progress]:
-    """A bar on stderr, driven as a :class:`~model.core.progress.Progress`; none in a file."""
+    """A bar on stderr from the first progress on; none in a file."""
     console = Console(stderr=True)
     columns = TextColumn("{task.description}", markup=False), BarColumn(), TimeRemainingColumn()
-    with ProgressBar(
-        *columns, console=console, transient=True, disable=not console.is_terminal
-    ) as bar:
-        task = bar.add_task("starting", total=1.0)
-        yield lambda fraction, message: bar.update(task, completed=fraction, description=message)
+    bar = ProgressBar(*columns, console=console, transient=True, disable=not console.is_terminal)
+    task = bar.add_task("starting", total=1.0)
+
+    def show(fraction: float, message: str) -> None:
+        bar.start()
+        bar.update(task, completed=fraction, description=message)
+
+    try:
+        yield show
+    finally:
+        bar.stop()
 
 
 def console(pipe_width: int = PIPE_WIDTH) -> Console:
@@ -123,128 +131,42 @@ def console(pipe_width: int = PIPE_WIDTH) -> Console:
     return console
 
 
-def table_of(
-    title: str | None,
-    columns: Iterable[str],
-    rows: Iterable[Iterable[str | Text]],
-    numbers: Iterable[str] = (),
-) -> Table:
-    """A table; columns among ``numbers`` are flush right."""
-    right = set(numbers)
+def print_records(title: str | None, rows: Iterable[dict[str, Any]]) -> None:
+    """Print a table of rows with the same keys; rows may end early. Numbers are flush right."""
+    rows = list(rows)
     table = Table(title=None if title is None else Text(title))
-    for column in columns:
-        table.add_column(column, justify="right" if column in right else "left", overflow="fold")
+    for column in rows[0] if rows else ():
+        number = not any(isinstance(row.get(column), str | Text) for row in rows)
+        table.add_column(column, justify="right" if number else "left", overflow="fold")
     for row in rows:
-        table.add_row(*(Text(cell) if isinstance(cell, str) else cell for cell in row))
-    return table
+        table.add_row(*map(_cell, row.values()))
+    console().print(table)
 
 
-def print_records(title: str, rows: list[dict[str, Any]]) -> None:
-    """Print a table of rows that have the same keys; rows may end early."""
-    columns = list(rows[0]) if rows else []
-    cells = [["–" if v is None else str(v) for v in row.values()] for row in rows]
-    console().print(table_of(title, columns, cells, columns))
+def _cell(value: Any) -> Text:
+    if isinstance(value, Text):
+        return value
+    return Text("–" if value is None else f"{value:,}" if type(value) is int else str(value))
 
 
-def print_notes(notes: Iterable[str]) -> None:
-    """Print a yellow line for each note."""
+def wrong(lines: Iterable[str]) -> Text:
+    """Errors in a cell of a table."""
+    return Text("\n".join(lines), "bold red")
+
+
+def print_figures(title: str, rows: Iterable[dict[str, Any]]) -> None:
+    """Print rows of figures, rounded, under the names that they have in JSON."""
+    rounded = [{k: round(v, 1) if isinstance(v, float) else v for k, v in r.items()} for r in rows]
+    print_records(title, [{k.replace("_", " "): v for k, v in row.items()} for row in rounded])
+
+
+def each_with_progress(items: Sequence[T], progress: Progress) -> Iterator[tuple[T, Progress]]:
+    """Each item, with its equal share of ``progress``."""
+    for i, item in enumerate(items):
+        yield item, scaled_progress(progress, i / len(items), (i + 1) / len(items))
+
+
+def print_notes(notes: Iterable[str], kind: str = "note", style: str = "yellow") -> None:
+    """Print a coloured line for each note."""
     for note in notes:
-        console().print(Text(f"note: {note}", "yellow"))
-
-
-def print_parts(report: dict[str, Any], out: Path) -> None:
-    """Print the parts that ``segment`` wrote."""
-    elements = f"{report['source']['elements']}s"
-    rows = [(p["file"], p.get("name") or "", f"{p['count']:,}") for p in report["parts"]]
-    title = f"{report['name']} in {len(rows)} parts"
-    console().print(table_of(title, ("file", "name", elements), rows, [elements]))
-    print_notes(report["problems"])
-    console().print(f"written to {out}")
-
-
-def print_joints(report: dict[str, Any], out: Path) -> None:
-    """Print the joints that ``predict`` found."""
-    names = {part["link"]: part["name"] for part in report["parts"]}
-    numbers = ("axis", "origin (m)", "limits", "confidence")
-    rows = []
-    for joint in report["joints"]:
-        moves, confidence = joint["type"] != "fixed", joint["confidence"]
-        rows.append(
-            (
-                joint["name"],
-                joint["type"],
-                joint["parent"],
-                joint["child"],
-                names.get(joint["child"]) or "",
-                _vector(joint["axis"]) if moves else "",
-                _vector(joint["origin"]) if moves else "",
-                limits_text(joint["type"], joint["limits"]),
-                "" if confidence is None else f"{100 * confidence:.0f} %",
-            )
-        )
-    title = (
-        f"{report['name']}: base {report['base']}, {report['backend']}, {report['seconds']:.2f} s"
-    )
-    columns = ("joint", "type", "parent", "child", "part", *numbers)
-    console().print(table_of(title, columns, rows, numbers))
-    print_notes(report["problems"])
-    shapes = report["collision_shapes"] or "no"
-    hint = "" if report["collision_shapes"] else " (--collision makes them)"
-    console().print(f"{report['kilograms']:.3g} kg, {shapes} collision shapes{hint}")
-    console().print(f"written to {out}")
-
-
-def print_prepared(report: dict[str, Any], out: Path) -> None:
-    """Print how ``prepare`` turned a scan and what it took away."""
-    x, y, z = report["size"]
-    console().print(
-        f"up {_vector(report['up_in_source'])} in the file, "
-        f"tilted by {report['tilt_degrees']:.0f}°, confidence {100 * report['confidence']:.0f} %"
-    )
-    console().print(f"{x:.3g} × {y:.3g} × {z:.3g} m, {report['elements']['kept']:,} elements kept")
-    if report["removed"]:
-        taken = ", ".join(f"{n:,} of {kind}" for kind, n in report["removed"].items())
-        console().print(f"taken away: {taken} (--keep-support keeps all but outliers)")
-    print_notes(report["problems"])
-    console().print(f"written to {out}")
-
-
-def print_files(report: dict[str, Any], out: Path) -> None:
-    """Print the files that ``export`` wrote; a folder of many, as of shapes, gets one row."""
-    folders: dict[str, list[dict[str, Any]]] = {}
-    for file in report["files"]:
-        folders.setdefault(os.path.dirname(file["file"]), []).append(file)
-    rows = []
-    for folder, files in folders.items():
-        if folder and len(files) > MOST_FILES:
-            total = sum(file["bytes"] for file in files)
-            rows.append((f"{folder}/ · {len(files)} files", f"{total:,}"))
-        else:
-            rows += [(file["file"], f"{file['bytes']:,}") for file in files]
-    title = f"{report['asset']} as {report['format']}"
-    console().print(table_of(title, ("file", "bytes"), rows, ["bytes"]))
-    console().print(f"written to {out}")
-
-
-def print_checks(checks: list[Check]) -> None:
-    """Print what ``doctor`` found, and the remedies."""
-    styles = {"fine": "green", "note": "yellow", "wrong": "bold red"}
-    rows = [(Text(c.status, styles[c.status]), c.name, c.found) for c in checks]
-    console().print(table_of(None, ("", "what", "found"), rows))
-    for check in checks:
-        if check.remedy:
-            line = f"{check.status}: {check.name}: {check.remedy}"
-            console().print(Text(line, styles[check.status]))
-
-
-def limits_text(kind: str, limits: list[float] | None) -> str:
-    """Limits with their unit: degrees or millimetres."""
-    if limits is None:
-        return ""
-    scale, unit = (1000.0, " mm") if JOINT_KINDS[kind].slides else (180.0 / math.pi, "°")
-    low, high = (round(v * scale) + 0 for v in limits)
-    return f"{low}…{high}{unit}"
-
-
-def _vector(values: list[float]) -> str:
-    return " ".join(f"{v + 0.0:.3f}" for v in values)
+        console().print(Text(f"{kind}: {note}", style))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import sys
 from dataclasses import asdict, replace
@@ -12,17 +13,20 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from app.cli import output
+from app.cli.commands import PredictCommand
 from app.cli.options import PredictorOptions
-from app.cli.output import check_output, other_files_error
+from app.cli.output import Result, check_output, check_replaceable
+from app.cli.segment import vector_text
 from model.core.articulated_object import ArticulatedObject, Prediction, SegmentedObject, remarks_of
-from model.core.asset import Asset, UpAxis
+from model.core.asset import Asset
 from model.core.errors import ConfigurationError
 from model.core.files import write_json
 from model.core.geometry import PointCloud
-from model.core.joint import Joint
+from model.core.joint import JOINT_KINDS, Joint
 from model.core.names import category_remark
 from model.core.packages import installed_versions
-from model.core.progress import Progress, no_progress, scaled_progress
+from model.core.progress import Progress, scaled_progress
 from model.core.tree import KinematicTree
 from model.geometry import completion
 from model.geometry.prepare import tilt_remark
@@ -90,49 +94,33 @@ class NothingPredicted(RuntimeError):
     """The predictor gave no tree; ``prediction.json`` holds the reason."""
 
 
-def predict(
-    folder: Path,
-    out: Path,
-    *,
-    predictor: str = DEFAULT,
-    category: str | None = None,
-    seed: int = 0,
-    up_axis: UpAxis | None = None,
-    unit_scale: float = 1.0,
-    collision: bool = False,
-    complete: bool = False,
-    progress: Progress = no_progress,
-) -> dict[str, Any]:
+def predict(options: PredictCommand, progress: Progress) -> Result:
     """Predict the joints of a folder of part meshes.
 
     Writes ``object.urdf``, ``tree.json``, ``meshes/``, ``provenance.json`` and ``prediction.json``.
     Masses are those that a URDF declares, else those of the table of materials. Collision shapes
-    take long: they are made with ``collision``, or where a URDF declares those of every part.
-
-    Args:
-        complete: whether unscanned geometry is completed, see
-            :mod:`model.geometry.completion`.
-        up_axis, unit_scale: of the files, as of :func:`model.io.open_asset.read_part_files`.
-
-    Returns:
-        The content of ``prediction.json``.
+    take long: they are made with ``--collision``, or where a URDF declares those of every part.
 
     Raises:
         ArtiworldError: where the input can't be used.
         NothingPredicted: where the predictor found no tree.
     """
+    folder, out, reading = options.folder, options.out, options.reading
+    predictor = chosen_predictor(options.prediction)
     check_output(out, folder)
-    _check_replaceable(out)
+    check_replaceable(out, lambda f: "provenance.json" in f or f == {PREDICTION_JSON})
     chosen = load_predictor(predictor)
     progress(0.0, f"reading {folder}")
-    segmented = read_part_files(folder, up_axis=up_axis, unit_scale=unit_scale)
-    if category:
-        segmented = replace(segmented, category=category)
-    answer = chosen.predict(segmented, seed=seed, progress=scaled_progress(progress, 0.1, 0.65))
+    segmented = read_part_files(folder, up_axis=reading.up_axis, unit_scale=reading.unit_scale)
+    if options.category:
+        segmented = replace(segmented, category=options.category)
+    answer = chosen.predict(
+        segmented, seed=options.seed, progress=scaled_progress(progress, 0.1, 0.65)
+    )
     if answer.tree is not None:
         segmented, answer = _named_for_files(segmented, answer, answer.tree)
     report = prediction_json(segmented, answer)
-    if remark := category_remark(category):
+    if remark := category_remark(options.category):
         report["problems"].insert(0, remark)
     whole = Asset(segmented.name, cloud=PointCloud(_points(segmented)))
     report["problems"] += filter(None, [tilt_remark(whole, declared=not _scanned(segmented))])
@@ -141,15 +129,16 @@ def predict(
         why = "; ".join(answer.problems) or "no reason was given"
         raise NothingPredicted(f"{predictor} found no kinematic tree for {folder}: {why}")
     obj = _articulated(segmented, answer.tree)
-    if complete:
+    if options.complete:
         obj = completion.complete(obj, scaled_progress(progress, 0.65, 0.7))
         report["completed"] = {p.link: list(p.completed) for p in obj.parts if p.completed}
-    physics = _physics(obj, collision, scaled_progress(progress, 0.7, 0.8))
+    physics = _physics(obj, options.collision, scaled_progress(progress, 0.7, 0.8))
     report["kilograms"] = round(sum(i.mass for i in physics.inertials.values()), 4)
     report["collision_shapes"] = sum(map(len, physics.collision.values()))
     report["collision_from_source"] = list(physics.declared_shapes)
     progress(0.8, f"writing {out}")
-    provenance = {"source": str(folder), "predictor": report["backend"], "seed": seed}
+    provenance = {"source": str(folder), "predictor": report["backend"]}
+    provenance["seed"] = options.seed
     provenance["versions"] = installed_versions("artiworld", "numpy", "scipy")
     (out / PREDICTION_JSON).unlink(missing_ok=True)  # of a failed run
     write_asset(
@@ -161,7 +150,7 @@ def predict(
     )
     write_json(out / PREDICTION_JSON, report)
     progress(1.0, "done")
-    return report
+    return Result(report, lambda: _print(report, out))
 
 
 def _physics(obj: ArticulatedObject, collision: bool, progress: Progress) -> Physics:
@@ -210,13 +199,6 @@ def _points(segmented: SegmentedObject) -> npt.NDArray[np.float32]:
     ]
     scans = [p.cloud.points for p in segmented.parts if p.mesh is None and p.cloud is not None]
     return np.concatenate([*sampled, *scans])
-
-
-def _check_replaceable(out: Path) -> None:
-    """Refuse to write where anything but an earlier result is: the whole folder is replaced."""
-    found = {path.name for path in out.iterdir()} if out.is_dir() else set[str]()
-    if found and "provenance.json" not in found and found != {PREDICTION_JSON}:
-        raise other_files_error(out)
 
 
 def prediction_json(segmented: SegmentedObject, answer: Prediction) -> dict[str, Any]:
@@ -281,3 +263,39 @@ def _same_joint(predicted: dict[str, Any], joint: Joint | None) -> bool:
     return len(numbers) == len(have) and all(
         abs(a - b) < URDF_PRECISION for a, b in zip(numbers, have, strict=True)
     )
+
+
+def _print(report: dict[str, Any], out: Path) -> None:
+    names = {part["link"]: part["name"] for part in report["parts"]}
+    rows = []
+    for joint in report["joints"]:
+        moves, confidence = joint["type"] != "fixed", joint["confidence"]
+        rows.append(
+            {
+                "joint": joint["name"],
+                **{key: joint[key] for key in ("type", "parent", "child")},
+                "part": names.get(joint["child"]) or "",
+                "axis": vector_text(joint["axis"]) if moves else "",
+                "origin (m)": vector_text(joint["origin"]) if moves else "",
+                "limits": _limits_text(joint["type"], joint["limits"]),
+                "confidence": "" if confidence is None else f"{100 * confidence:.0f} %",
+            }
+        )
+    output.print_records(
+        f"{report['name']}: base {report['base']}, {report['backend']}, {report['seconds']:.2f} s",
+        rows,
+    )
+    output.print_notes(report["problems"])
+    shapes = report["collision_shapes"] or "no"
+    hint = "" if report["collision_shapes"] else " (--collision makes them)"
+    output.console().print(f"{report['kilograms']:.3g} kg, {shapes} collision shapes{hint}")
+    output.console().print(f"written to {out}")
+
+
+def _limits_text(kind: str, limits: list[float] | None) -> str:
+    """Limits with their unit: degrees or millimetres."""
+    if limits is None:
+        return ""
+    scale, unit = (1000.0, " mm") if JOINT_KINDS[kind].slides else (180.0 / math.pi, "°")
+    low, high = (round(v * scale) + 0 for v in limits)
+    return f"{low}…{high}{unit}"

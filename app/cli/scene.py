@@ -8,11 +8,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from rich.text import Text
-
 from app.cli import output
 from app.cli.commands import SceneConvertCommand, SceneInspectCommand
-from app.cli.output import check_output
+from app.cli.output import Result, check_output
 from app.server.prompt_file import beside, read_prompts
 from model.core.errors import ConfigurationError
 from model.core.progress import Progress
@@ -28,52 +26,57 @@ from model.scenes.unpacking import holds_geometry, unpack
 from model.segmentation.registry import check_segmenter
 
 
-def convert(options: SceneConvertCommand) -> int:
-    """Articulate every object that can be, and print a table."""
+def convert(options: SceneConvertCommand, progress: Progress) -> Result:
+    """Articulate every object that can be, or estimate the cost of asking about them."""
+    if options.dry_run:
+        return estimate(options, progress)
     check_output(options.out, options.scene.parent, *options.assets)
     check_predictor(options.predictor)
     check_segmenter(options.segmenter)
-    if not options.time_limit > 0:
-        raise ConfigurationError(f"--time-limit {options.time_limit} must be above 0 seconds")
-    with output.session(options.json) as show:
-        finder = _finder(options, show.progress)
-        show.progress(0.0, f"reading {options.scene.name}")
-        scene = read_scene(options.scene, options.format)
-        settings = ConvertSettings(
-            options.jobs,
-            options.predictor,
-            options.seed,
-            options.keep_limits,
-            options.collision,
-            options.time_limit,
-            options.formats,
-            _object_clicks(options),
-            partial(_clicks_beside, options.segmenter),
-            options.ray,
-        )
-        assets = _assets(scene, options.assets)
-        summary = convert_scene(scene, assets, options.out, finder, settings, show.progress)
-        summary |= _usage(options, finder)
-    show.result(summary, lambda: _print_summary(summary, options.out))
-    return 0
+    finder = _finder(options, progress)
+    progress(0.0, f"reading {options.scene.name}")
+    scene = read_scene(options.scene, options.format)
+    settings = ConvertSettings(
+        options.jobs,
+        options.predictor,
+        options.seed,
+        options.keep_limits,
+        options.collision,
+        options.time_limit,
+        tuple(options.formats),
+        _object_clicks(options),
+        partial(_clicks_beside, options.segmenter),
+        options.ray,
+    )
+    assets = _assets(scene, options.assets)
+    summary = convert_scene(scene, assets, options.out, finder, settings, progress)
+    summary |= _usage(options, finder)
+    return Result(summary, lambda: _print_summary(summary, options.out))
 
 
-def inspect(options: SceneInspectCommand) -> int:
-    """Print the objects of a scene, and which of them can be articulated."""
-    with output.session(options.json) as show:
-        finder = _finder(options, show.progress)
-        scene = read_scene(options.scene, options.format)
-        with TemporaryDirectory() as folder:
-            inside = unpack(scene, Path(folder))
-            outcomes = decide(scene, _assets(scene, options.assets), finder, inside)
+def inspect(options: SceneInspectCommand, progress: Progress) -> Result:
+    """The objects of a scene, and which of them can be articulated; or the cost of asking."""
+    if options.dry_run:
+        return estimate(options, progress)
+    finder = _finder(options, progress)
+    scene = read_scene(options.scene, options.format)
+    with TemporaryDirectory() as folder:
+        inside = unpack(scene, Path(folder))
+        outcomes = decide(scene, _assets(scene, options.assets), finder, inside)
     embedded = set(inside.files.values())
     objects = [
-        {"id": o.obj.id, "description": o.obj.description, "category": o.obj.category,
-         "room": o.obj.room, "asset": o.obj.asset,
-         "file": None if o.path is None else str(options.scene if o.path in embedded else o.path),
-         "position": o.obj.world_from_object[:3, 3].tolist(), **asdict(o.decision)}
+        {
+            "id": o.obj.id,
+            "description": o.obj.description,
+            "category": o.obj.category,
+            "room": o.obj.room,
+            "asset": o.obj.asset,
+            "file": o.path and str(options.scene if o.path in embedded else o.path),
+            "position": o.obj.world_from_object[:3, 3].tolist(),
+            **asdict(o.decision),
+        }
         for o in outcomes
-    ]  # fmt: skip
+    ]
     report = {
         "scene": scene.name,
         "reader": scene.reader,
@@ -83,26 +86,23 @@ def inspect(options: SceneInspectCommand) -> int:
         "missing_assets": sorted({o["asset"] for o in objects if o["asset"] and o["file"] is None}),
         "problems": [asdict(p) for p in scene.problems],
     } | _usage(options, finder)
-    show.result(report, lambda: _print_inspection(report))
-    return 0
+    return Result(report, lambda: _print_inspection(report))
 
 
-def estimate(options: SceneInspectCommand) -> int:
-    """Print the estimated cost of a language model's finder without calling it."""
-    with output.session(options.json) as show:
-        finder = _finder(options, show.progress)
-        scene = read_scene(options.scene, options.format)
-        usage = Usage()
-        if isinstance(finder, LanguageFinder):
-            usage = finder.estimate(descriptions(scene))
+def estimate(options: SceneInspectCommand, progress: Progress) -> Result:
+    """The estimated cost of a language model's finder, without calling it."""
+    finder = _finder(options, progress)
+    scene = read_scene(options.scene, options.format)
+    usage = Usage()
+    if isinstance(finder, LanguageFinder):
+        usage = finder.estimate(descriptions(scene))
     report = {
         "scene": scene.name,
         "objects": len(scene.objects),
         "finder": finder.name,
         "estimate": {**asdict(usage), "cost": _cost(options, usage)},
     }
-    show.result(report, lambda: _print_estimate(report))
-    return 0
+    return Result(report, lambda: _print_estimate(report))
 
 
 def _assets(scene: Scene, folders: tuple[Path, ...]) -> AssetIndex:
@@ -166,43 +166,31 @@ def _print_estimate(report: dict[str, Any]) -> None:
 
 def _print_inspection(report: dict[str, Any]) -> None:
     rows = [
-        (
-            o["id"],
-            "yes" if o["articulable"] else "no",
-            ", ".join(o["parts"]),
-            o["reason"],
-            "yes" if o["file"] else "no",
-        )
+        {
+            "object": o["id"],
+            "articulable": "yes" if o["articulable"] else "no",
+            "parts": ", ".join(o["parts"]),
+            "reason": o["reason"],
+            "asset found": "yes" if o["file"] else "no",
+        }
         for o in report["objects"]
     ]
-    columns = ("object", "articulable", "parts", "reason", "asset found")
-    title = f"{report['scene']} ({report['reader']})"
-    output.console().print(output.table_of(title, columns, rows))
+    output.print_records(f"{report['scene']} ({report['reader']})", rows)
     _print_problems(report)
     _print_figures(report["sim_id"])
 
 
 def _print_summary(summary: dict[str, Any], out: Path) -> None:
-    title = (
-        f"{summary['scene']}: {summary['objects']} objects, {summary['articulable']} articulable"
-    )
+    columns = ("kind", "state", "joints", "shortened", "reason")
     rows = [
-        (
-            o["id"],
-            o["kind"] or "",
-            o["state"],
-            str(o["joints"] or ""),
-            str(o["shortened"] or ""),
-            o["reason"] or "",
-        )
-        for o in summary["results"]
+        {"object": o["id"], **{c: str(o[c] or "") for c in columns}} for o in summary["results"]
     ]
-    columns = ("object", "kind", "state", "joints", "shortened", "reason")
-    output.console().print(output.table_of(title, columns, rows))
+    counts = f"{summary['objects']} objects, {summary['articulable']} articulable"
+    output.print_records(f"{summary['scene']}: {counts}", rows)
     output.print_notes(f"{o['id']}: {note}" for o in summary["results"] for note in o["notes"])
     _print_problems(summary)
     _print_figures(summary["sim_id"], summary["sim_us"])
-    output.console().print(Text(f"written to {out}"))
+    output.console().print(f"written to {out}")
 
 
 def _print_figures(found: dict[str, Any], works: dict[str, Any] | None = None) -> None:
@@ -212,7 +200,7 @@ def _print_figures(found: dict[str, Any], works: dict[str, Any] | None = None) -
     text += f", wrongly found {found['wrongly_found']}"
     if works is not None:
         text += f"; Sim-Us {works['usable']}/{works['articulable']}"
-    output.console().print(Text(text))
+    output.console().print(text)
 
 
 def _print_problems(report: dict[str, Any]) -> None:

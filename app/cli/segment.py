@@ -15,14 +15,16 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from app.cli.output import check_output, other_files_error
+from app.cli import output
+from app.cli.commands import PrepareCommand, SegmentCommand
+from app.cli.output import Result, check_output, check_replaceable
 from app.server.prompt_file import PromptFile, check_prompts, read_prompts
 from model.core.articulated_object import Part
-from model.core.asset import Asset, Source, UpAxis
+from model.core.asset import Asset, Source
 from model.core.errors import ArtiworldError, ConfigurationError
 from model.core.files import write_json, written_to
 from model.core.geometry import affine
-from model.core.progress import Progress, no_progress, scaled_progress
+from model.core.progress import Progress, scaled_progress
 from model.geometry.prepare import Prepared, PrepareSettings, Vector, prepare, tilt_remark
 from model.geometry.splitting import split
 from model.geometry.units import UNITS, odd_size
@@ -37,18 +39,17 @@ FORMAT = 1
 """Version of ``prepare.json``."""
 
 
-def prepare_files(
-    scan: Path, out: Path, settings: PrepareSettings, progress: Progress = no_progress
-) -> dict[str, Any]:
+def prepare_scan(options: PrepareCommand, progress: Progress) -> Result:
     """Write ``object.ply``, or ``object.glb`` for a mesh, ``kept.npy`` and ``prepare.json``.
-
-    Returns:
-        The content of ``prepare.json``.
 
     Raises:
         ArtiworldError: where the scan can't be read, nothing is left of it, or the folder can't be
             written.
     """
+    scan, out = options.scan, options.out
+    settings = PrepareSettings(
+        options.up, options.height, options.length, options.unit_scale, options.keep_support
+    )
     check_output(out, scan, *([] if scan.is_dir() else [scan.parent]))
     axis = "z" if settings.up is not None or scan.is_dir() else default_up_axis(scan)
     asset = open_asset(scan, up_axis=axis, progress=scaled_progress(progress, 0.0, 0.4))
@@ -84,7 +85,29 @@ def prepare_files(
     }
     write_json(out / "prepare.json", report)
     progress(1.0, "prepared")
-    return report
+    return Result(report, lambda: _print_prepared(report, out))
+
+
+def _print_prepared(report: dict[str, Any], out: Path) -> None:
+    """Print how ``prepare`` turned a scan and what it took away."""
+    x, y, z = report["size"]
+    output.console().print(
+        f"up {vector_text(report['up_in_source'])} in the file, "
+        f"tilted by {report['tilt_degrees']:.0f}°, confidence {100 * report['confidence']:.0f} %"
+    )
+    output.console().print(
+        f"{x:.3g} × {y:.3g} × {z:.3g} m, {report['elements']['kept']:,} elements kept"
+    )
+    if report["removed"]:
+        taken = ", ".join(f"{n:,} of {kind}" for kind, n in report["removed"].items())
+        output.console().print(f"taken away: {taken} (--keep-support keeps all but outliers)")
+    output.print_notes(report["problems"])
+    output.console().print(f"written to {out}")
+
+
+def vector_text(values: list[float]) -> str:
+    """A vector with three digits behind the point."""
+    return " ".join(f"{v + 0.0:.3f}" for v in values)
 
 
 def _from_file(
@@ -105,40 +128,25 @@ OBJECT_JSON = "object.json"
 _PART_FILES = re.compile(r"link_\d+\.(obj|mtl|ply)|texture_[0-9a-f]{12}\.(png|jpg)")
 
 
-def segment(
-    scan: Path,
-    prompts: Path | None,
-    out: Path,
-    *,
-    masks: Path | None = None,
-    segmenter: str = "default",
-    up_axis: UpAxis | None = None,
-    unit_scale: float = 1.0,
-    progress: Progress = no_progress,
-) -> dict[str, Any]:
-    """Cut ``scan`` into parts by the clicks of a prompt file, by masks, or by clicks on masks.
+def segment(options: SegmentCommand, progress: Progress) -> Result:
+    """Cut a scan into parts by the clicks of a prompt file, by masks, or by clicks on masks.
 
     Writes ``link_<id>.obj`` (or ``.ply`` for a cloud) for each part, +z up and in metres, and
     ``object.json``, which ``artiworld predict`` reads. They replace an earlier result.
 
-    Args:
-        masks: of another system, see :mod:`model.io.masks`; clicks correct them.
-        up_axis, unit_scale: of the scan, as of :func:`model.io.open_asset.open_asset`.
-
-    Returns:
-        The content of ``object.json``.
-
     Raises:
         ArtiworldError: naming the file and the place of the mistake.
     """
+    scan, prompts, masks, out = options.scan, options.prompts, options.masks, options.out
     if prompts is None and masks is None:
         raise ConfigurationError("nothing says what the parts are: give --prompts or --masks")
     file = PromptFile(scan, Prompts(()), {}) if prompts is None else read_prompts(prompts)
     check_output(out, scan, *([] if scan.is_dir() else [scan.parent]))
-    _check_replaceable(out)
-    chosen = load_segmenter(segmenter)
+    check_replaceable(out, lambda names: _is_earlier(out, names))
+    chosen = load_segmenter(options.segmentation.segmenter)
     progress(0.0, f"reading {scan.name}")
-    asset = open_asset(scan, up_axis=up_axis, unit_scale=unit_scale)
+    reading = options.reading
+    asset = open_asset(scan, up_axis=reading.up_axis, unit_scale=reading.unit_scale)
     check_prompts(file, asset)
     read = None if masks is None else read_masks(masks)
     if read is not None:
@@ -165,7 +173,7 @@ def segment(
     }
     write_json(out / OBJECT_JSON, report)
     progress(1.0, "done")
-    return report
+    return Result(report, lambda: _print_parts(report, out))
 
 
 def _on_masks(file: PromptFile, asset: Asset) -> PromptFile:
@@ -180,16 +188,14 @@ def _on_masks(file: PromptFile, asset: Asset) -> PromptFile:
     )
 
 
-def _check_replaceable(out: Path) -> None:
-    """Refuse to write where anything but an earlier result is."""
-    if not out.is_dir() or all(path.name.startswith(".") for path in out.iterdir()):
-        return
+def _is_earlier(out: Path, names: set[str]) -> bool:
+    """True if a folder with these files holds an earlier result, or only hidden files."""
     try:
         found = json.loads((out / OBJECT_JSON).read_text())
     except (OSError, ValueError):
         found = None
-    if not isinstance(found, dict) or "segmenter" not in found:
-        raise other_files_error(out)
+    hidden = all(name.startswith(".") for name in names)
+    return hidden or (isinstance(found, dict) and "segmenter" in found)
 
 
 def _problems(asset: Asset, file: PromptFile, parts: Sequence[Part]) -> list[str]:
@@ -245,3 +251,14 @@ def _write_part(part: Part, out: Path) -> dict[str, Any]:
         raise ArtiworldError(f"part {part.link} has no geometry")
     entry: dict[str, Any] = {"file": files[0].name, "count": count}
     return entry if part.name is None else {"file": files[0].name, "name": part.name, **entry}
+
+
+def _print_parts(report: dict[str, Any], out: Path) -> None:
+    elements = f"{report['source']['elements']}s"
+    rows = [
+        {"file": p["file"], "name": p.get("name") or "", elements: p["count"]}
+        for p in report["parts"]
+    ]
+    output.print_records(f"{report['name']} in {len(rows)} parts", rows)
+    output.print_notes(report["problems"])
+    output.console().print(f"written to {out}")

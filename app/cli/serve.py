@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 from app.cli.commands import BackendCommand, ServeCommand
 from app.cli.options import OidcOptions
+from app.cli.output import Result
 from app.cli.predict import check_backend, chosen_predictor
-from app.server import backend_tasks
+from app.server import backend_server
 from app.server.config import TOKEN_VARIABLE, ServeConfig
 from app.server.ending import EndSignals
 from app.server.jobs import WorkerProcess
@@ -20,6 +21,7 @@ from app.server.network import check_address, free_port, is_loopback, url
 from app.server.oidc import SECRET_VARIABLE, OidcSettings
 from model.core.errors import ConfigurationError, InputFileError
 from model.core.packages import install_command
+from model.core.progress import Progress
 from model.io.geometry_files import STAGES, SUFFIXES
 from model.io.masks import read_masks
 from model.io.model_files import articulated_stage, find_assets, is_model
@@ -34,15 +36,17 @@ if TYPE_CHECKING:
     from app.server.server import Server
 
 
-def serve_backend(options: BackendCommand) -> int:
+def serve_backend(options: BackendCommand, _: Progress) -> Result:
     """Check the options, load the predictor, then answer until interrupted.
 
     Raises:
         ConfigurationError: where an option can't work or the extra isn't installed.
     """
     token = _token(options)
-    _check(options)
     name = options.predictor
+    if is_backend(name):
+        raise ConfigurationError(f"--predictor {name}: a backend can't ask another one")
+    check_predictor(name)
     try:
         from app.server.backend_server import (  # imports an extra
             Backend,
@@ -58,25 +62,23 @@ def serve_backend(options: BackendCommand) -> int:
     threads = max(1, (os.cpu_count() or 2) // options.workers)
     workers = [
         WorkerProcess(
-            f"backend {i}", initializer=backend_tasks.load, arguments=(name,), threads=threads
+            f"backend {i}", initializer=backend_server.load, arguments=(name,), threads=threads
         )
         for i in range(options.workers)
     ]
     try:
         # Weights that don't load must fail here, not at the first client's request.
-        for job in [worker.submit(backend_tasks.ready) for worker in workers]:
+        for job in [worker.submit(backend_server.ready) for worker in workers]:
             job.result()
-        family, _, _, _, address = socket.getaddrinfo(
-            options.host, options.port, type=socket.SOCK_STREAM
-        )[0]
-        listener = socket.create_server(address[:2], family=family, backlog=128)
+        found = socket.getaddrinfo(options.host, options.port, type=socket.SOCK_STREAM)[0]
+        listener = socket.create_server(found[4][:2], family=found[0], backlog=128)
         address = url(options.host, listener.getsockname()[1])
         print(f"ArtiWorld backend is ready: {address} (predictor {name})", flush=True)
         limited_server(Backend(settings, workers).application()).run(sockets=[listener])
     finally:
         for worker in workers:
             worker.close()
-    return 0
+    return Result(None, lambda: None)
 
 
 def _token(options: BackendCommand) -> str | None:
@@ -89,21 +91,6 @@ def _token(options: BackendCommand) -> str | None:
         raise ConfigurationError("--token must have ASCII letters, digits and signs only")
     Login(token)  # refuses one that is too short
     return token
-
-
-def _check(options: BackendCommand) -> None:
-    for option, value in (
-        ("--workers", options.workers),
-        ("--waiting", options.waiting),
-        ("--max-request-mb", options.max_request_mb),
-    ):
-        if value < 1:
-            raise ConfigurationError(f"{option} {value} must be 1 or more")
-    if is_backend(options.predictor):
-        raise ConfigurationError(
-            f"--predictor {options.predictor}: a backend can't ask another one"
-        )
-    check_predictor(options.predictor)
 
 
 def serve(options: ServeCommand, end: EndSignals) -> int:
@@ -150,7 +137,7 @@ def make_config(options: ServeCommand) -> ServeConfig:
     if token is None and not is_loopback(options.host):
         token = new_token()
     Login(token)  # refuses one that is too short
-    check_segmenter(options.segmenter)
+    check_segmenter(options.segmentation.segmenter)
     if options.finder != "lexicon":
         load_finder(options.finder, FinderOptions(options.finder_url))
     check_predictor(options.prediction.predictor)
@@ -171,7 +158,6 @@ def make_config(options: ServeCommand) -> ServeConfig:
         "storage",
         "host",
         "max_upload_mb",
-        "segmenter",
         "finder",
         "finder_url",
     )
@@ -185,6 +171,7 @@ def make_config(options: ServeCommand) -> ServeConfig:
         up_axis=options.reading.up_axis,
         unit_scale=options.reading.unit_scale,
         masks=options.masks,
+        segmenter=options.segmentation.segmenter,
         predictor=predictor,
         allowed_origins=options.allow_origin,
         trusted_proxies=options.trusted_proxy,

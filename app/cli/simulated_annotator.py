@@ -18,6 +18,7 @@ from model.core.asset import Asset
 from model.core.errors import ConfigurationError
 from model.core.geometry import PointCloud
 from model.core.joint import Joint
+from model.core.pool import time_limit
 from model.core.tree import KinematicTree
 from model.data.registry import DatasetOptions, open_dataset
 from model.evaluation.joint_metrics import (
@@ -29,7 +30,6 @@ from model.evaluation.joint_metrics import (
     point_to_line,
     score_object,
 )
-from model.evaluation.pool import time_limit
 from model.geometry.sampling import sample_surface
 from model.geometry.splitting import split
 from model.prediction.geometric.roles import change_joint_type

@@ -4,11 +4,8 @@ data sets, figures and accounts of a team.
 
 from __future__ import annotations
 
-import getpass
 import math
-import sys
-from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing
 from dataclasses import asdict
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -16,7 +13,7 @@ from typing import Any
 
 from app.cli import output
 from app.cli import team_commands as options
-from app.cli.output import check_output
+from app.cli.output import Result, check_output
 from app.cli.team_commands import (
     ProjectSetCommand,
     ProjectShowCommand,
@@ -30,12 +27,11 @@ from app.server.ending import WorkspaceLease
 from model.core import codec
 from model.core.errors import ConfigurationError, InputFileError
 from model.core.files import written_to
+from model.core.progress import Progress
 from model.evaluation.agreement import FIGURES
 from model.io.assets.reader import read_provenance
 from model.io.export.simready import remembered
-from sessions.accounts import Account
-from sessions.command_log import check_workspace, open_database, read_work
-from sessions.people import People
+from sessions.command_log import WorkLog, check_workspace, open_database, read_work
 from sessions.project_settings import ProjectSettings, labels_from_text, labels_to_text
 from sessions.quality import Pair, Second, daily_sample, pairs_of, plant, seconds_in, summaries
 from sessions.release_files import import_release, next_version, read_release, write_release
@@ -44,22 +40,16 @@ from sessions.statistics import acts_of, csv_text, day_of, duration, grouped, ro
 from sessions.store import Store
 
 
-def show(options: ProjectShowCommand, fields: dict[str, Any] | None = None) -> int:
-    """Print the settings, once ``fields`` are changed; returns the exit code."""
+def show(options: ProjectShowCommand, _: Progress, fields: dict[str, Any] | None = None) -> Result:
+    """The settings of a project, once ``fields`` are changed."""
     check_workspace(options.workspace, options.database)
-    store = Store(options.workspace, options.database)
-    try:
+    with closing(Store(options.workspace, options.database)) as store:
         settings = store.project.change(fields) if fields else store.project.settings
-    finally:
-        store.close()
-    with output.session(options.json) as shown:
-        pass
-    shown.result(codec.write(settings), lambda: _print_settings(settings))
-    return 0
+    return Result(codec.write(settings), lambda: _print_settings(settings))
 
 
-def change(options: ProjectSetCommand) -> int:
-    """Change what is given, and print all; returns the exit code."""
+def change(options: ProjectSetCommand, progress: Progress) -> Result:
+    """Change what is given; all settings."""
     same = ("name", "strict", "collision", "form", "license", "author")
     fields: dict[str, Any] = {k: getattr(options, k) for k in same}
     if options.instructions is not None:
@@ -73,7 +63,7 @@ def change(options: ProjectSetCommand) -> int:
     fields = {k: v for k, v in fields.items() if v is not None}
     if not fields:
         raise ConfigurationError("nothing to change; give --instructions, --labels, …")
-    return show(options, fields)
+    return show(options, progress, fields)
 
 
 def _text_of(path: Path) -> str:
@@ -88,21 +78,21 @@ def _list(text: str) -> list[str]:
 
 
 def _print_settings(settings: ProjectSettings) -> None:
-    rows = [
-        ("name", settings.name),
-        ("instructions", f"{len(settings.instructions)} characters"),
-        ("labels", labels_to_text(settings.labels)),
-        ("names outside of the labels", "errors" if settings.strict else "allowed"),
-        ("required checks", ", ".join(settings.required)),
-        ("export", f"{', '.join(settings.formats)} {settings.collision}".strip()),
-        ("release", f"{settings.form} {settings.license} {settings.author}".strip()),
-    ]
-    title = settings.name or "Project"
-    output.console().print(output.table_of(title, ("setting", "value"), rows))
+    shown = {
+        "name": settings.name,
+        "instructions": f"{len(settings.instructions)} characters",
+        "labels": labels_to_text(settings.labels),
+        "names outside of the labels": "errors" if settings.strict else "allowed",
+        "required checks": ", ".join(settings.required),
+        "export": f"{', '.join(settings.formats)} {settings.collision}".strip(),
+        "release": f"{settings.form} {settings.license} {settings.author}".strip(),
+    }
+    rows = [{"setting": name, "value": value} for name, value in shown.items()]
+    output.print_records(settings.name or "Project", rows)
 
 
-def create(options: ReleaseCreateCommand) -> int:
-    """Write a release and print its counts; returns the exit code."""
+def create(options: ReleaseCreateCommand, progress: Progress) -> Result:
+    """Write a release."""
     name = check_name(options.name, "--name")
     check_workspace(options.workspace, options.database)
     home = options.out or options.workspace / "releases"
@@ -110,42 +100,34 @@ def create(options: ReleaseCreateCommand) -> int:
     out = home / f"{name}-{version}"
     check_output(home)
     author, license = remembered(options.workspace)
-    database = open_database(options.workspace, options.database)
-    store = Store(options.workspace, options.database)
-    try:
-        with closing(WorkspaceLease(options.workspace)), output.session(options.json) as show:
-            again = seconds_in(database)
-            pairs, _ = pairs_of(store, again, show.progress)
-            wanted = store.project.settings
-            release = Release(
-                name,
-                version,
-                options.form or wanted.form,
-                options.license or wanted.license or license,
-                options.author or wanted.author or author,
-                summaries(pairs)["all"]["all"],
-            )
-            store.assets.check_release(out.name)
-            found = accepted_assets(store, {second.object for second in again})
-            assets = _wanted(found, options.category)
-            release = write_release(
-                release,
-                assets,
-                out,
-                shard_bytes=options.shard_mb * 1_000_000,
-                progress=show.progress,
-            )
-            place = store.assets.keep_release(out)
-    finally:
-        store.close()
-        database.close()
+    with (
+        closing(open_database(options.workspace, options.database)) as database,
+        closing(Store(options.workspace, options.database)) as store,
+        closing(WorkspaceLease(options.workspace)),
+    ):
+        again = seconds_in(database)
+        pairs, _ = pairs_of(store, again, progress)
+        wanted = store.project.settings
+        release = Release(
+            name,
+            version,
+            options.form or wanted.form,
+            options.license or wanted.license or license,
+            options.author or wanted.author or author,
+            summaries(pairs)["all"]["all"],
+        )
+        store.assets.check_release(out.name)
+        found = accepted_assets(store, {second.object for second in again})
+        assets = _wanted(found, options.category)
+        size = options.shard_mb * 1_000_000
+        release = write_release(release, assets, out, shard_bytes=size, progress=progress)
+        place = store.assets.keep_release(out)
     report = release.to_json() | {"folder": str(out)} | ({"storage": place} if place else {})
-    show.result(report, lambda: _print_release(release, place or str(out)))
-    return 0
+    return Result(report, lambda: _print_release(release, place or str(out)))
 
 
 def _wanted(assets: list[AcceptedAsset], categories: tuple[str, ...]) -> list[AcceptedAsset]:
-    """Those of some categories; all where none is named."""
+    """Assets of some categories; all where none is named."""
     if not categories:
         return assets
     named = {c.casefold() for c in categories}
@@ -160,44 +142,41 @@ def _wanted(assets: list[AcceptedAsset], categories: tuple[str, ...]) -> list[Ac
 
 
 def _print_release(release: Release, out: str) -> None:
-    rows = [(name, str(count)) for name, count in sorted(release.count("category").items())]
+    counts = sorted(release.count("category").items())
+    rows = [{"category": name, "assets": count} for name, count in counts]
     title = f"{release.name} {release.version}: {len(release.assets)} assets"
-    output.console().print(output.table_of(title, ("category", "assets"), rows, ("assets",)))
+    output.print_records(title, rows)
     if not release.license:
         output.print_notes(["no licence was given; others may not use it: --license CC-BY-4.0"])
     output.console().print(f"written to {out}")
 
 
-def diff(options: ReleaseDiffCommand) -> int:
-    """Print what differs; returns the exit code."""
-    found = changes(read_release(options.before), read_release(options.after))
-    report = found.to_json()
-    with output.session(options.json) as show:
-        pass
-    show.result(report, lambda: _print_changes(report))
-    return 0
+def diff(options: ReleaseDiffCommand, _: Progress) -> Result:
+    """The assets that were added, removed or changed."""
+    report = changes(read_release(options.before), read_release(options.after)).to_json()
+    return Result(report, lambda: _print_changes(report))
 
 
 def _print_changes(report: dict[str, Any]) -> None:
     title = f"{report['before']} → {report['after']}"
-    rows = [(c["kind"], c["key"], "; ".join(c["what"])) for c in report["changes"]]
-    output.console().print(output.table_of(title, ("", "asset", "what"), rows))
+    rows = [
+        {"": c["kind"], "asset": c["key"], "what": "; ".join(c["what"])} for c in report["changes"]
+    ]
+    output.print_records(title, rows)
     counts = ", ".join(f"{report[kind]} {kind}" for kind in ("added", "removed", "changed"))
     output.console().print(f"{counts}, {report['same']} the same")
 
 
-def import_into(options: ReleaseImportCommand) -> int:
-    """Import a release and list its objects; returns the exit code."""
+def import_into(options: ReleaseImportCommand, progress: Progress) -> Result:
+    """Import a release; its objects."""
     read_release(options.release)  # a folder that is none makes no workspace
-    store = Store(options.into, options.database)
-    try:
-        with closing(WorkspaceLease(options.into)), output.session(options.json) as show:
-            records = import_release(options.release, store, show.progress)
-    finally:
-        store.close()
+    with (
+        closing(Store(options.into, options.database)) as store,
+        closing(WorkspaceLease(options.into)),
+    ):
+        records = import_release(options.release, store, progress)
     rows = [{"object": r.id, "name": r.name, "path": str(r.path)} for r in records]
-    show.result(rows, lambda: output.print_records(f"{len(rows)} objects imported", rows))
-    return 0
+    return Result(rows, lambda: output.print_records(f"{len(rows)} objects imported", rows))
 
 
 _COLUMNS = {
@@ -216,120 +195,111 @@ _COLUMNS = {
 _TIMES = ("active", "waiting", "seconds_per_accepted")
 
 
-def stats(options: StatsCommand) -> int:
-    """Print the rows, and write them as CSV where asked; returns the exit code."""
-    with output.session(options.json) as show:
-        log = read_work(options.workspace, options.database)
-        since = -math.inf if options.since is None else options.since
-        figures = grouped(log, acts_of(log), options.by, since)
-        rows = rows_of(figures, options.by, options.rate)
-        if options.csv is not None:
-            with written_to(options.csv, "choose a file that you may write to"):
-                options.csv.write_text(csv_text(rows), encoding="utf-8", newline="")
-    show.result(rows, lambda: _print_figures(rows, options.by))
-    return 0
+def stats(options: StatsCommand, progress: Progress) -> Result:
+    """Figures of work, written as CSV where asked; or of quality, or a sample."""
+    if options.quality:
+        return _quality(options, progress)
+    log = read_work(options.workspace, options.database)
+    if options.sample:
+        return _sample(options, log)
+    since = -math.inf if options.since is None else options.since
+    figures = grouped(log, acts_of(log), options.by, since)
+    rows = rows_of(figures, options.by, options.rate)
+    if options.csv is not None:
+        with written_to(options.csv, "choose a file that you may write to"):
+            options.csv.write_text(csv_text(rows), encoding="utf-8", newline="")
+    return Result(rows, lambda: _print_figures(rows, options.by))
 
 
-def quality(options: StatsCommand) -> int:
-    """Print agreement by person and category, and the disagreements; returns the exit code."""
-    database = open_database(options.workspace, options.database)
-    store = Store(options.workspace, options.database)
-    try:
-        with output.session(options.json) as show:
-            pairs, waiting = pairs_of(store, seconds_in(database), show.progress)
-        if options.since is not None:
-            first = day_of(options.since)
-            pairs = [p for p in pairs if p.day >= first]
-    finally:
-        store.close()
-        database.close()
+def _quality(options: StatsCommand, progress: Progress) -> Result:
+    """Agreement by person and category, and the disagreements."""
+    with (
+        closing(open_database(options.workspace, options.database)) as database,
+        closing(Store(options.workspace, options.database)) as store,
+    ):
+        pairs, waiting = pairs_of(store, seconds_in(database), progress)
+    if options.since is not None:
+        first = day_of(options.since)
+        pairs = [p for p in pairs if p.day >= first]
     means = summaries(pairs)
     report = {
         "means": means,
         "pairs": [p.to_json() for p in pairs],
         "waiting": [asdict(w) for w in waiting],
     }
-    show.result(report, lambda: _print_quality(means, pairs, waiting))
-    return 0
+    return Result(report, lambda: _print_quality(means, pairs, waiting))
 
 
 def _print_quality(
     means: dict[str, dict[str, dict[str, Any]]], pairs: list[Pair], waiting: list[Second]
 ) -> None:
-    console = output.console()
-    for by, rows in means.items():
-        if rows and by != "all":
-            columns = [by, "pairs", *(f.replace("_", " ") for f in FIGURES)]
-            cells = [[name, *map(_figure, row.values())] for name, row in rows.items()]
-            console.print(output.table_of(None, columns, cells, columns[1:]))
+    for by, found in means.items():
+        if found and by != "all":
+            columns = ("pairs", *(f.replace("_", " ") for f in FIGURES))
+            rows = [
+                {by: name, **dict(zip(columns, map(_figure, row.values()), strict=True))}
+                for name, row in found.items()
+            ]
+            output.print_records(None, rows)
     rows = [
-        (
-            f"{p.name} ({p.object}, {p.second})",
-            p.kind,
-            p.first_by,
-            p.second_by,
-            "–" if p.agreement is None else f"{p.agreement.disagreement:.3f}",
-            p.problem if p.agreement is None else "; ".join(p.agreement.what),
-        )
+        {
+            "object": f"{p.name} ({p.object}, {p.second})",
+            "": p.kind,
+            "first by": p.first_by,
+            "second by": p.second_by,
+            "disagreement": None if p.agreement is None else f"{p.agreement.disagreement:.3f}",
+            "what": p.problem if p.agreement is None else "; ".join(p.agreement.what),
+        }
         for p in pairs
     ]
-    columns = ("object", "", "first by", "second by", "disagreement", "what")
-    console.print(output.table_of("Disagreements, largest first", columns, rows))
-    console.print(f"{len(pairs)} pairs compared, {len(waiting)} wait to be accepted")
+    output.print_records("Disagreements, largest first", rows)
+    output.console().print(f"{len(pairs)} pairs compared, {len(waiting)} wait to be accepted")
 
 
 def _figure(value: Any) -> str:
     return "–" if value is None else f"{value:.3g}"
 
 
-def sample(options: StatsCommand) -> int:
-    """Print each person's objects for a reviewer to look at; returns the exit code."""
+def _sample(options: StatsCommand, log: WorkLog) -> Result:
+    """Each person's objects for a reviewer to look at."""
     day = options.day or (datetime.now(UTC).date() - timedelta(days=1)).isoformat()
-    with output.session(options.json) as show:
-        log = read_work(options.workspace, options.database)
-        chosen = daily_sample(acts_of(log), day, options.sample, options.seed)
+    chosen = daily_sample(acts_of(log), day, options.sample, options.seed)
     rows = [
         {"person": who, "object": i, "name": log.objects[i].name, "state": log.objects[i].state}
         for who, ids in chosen.items()
         for i in ids
     ]
-    show.result(rows, lambda: output.print_records(f"Sample of {day}", rows))
-    return 0
+    return Result(rows, lambda: output.print_records(f"Sample of {day}", rows))
 
 
-def repeat(options: RepeatCommand) -> int:
-    """Queue objects a second time and list them; returns the exit code."""
+def repeat(options: RepeatCommand, _: Progress) -> Result:
+    """Queue objects a second time."""
     if not options.double and not options.honeypots:
         raise ConfigurationError("give --double, --honeypots, or both")
-    database = open_database(options.workspace, options.database)
-    store = Store(options.workspace, options.database)
-    try:
-        with output.session(options.json) as show:
-            new = plant(
-                store,
-                database,
-                share=options.double,
-                honeypots=options.honeypots,
-                seed=options.seed,
-            )
+    with (
+        closing(open_database(options.workspace, options.database)) as database,
+        closing(Store(options.workspace, options.database)) as store,
+    ):
+        new = plant(
+            store,
+            database,
+            share=options.double,
+            honeypots=options.honeypots,
+            seed=options.seed,
+        )
         rows = [{"name": store.object(s.of).name, **asdict(s)} for s in new]
-    finally:
-        store.close()
-        database.close()
-    show.result(rows, lambda: output.print_records(f"{len(rows)} objects queued again", rows))
-    return 0
+    return Result(rows, lambda: output.print_records(f"{len(rows)} objects queued again", rows))
 
 
 def _print_figures(rows: list[dict[str, Any]], by: str) -> None:
     if not rows:
         output.console().print("nobody has done anything here")
         return
-    columns = [by, *(title for name, title in _COLUMNS.items() if name in rows[0])]
-    cells = [
-        [str(row[by]), *(_cell(name, row[name]) for name in _COLUMNS if name in row)]
+    shown = [
+        {by: str(row[by])} | {_COLUMNS[k]: _cell(k, v) for k, v in row.items() if k in _COLUMNS}
         for row in rows
     ]
-    output.console().print(output.table_of(None, columns, cells, columns[1:]))
+    output.print_records(None, shown)
 
 
 def _cell(name: str, value: Any) -> str:
@@ -340,109 +310,8 @@ def _cell(name: str, value: Any) -> str:
     return f"{value:.2f}" if isinstance(value, float) else str(value)
 
 
-def add(asked: options.UserAddCommand) -> int:
-    """Add an account with a password that is asked for."""
-    with _people(asked) as people:
-        account = people.accounts.add(asked.name, asked.role, _password())
-    return _say(asked, asdict(account), f"Added {account.name}, {account.role}")
-
-
-def invite(asked: options.UserInviteCommand) -> int:
-    """Print an invitation's link."""
-    with _people(asked) as people:
-        code = people.accounts.invite(asked.name, asked.role)
-    link = f"{asked.url.rstrip('/')}/login#invitation={code}"
-    return _say(asked, {"name": asked.name, "link": link}, f"For {asked.name}, once: {link}")
-
-
-def list_accounts(asked: options.UserListCommand) -> int:
-    """Print all accounts."""
-    with _people(asked) as people:
-        found = people.accounts.all()
-    lines = [f"{a.name}  {a.role}  {a.status}" for a in found] or ["No accounts: nobody logs in"]
-    return _say(asked, [asdict(a) for a in found], *lines)
-
-
-def set_role(asked: options.UserRoleCommand) -> int:
-    """Change a role."""
-    with _people(asked) as people:
-        account = people.accounts.set_role(asked.name, asked.role)
-    return _say(asked, asdict(account), f"{account.name} is {account.role} now")
-
-
-def disable(asked: options.UserDisableCommand) -> int:
-    """Disable an account."""
-    with _people(asked) as people:
-        people.accounts.disable(asked.name)
-    return _say(asked, {"disabled": asked.name}, f"{asked.name} can't log in any more")
-
-
-def revoke(asked: options.UserRevokeCommand) -> int:
-    """End the sessions and tokens of an account."""
-    with _people(asked) as people:
-        people.credentials.revoke(_account(people, asked.name))
-    return _say(asked, {"revoked": asked.name}, f"{asked.name} is logged out everywhere")
-
-
-def make_token(asked: options.UserTokenCommand) -> int:
-    """Print a new token."""
-    with _people(asked) as people:
-        account = _account(people, asked.name)
-        scopes = asked.scope or ("read",)
-        secret = people.credentials.make_token(account, asked.label, scopes, asked.days)
-    return _say(asked, {"token": secret}, secret)
-
-
-def show_audit(asked: options.AuditCommand) -> int:
-    """Print events, or decisions about objects."""
-    if asked.decisions:
-        return _show_decisions(asked)
-    with _people(asked) as people:
-        events = people.audit.events(
-            name=asked.name, kind=asked.kind, since=asked.since, count=asked.count
-        )
-    lines = [
-        f"{e.at[:19]}  {e.who or '-'}  {e.kind}  {e.subject}  {e.detail}  {e.address}".rstrip()
-        for e in events
-    ]
-    return _say(asked, [asdict(e) for e in events], *(lines or ["Nothing"]))
-
-
-def _show_decisions(asked: options.AuditCommand) -> int:
-    with _people(asked) as people:
-        found = people.audit.decisions(
-            who=asked.name,
-            object_id=asked.object,
-            kind=asked.kind,
-            since=asked.since,
-            count=asked.count,
-        )
-    lines = [f"{d.at[:19]}  {d.who}  {d.kind}  {d.name} ({d.object})" for d in found]
-    return _say(asked, [asdict(d) for d in found], *(lines or ["Nothing"]))
-
-
-@contextmanager
-def _people(asked: options.WorkspaceCommand) -> Iterator[People]:
-    store = Store(asked.workspace, asked.database)
-    try:
-        yield store.people
-    finally:
-        store.close()
-
-
-def _account(people: People, name: str) -> Account:
-    return people.accounts.find(name)
-
-
-def _password() -> str:
-    if not sys.stdin.isatty():
-        return sys.stdin.readline().rstrip("\n")
-    first = getpass.getpass("Password: ")
-    if getpass.getpass("Again: ") != first:
-        raise ConfigurationError("the two passwords differ; try again")
-    return first
-
-
-def _say(asked: options.WorkspaceCommand, result: Any, *lines: str) -> int:
-    output.Show(asked.json).result(result, lambda: print("\n".join(lines)))
-    return 0
+def with_people(asked: options.PeopleCommand, _: Progress) -> Result:
+    """Do what a command about people is for."""
+    with closing(Store(asked.workspace, asked.database)) as store:
+        report, lines = asked.work(store.people)
+    return Result(report, lambda: print("\n".join(lines)))

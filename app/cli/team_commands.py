@@ -2,25 +2,33 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import getpass
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from datetime import UTC, date, datetime
 from pathlib import Path
-from typing import ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from app.cli.options import (
-    Command,
+    Group,
+    ReportCommand,
     argument,
     count,
+    database_option,
     flag,
-    json_flag,
     option,
     positive_count,
     positive_number,
     repeated,
     required,
     seed_option,
+    workspace_option,
 )
-from model.core.packages import at_place
+from model.core.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from sessions.people import People
 
 
 def moment(text: str) -> float:
@@ -48,10 +56,18 @@ moment.__name__ = "day (2026-01-31) or time (2026-01-31T12:00)"
 
 
 @dataclass(frozen=True, kw_only=True)
-class StatsCommand(Command):
-    """Say how long people worked, what they did and what it cost."""
+class WorkspaceCommand(ReportCommand):
+    """A command about a workspace."""
 
     workspace: Path = argument("folder of sessions and accepted assets", "WORKSPACE")
+    database: str | None = database_option()
+
+
+@dataclass(frozen=True, kw_only=True)
+class StatsCommand(WorkspaceCommand):
+    """Say how long people worked, what they did and what it cost."""
+
+    place: ClassVar[str] = "app.cli.team:stats"
     by: Literal["person", "category", "predictor", "step", "object", "day"] = option(
         "a row for each of these", default="person"
     )
@@ -69,22 +85,13 @@ class StatsCommand(Command):
     )
     day: str | None = option("with --sample: the day (default: yesterday)", "DAY", parse=day)
     seed: int = seed_option("of the choice of a sample")
-    database: str | None = option(
-        "URL of a SQLite or PostgreSQL database (default: one in the workspace)", "URL"
-    )
-    json: bool = json_flag()
-
-    def run(self) -> int:
-        """Print the figures."""
-        kind = "quality" if self.quality else "sample" if self.sample else "stats"
-        return at_place(f"app.cli.team:{kind}")(self)
 
 
 @dataclass(frozen=True, kw_only=True)
-class RepeatCommand(Command):
+class RepeatCommand(WorkspaceCommand):
     """Queue objects for a second annotation, unmarked, to measure quality."""
 
-    workspace: Path = argument("folder of sessions and accepted assets", "WORKSPACE")
+    place: ClassVar[str] = "app.cli.team:repeat"
     double: float = option(
         "share of all objects to annotate twice, 0..1", "SHARE", 0.0, parse=share
     )
@@ -95,21 +102,13 @@ class RepeatCommand(Command):
         parse=count,
     )
     seed: int = seed_option("of the choice")
-    database: str | None = option(
-        "URL of a SQLite or PostgreSQL database (default: one in the workspace)", "URL"
-    )
-    json: bool = json_flag()
-
-    def run(self) -> int:
-        """Queue them and list which."""
-        return at_place("app.cli.team:repeat")(self)
 
 
 @dataclass(frozen=True, kw_only=True)
-class ReleaseCreateCommand(Command):
+class ReleaseCreateCommand(WorkspaceCommand):
     """Freeze the accepted assets of a workspace as a numbered data set."""
 
-    workspace: Path = argument("folder of sessions and accepted assets", "WORKSPACE")
+    place: ClassVar[str] = "app.cli.team:create"
     name: str = required("name of the data set", "NAME")
     version: str | None = option(
         "its version, such as 1.0 (default: the number after the last one)", "VERSION"
@@ -132,64 +131,39 @@ class ReleaseCreateCommand(Command):
     )
     category: tuple[str, ...] = repeated("release objects of this category only", "NAME")
     shard_mb: int = option("with webdataset: largest shard", "MB", 500, parse=positive_count)
-    database: str | None = option(
-        "URL of a SQLite or PostgreSQL database (default: one in the workspace)", "URL"
-    )
-    json: bool = json_flag()
-
-    def run(self) -> int:
-        """Write the release and print what is in it."""
-        return at_place("app.cli.team:create")(self)
 
 
 @dataclass(frozen=True, kw_only=True)
-class ReleaseDiffCommand(Command):
+class ReleaseDiffCommand(ReportCommand):
     """List what changed between two releases."""
 
+    place: ClassVar[str] = "app.cli.team:diff"
     before: Path = argument("folder of a release", "A")
     after: Path = argument("folder of another one", "B")
-    json: bool = json_flag()
-
-    def run(self) -> int:
-        """Print the assets that were added, removed or changed."""
-        return at_place("app.cli.team:diff")(self)
 
 
 @dataclass(frozen=True, kw_only=True)
-class ReleaseImportCommand(Command):
+class ReleaseImportCommand(ReportCommand):
     """Check somebody's release and add its objects to a workspace."""
 
+    place: ClassVar[str] = "app.cli.team:import_into"
     release: Path = argument("folder of the release", "DIR")
     into: Path = required("folder of sessions and accepted assets; made where needed", "WORKSPACE")
-    database: str | None = option(
-        "URL of a SQLite or PostgreSQL database (default: one in the workspace)", "URL"
-    )
-    json: bool = json_flag()
-
-    def run(self) -> int:
-        """Add the objects and list them."""
-        return at_place("app.cli.team:import_into")(self)
+    database: str | None = database_option()
 
 
 @dataclass(frozen=True, kw_only=True)
-class ProjectShowCommand(Command):
+class ProjectShowCommand(WorkspaceCommand):
     """Print the settings of a project."""
 
-    workspace: Path = argument("folder of sessions and accepted assets", "WORKSPACE")
-    database: str | None = option(
-        "URL of a SQLite or PostgreSQL database (default: one in the workspace)", "URL"
-    )
-    json: bool = json_flag()
-
-    def run(self) -> int:
-        """Print them."""
-        return at_place("app.cli.team:show")(self)
+    place: ClassVar[str] = "app.cli.team:show"
 
 
 @dataclass(frozen=True, kw_only=True)
 class ProjectSetCommand(ProjectShowCommand):
     """Change settings of a project; what isn't given stays."""
 
+    place: ClassVar[str] = "app.cli.team:change"
     name: str | None = option("name of the project", "NAME")
     instructions: Path | None = option("Markdown that is shown beside the picture", "FILE")
     labels: Path | None = option(
@@ -206,118 +180,102 @@ class ProjectSetCommand(ProjectShowCommand):
     license: str | None = option("licence of releases, such as CC-BY-4.0", "NAME")
     author: str | None = option("author of releases", "NAME")
 
-    def run(self) -> int:
-        """Change them and print all."""
-        return at_place("app.cli.team:change")(self)
-
-
-class ProjectCommand(Command):
-    """Show or change what all who work on a project share: instructions, labels, checks."""
-
-    subcommands: ClassVar[dict[str, type[Command]]] = {
-        "show": ProjectShowCommand,
-        "set": ProjectSetCommand,
-    }
-    default_subcommand: ClassVar[str] = "show"
-
-
-class ReleaseCommand(Command):
-    """Freeze accepted assets as a data set; compare and import such sets."""
-
-    subcommands: ClassVar[dict[str, type[Command]]] = {
-        "create": ReleaseCreateCommand,
-        "diff": ReleaseDiffCommand,
-        "import": ReleaseImportCommand,
-    }
-    default_subcommand: ClassVar[str] = "create"
-
 
 Role = Literal["annotator", "reviewer", "manager"]
 Scope = Literal["read", "annotate", "review", "manage"]
-_PLACE = "app.cli.team:"
 
 
 @dataclass(frozen=True, kw_only=True)
-class WorkspaceCommand(Command):
+class PeopleCommand(ReportCommand):
     """A command about the people of a workspace."""
 
-    workspace: Path = option("folder of sessions and accepted assets", "DIR", Path("workspace"))
-    database: str | None = option(
-        "URL of a SQLite or PostgreSQL database (default: one in the workspace)", "URL"
-    )
-    json: bool = json_flag()
+    place: ClassVar[str] = "app.cli.team:with_people"
+    workspace: Path = workspace_option()
+    database: str | None = database_option()
+
+    def work(self, people: People) -> tuple[Any, Sequence[str]]:
+        """Do it; return a report for a program, and lines for a person."""
+        raise NotImplementedError
 
 
 @dataclass(frozen=True, kw_only=True)
-class UserAddCommand(WorkspaceCommand):
+class UserAddCommand(PeopleCommand):
     """Add an account; its password is asked for, or read from standard input."""
 
     name: str = argument("name beside the person's decisions", "NAME")
     role: Role = option("what the person may do", "ROLE", "annotator")
 
-    def run(self) -> int:
-        """Ask for the password and add the account."""
-        return at_place(f"{_PLACE}add")(self)
+    def work(self, people: People) -> tuple[Any, Sequence[str]]:
+        """Add the account."""
+        account = people.accounts.add(self.name, self.role, _password())
+        return asdict(account), [f"Added {account.name}, {account.role}"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class UserInviteCommand(WorkspaceCommand):
+class UserInviteCommand(PeopleCommand):
     """Print a link with which a person chooses a password; it works once, for a week."""
 
     name: str = argument("name beside the person's decisions, also of earlier ones", "NAME")
     role: Role = option("what the person may do", "ROLE", "annotator")
     url: str = option("address of the server", "URL", "http://localhost:8080")
 
-    def run(self) -> int:
-        """Print the link."""
-        return at_place(f"{_PLACE}invite")(self)
+    def work(self, people: People) -> tuple[Any, Sequence[str]]:
+        """Make the link."""
+        code = people.accounts.invite(self.name, self.role)
+        link = f"{self.url.rstrip('/')}/login#invitation={code}"
+        return {"name": self.name, "link": link}, [f"For {self.name}, once: {link}"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class UserListCommand(WorkspaceCommand):
+class UserListCommand(PeopleCommand):
     """List all accounts."""
 
-    def run(self) -> int:
-        """Print them."""
-        return at_place(f"{_PLACE}list_accounts")(self)
+    def work(self, people: People) -> tuple[Any, Sequence[str]]:
+        """Find them."""
+        found = people.accounts.all()
+        lines = [f"{a.name}  {a.role}  {a.status}" for a in found]
+        return [asdict(a) for a in found], lines or ["No accounts: nobody logs in"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class UserRoleCommand(WorkspaceCommand):
+class UserRoleCommand(PeopleCommand):
     """Change what a person may do, from the next decision on."""
 
     name: str = argument("name of the account", "NAME")
     role: Role = argument("annotator, reviewer or manager", "ROLE")
 
-    def run(self) -> int:
+    def work(self, people: People) -> tuple[Any, Sequence[str]]:
         """Change it."""
-        return at_place(f"{_PLACE}set_role")(self)
+        account = people.accounts.set_role(self.name, self.role)
+        return asdict(account), [f"{account.name} is {account.role} now"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class UserDisableCommand(WorkspaceCommand):
+class UserDisableCommand(PeopleCommand):
     """Keep a person out; the decisions stay. A new invitation lets the person in again."""
 
     name: str = argument("name of the account", "NAME")
 
-    def run(self) -> int:
+    def work(self, people: People) -> tuple[Any, Sequence[str]]:
         """Disable the account."""
-        return at_place(f"{_PLACE}disable")(self)
+        people.accounts.disable(self.name)
+        return {"disabled": self.name}, [f"{self.name} can't log in any more"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class UserRevokeCommand(WorkspaceCommand):
+class UserRevokeCommand(PeopleCommand):
     """End all browser sessions and tokens of a person, who may log in again."""
 
     name: str = argument("name of the account", "NAME")
 
-    def run(self) -> int:
+    def work(self, people: People) -> tuple[Any, Sequence[str]]:
         """End them."""
-        return at_place(f"{_PLACE}revoke")(self)
+        people.credentials.revoke(people.accounts.find(self.name))
+        return {"revoked": self.name}, [f"{self.name} is logged out everywhere"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class UserTokenCommand(WorkspaceCommand):
+class UserTokenCommand(PeopleCommand):
     """Print a new token for scripts; nothing shows it again."""
 
     name: str = argument("name of the account", "NAME")
@@ -325,28 +283,15 @@ class UserTokenCommand(WorkspaceCommand):
     scope: tuple[Scope, ...] = repeated("read, annotate, review or manage (default: read)", "SCOPE")
     days: int = option("how long it lasts", "DAYS", 90)
 
-    def run(self) -> int:
+    def work(self, people: People) -> tuple[Any, Sequence[str]]:
         """Make the token."""
-        return at_place(f"{_PLACE}make_token")(self)
+        account, scopes = people.accounts.find(self.name), self.scope or ("read",)
+        secret = people.credentials.make_token(account, self.label, scopes, self.days)
+        return {"token": secret}, [secret]
 
 
 @dataclass(frozen=True, kw_only=True)
-class UserCommand(Command):
-    """Manage the accounts of the people who annotate and review."""
-
-    subcommands: ClassVar[dict[str, type[Command]]] = {
-        "add": UserAddCommand,
-        "invite": UserInviteCommand,
-        "list": UserListCommand,
-        "role": UserRoleCommand,
-        "disable": UserDisableCommand,
-        "revoke": UserRevokeCommand,
-        "token": UserTokenCommand,
-    }
-
-
-@dataclass(frozen=True, kw_only=True)
-class AuditCommand(WorkspaceCommand):
+class AuditCommand(PeopleCommand):
     """Say what happened to accounts, or what was decided about objects, the newest first."""
 
     name: str | None = option("only what this account did, or what was done to it", "NAME")
@@ -356,6 +301,50 @@ class AuditCommand(WorkspaceCommand):
     decisions: bool = flag("decisions about objects instead of what happened to accounts")
     object: int | None = option("with --decisions: only those about this object", "ID")
 
-    def run(self) -> int:
-        """Print the events."""
-        return at_place(f"{_PLACE}show_audit")(self)
+    def work(self, people: People) -> tuple[Any, Sequence[str]]:
+        """Find the events."""
+        found: Sequence[Any]
+        same: Any = {"kind": self.kind, "since": self.since, "count": self.count}
+        if self.decisions:
+            found = people.audit.decisions(who=self.name, object_id=self.object, **same)
+            lines = [f"{d.at[:19]}  {d.who}  {d.kind}  {d.name} ({d.object})" for d in found]
+        else:
+            found = people.audit.events(name=self.name, **same)
+            lines = [
+                f"{e.at[:19]}  {e.who or '-'}  {e.kind}  {e.subject}  {e.detail}  {e.address}"
+                for e in found
+            ]
+        return [asdict(each) for each in found], [line.rstrip() for line in lines] or ["Nothing"]
+
+
+def _password() -> str:
+    if not sys.stdin.isatty():
+        return sys.stdin.readline().rstrip("\n")
+    first = getpass.getpass("Password: ")
+    if getpass.getpass("Again: ") != first:
+        raise ConfigurationError("the two passwords differ; try again")
+    return first
+
+
+PROJECT = Group(
+    "Show or change what all who work on a project share: instructions, labels, checks.",
+    {"show": ProjectShowCommand, "set": ProjectSetCommand},
+    default="show",
+)
+RELEASE = Group(
+    "Freeze accepted assets as a data set; compare and import such sets.",
+    {"create": ReleaseCreateCommand, "diff": ReleaseDiffCommand, "import": ReleaseImportCommand},
+    default="create",
+)
+USERS = Group(
+    "Manage the accounts of the people who annotate and review.",
+    {
+        "add": UserAddCommand,
+        "invite": UserInviteCommand,
+        "list": UserListCommand,
+        "role": UserRoleCommand,
+        "disable": UserDisableCommand,
+        "revoke": UserRevokeCommand,
+        "token": UserTokenCommand,
+    },
+)

@@ -7,21 +7,19 @@ from __future__ import annotations
 import math
 import os
 import sys
-from contextlib import closing, nullcontext
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from app.cli import output
-from app.cli.output import check_output, progress_bar
-from app.cli.research_commands import TrainCommand
+from app.cli.output import Result, check_output
+from app.cli.research_commands import GenerateCommand, TrainCommand
 from app.server.ending import WorkspaceLease
 from app.server.learning import learn_from
 from model.core.errors import ConfigurationError
-from model.core.progress import no_progress
-from model.data.datasets import training_ids
-from model.data.procedural.generate import family_names
-from model.data.registry import recognised
+from model.core.progress import Progress, no_progress
+from model.data.procedural.generate import GenerateSettings, family_names, generate
+from model.data.registry import recognised, training_ids
 from model.prediction.experience import FOLDER, record_of
 from model.training.arti4urdf import small_trainer
 from model.training.arti4urdf.confidence import PREDICTORS, fit_confidence
@@ -42,8 +40,17 @@ from model.training.experience import use
 from sessions.command_log import check_workspace
 
 
-def learn(options: TrainCommand, workspace: Path) -> int:
-    """Learn from a workspace, or go back to an earlier version; returns the exit code.
+def generate_objects(options: GenerateCommand, progress: Progress) -> Result:
+    """Write objects with ground truth."""
+    check_output(options.out)
+    settings = GenerateSettings(options.out, options.family, options.n, options.seed)
+    folders = generate(settings, progress)
+    report = {"folders": [str(f) for f in folders]}
+    return Result(report, lambda: print(f"{len(folders)} objects in {options.out}"))
+
+
+def learn(options: TrainCommand, workspace: Path, progress: Progress) -> Result:
+    """Learn from a workspace, or go back to an earlier version.
 
     Raises:
         ConfigurationError: for an unknown version or object, or too few accepted objects.
@@ -52,16 +59,12 @@ def learn(options: TrainCommand, workspace: Path) -> int:
     if options.use is not None:
         use(workspace, options.use)
         record = record_of(workspace / FOLDER / str(options.use)) if options.use else {}
-        with output.session(options.json) as show:
-            text = f"predictions use version {options.use}" if options.use else "nothing is used"
-            show.result(record, lambda: print(text))
-        return 0
-    with closing(WorkspaceLease(workspace)), output.session(options.json) as show:
-        learned = learn_from(
-            workspace, options.database, options.without, options.jobs or 2, show.progress
-        )
-    show.result(learned, lambda: _print(learned))
-    return 0
+        text = f"predictions use version {options.use}" if options.use else "nothing is used"
+        return Result(record, lambda: print(text))
+    with closing(WorkspaceLease(workspace)):
+        jobs = options.jobs or 2
+        learned = learn_from(workspace, options.database, options.without, jobs, progress)
+    return Result(learned, lambda: _print(learned))
 
 
 def _print(learned: dict[str, Any]) -> None:
@@ -82,31 +85,33 @@ def _figures(side: dict[str, Any]) -> str:
     )
 
 
-def train_full_model(options: TrainCommand, config: FullConfig) -> int:
-    """Train, print how far it came, and return the exit code."""
-    # Of several processes only the first one prints.
+def train_full_model(options: TrainCommand, config: FullConfig, progress: Progress) -> Result:
+    """Train the paper-size model; of several processes only the first one prints."""
     prints = os.environ.get("RANK", "0") == "0"
-    bar: Any = progress_bar() if prints else nullcontext(no_progress)
-    with bar as progress:
-        progress(0.0, "reading weights")
-        done = train_full(
-            config,
-            _sources(options, config),
-            options.out,
-            seconds=options.minutes * 60,
-            weights=options.weights,
-            progress=progress,
-        )
     if not prints:
-        return 0
+        progress = no_progress
+    progress(0.0, "reading weights")
+    done = train_full(
+        config,
+        _sources(options, config),
+        options.out,
+        seconds=options.minutes * 60,
+        weights=options.weights,
+        progress=progress,
+    )
     loss = "" if math.isnan(done.loss) else f", loss {done.loss:.4f}"
-    print(f"step {done.step} of {done.steps}{loss}")
+    lines = [f"step {done.step} of {done.steps}{loss}"]
     if any(done.left_out.values()):
         counts = ", ".join(f"{n} {why}" for why, n in done.left_out.items())
-        print(f"left out: {counts} ({options.out / LEFT_OUT})")
+        lines.append(f"left out: {counts} ({options.out / LEFT_OUT})")
     if options.weights is not None:
-        print(f"weights: {options.weights} (use them as qwen3:{options.weights})")
-    return 0
+        lines.append(f"weights: {options.weights} (use them as qwen3:{options.weights})")
+    return _lines(lines if prints else [])
+
+
+def _lines(lines: list[str]) -> Result:
+    """A result that is only for people."""
+    return Result(lines, lambda: [print(line) for line in lines])
 
 
 def _sources(options: TrainCommand, config: FullConfig) -> Sources:
@@ -130,28 +135,22 @@ MOST_HELD_OUT = 200
 """Samples of validation, and of held-out categories, at most."""
 
 
-def train(options: TrainCommand) -> int:
+def train(options: TrainCommand, progress: Progress) -> Result:
     """Make missing samples, train, and write weights.
 
     Raises:
         ConfigurationError: for a mistake in the options.
     """
     if options.workspace is not None:
-        return learn(options, options.workspace)
+        return learn(options, options.workspace, progress)
     if options.without or options.use is not None or options.database or options.json:
         raise ConfigurationError("--without, --use, --database and --json belong to --workspace")
-    if options.samples < 1 or options.minutes <= 0 or options.jobs < 0:
-        raise ConfigurationError("--samples, --minutes and --jobs must be positive")
     if not 0 <= options.test_share < 1:
         raise ConfigurationError(f"--test-share is a share of 0..1, got {options.test_share}")
-    if options.steps is not None and options.steps < 1:
-        raise ConfigurationError(f"--steps must be 1 or more, got {options.steps}")
     check_output(options.out)
     full, large = full_presets().get(options.preset), options.full_model
     if full is not None:
-        config = _full_config(options, full)
-
-        return train_full_model(options, config)
+        return train_full_model(options, _full_config(options, full), progress)
     if large.language_model or large.point_encoder or large.lora or large.cache or large.settings:
         raise ConfigurationError(
             "--language-model, --point-encoder, --lora, --cache and --set belong to the paper-size "
@@ -159,39 +158,37 @@ def train(options: TrainCommand) -> int:
             f"{', '.join(full_presets())}"
         )
     if options.preset == CONFIDENCE:
-        return _fit_confidence(options)
-    return _train_small(options)
+        return _fit_confidence(options, progress)
+    return _train_small(options, progress)
 
 
-def _fit_confidence(options: TrainCommand) -> int:
+def _fit_confidence(options: TrainCommand, progress: Progress) -> Result:
     if options.data or options.steps is not None or not math.isinf(options.minutes):
         raise ConfigurationError(
             f"--preset {CONFIDENCE} fits to procedural objects alone; leave out --data, --steps "
             "and --minutes"
         )
-    with progress_bar() as progress:
-        jobs = options.jobs or os.cpu_count() or 1
-        fitted = fit_confidence(
-            options.out,
-            options.weights,
-            samples=options.samples,
-            seed=options.seed,
-            jobs=jobs,
-            progress=progress,
-        )
-    for name in PREDICTORS:
-        found = fitted["record"][name]
-        print(
-            f"{name}: {found['joints']} joints; of {found['tested']} left out of a trial fit "
-            f"{found['right']:.0%} correct, "
-            f"calibration error {found['calibration_error']:.3f}, Brier {found['brier']:.3f}"
-        )
+    fitted = fit_confidence(
+        options.out,
+        options.weights,
+        samples=options.samples,
+        seed=options.seed,
+        jobs=options.jobs or os.cpu_count() or 1,
+        progress=progress,
+    )
+    found = {name: fitted["record"][name] for name in PREDICTORS}
+    lines = [
+        f"{name}: {f['joints']} joints; of {f['tested']} left out of a trial fit "
+        f"{f['right']:.0%} correct, "
+        f"calibration error {f['calibration_error']:.3f}, Brier {f['brier']:.3f}"
+        for name, f in found.items()
+    ]
     if options.weights is not None:
-        print(f"confidence: {options.weights}")
-    return 0
+        lines.append(f"confidence: {options.weights}")
+    return _lines(lines)
 
 
-def _train_small(options: TrainCommand) -> int:
+def _train_small(options: TrainCommand, progress: Progress) -> Result:
     config = replace(preset(options.preset), seed=options.seed)
     if options.steps is not None:
         config = replace(config, steps=options.steps)
@@ -199,41 +196,40 @@ def _train_small(options: TrainCommand) -> int:
     data, validation = options.out / "samples", options.out / "validation"
     held_out = options.out / "held_out"
     few = min(MOST_HELD_OUT, options.samples)
-    with progress_bar() as progress:
-        make_shards(
+    make_shards(
+        data,
+        options.samples,
+        seed=options.seed + 1,
+        jobs=options.jobs,
+        families=families,
+        progress=progress,
+    )
+    make_shards(validation, few, seed=options.seed + 900, progress=progress)
+    make_shards(held_out, few, seed=options.seed + 901, families=HELD_OUT, progress=progress)
+    for root in options.data:
+        _, bad = write_dataset(
+            root,
             data,
-            options.samples,
-            seed=options.seed + 1,
-            jobs=options.jobs,
-            families=families,
+            held_out=options.all_categories,
+            test_share=options.test_share,
             progress=progress,
         )
-        make_shards(validation, few, seed=options.seed + 900, progress=progress)
-        make_shards(held_out, few, seed=options.seed + 901, families=HELD_OUT, progress=progress)
-        for root in options.data:
-            _, bad = write_dataset(
-                root,
-                data,
-                held_out=options.all_categories,
-                test_share=options.test_share,
-                progress=progress,
-            )
-            for problem in bad:
-                print(f"left out: {problem}", file=sys.stderr)
-        small_trainer.train(
-            config,
-            data,
-            options.out,
-            validation=validation,
-            held_out=held_out,
-            seconds=options.minutes * 60,
-            progress=progress,
-        )
-    if options.weights is not None:
-        version = options.version_name or options.preset
-        small_trainer.export_weights(options.out, options.weights, version=version)
-        print(f"weights: {options.weights}")
-    return 0
+        for problem in bad:
+            print(f"left out: {problem}", file=sys.stderr)
+    small_trainer.train(
+        config,
+        data,
+        options.out,
+        validation=validation,
+        held_out=held_out,
+        seconds=options.minutes * 60,
+        progress=progress,
+    )
+    if options.weights is None:
+        return _lines([])
+    version = options.version_name or options.preset
+    small_trainer.export_weights(options.out, options.weights, version=version)
+    return _lines([f"weights: {options.weights}"])
 
 
 def _full_config(options: TrainCommand, preset: FullConfig) -> FullConfig:

@@ -15,13 +15,13 @@ from app.server.acceptances import acceptance_record, carry_out
 from app.server.names import display_text
 from app.server.open_object import OpenObject
 from app.server.validating import AcceptanceRequest
-from model.core.asset import Source
 from model.core.errors import CommandError
 from model.validation.report import ValidationReport
 from sessions import commands as cmd
 from sessions.command_log import ACCEPT
-from sessions.review import Role, transition
-from sessions.state import Context, SessionState, apply, review_problems
+from sessions.document import review_problems
+from sessions.review import transition
+from sessions.state import Context, SessionState, apply
 from sessions.store import PendingAcceptance
 
 
@@ -33,7 +33,6 @@ def accept(
     *,
     seen: ValidationReport | None = None,
     refused: Callable[[CommandError], None] | None = None,
-    asked: float | None = None,
     state: SessionState | None = None,
 ) -> None:
     """Write the asset, read it back, and only then record the decision.
@@ -43,7 +42,6 @@ def accept(
         seen: the report whose warnings the person was shown.
         refused: gets what prevents the acceptance where that is found only later; where it is
             None, all tabs show it.
-        asked: when the person asked for it, seconds since 1970; None is now.
         state: the state that the person decided about; None is the present one.
 
     Raises:
@@ -51,71 +49,135 @@ def accept(
             moved on since ``state``.
         UnseenWarningsError: where there are warnings that the person wasn't shown.
     """
-    if "save" in obj.jobs:
-        obj.notify("Accepting", "It is being saved already", "gray")
-        return
-    begun = time.time() if asked is None else asked
     state = obj.state if state is None else state
-    _check_unmoved(obj, state)
-    doc = state.present
-    # First: an annotator must neither write an asset nor leave a pending acceptance.
-    transition(doc.review.state, "accept", _role(obj, cmd.Accept(comment), who))
-    problems = review_problems(doc)
-    if problems:
-        raise CommandError("; ".join(problems))
-    assert doc.tree is not None
-    source = obj.source(doc)
-    services = obj.services
     pending = PendingAcceptance(state.seq, comment, override)
+    _Acceptance(obj, pending, who, seen, refused, state).begin()
 
-    def retry() -> None:
+
+class _Acceptance(AcceptanceRequest):
+    """An acceptance from the request to the decision."""
+
+    def __init__(
+        self,
+        obj: OpenObject,
+        pending: PendingAcceptance,
+        who: str,
+        seen: ValidationReport | None,
+        refused: Callable[[CommandError], None] | None,
+        state: SessionState,
+    ) -> None:
+        super().__init__(pending.override, seen, state)
+        self._obj, self._pending, self._who, self._refused = obj, pending, who, refused
+        self._begun = time.time()
+
+    def begin(self) -> None:
+        """Write the asset, or wait for the report; see :func:`accept`."""
+        obj, pending = self._obj, self._pending
+        if "save" in obj.jobs:
+            obj.notify("Accepting", "It is being saved already", "gray")
+            return
+        self._check()
+        validation, acceptances = obj.validation, obj.services.acceptances
+        waiting_text = f"{obj.display_name}: when the checks pass"
+        waits = validation.report is None and not validation.problem
+        if waits and validation.acceptance_waits and not (pending.comment or pending.override):
+            obj.notify("Accepting", f"{waiting_text}, as requested before", "gray")
+            return
+        if waits:  # first, as the report may arrive any moment: the comment outlives this server
+            acceptances.begin(obj.record.id, pending)
         try:
-            _check_unmoved(obj, state)
+            admitted = validation.admits(self)
+        except CommandError:
+            if waits:
+                acceptances.end(obj.record.id)
+            raise
+        if admitted:
+            self._write()
+            return
+        obj.notify("Accepting", waiting_text, "blue")
+        obj.services.queue.changed()
+        obj.changed()
+
+    def report_ended(self) -> None:
+        """Go on with the report; the person may be at another object by now."""
+        obj = self._obj
+        try:
+            self._check_unmoved()
         except CommandError as error:
-            services.acceptances.end(obj.record.id)
-            _refuse(obj, error, refused)
-            services.queue.changed()
+            obj.services.acceptances.end(obj.record.id)
+            self._refuse(error)
+            obj.services.queue.changed()
             return
         try:
-            _check_validated(obj)
-            accept(
-                obj, comment, who, override, seen=seen, refused=refused, asked=begun, state=state
-            )
+            if obj.validation.report is None:  # whoever went on meanwhile doesn't know
+                why = obj.validation.problem.rstrip(".")
+                raise CommandError(f"The checks failed: {why}. Press Y to accept it unchecked")
+            self._check()
+            if obj.validation.admits(self):
+                self._write()
         except CommandError as error:
-            _hold(obj, pending, str(error))
-            _refuse(obj, error, refused)
+            self._hold(str(error))
+            self._refuse(error)
 
-    if not _admits(obj, AcceptanceRequest(override, seen, retry, state), pending):
-        return
-    report = obj.validation.report
-    command = cmd.Accept(comment, obj.validation.known_problems(), override)
-    record = acceptance_record(
-        apply(state, command, Context(who, "")),
-        services.store.history(obj.record.id),
-        _source_record(obj),
-        report,
-        override,
-        warnings_seen=report is not None and report is seen,
-        scene=None if obj.in_scene is None else obj.in_scene.source(),
-    )
-    services.acceptances.begin(obj.record.id, pending)
-    job = services.drafts.finish(source, doc.tree, obj.jobs.progress("save"))
+    def _check(self) -> None:
+        obj, doc = self._obj, self.state.present
+        self._check_unmoved()
+        # First: an annotator must neither write an asset nor leave a pending acceptance.
+        command = cmd.Accept(self._pending.comment)
+        role = obj.services.store.people.role_for(obj.record.id, command, self._who)
+        transition(doc.review.state, "accept", role)
+        if problems := review_problems(doc):
+            raise CommandError("; ".join(problems))
+        obj.source(doc)  # refuses while the object is still being read
 
-    def keep(draft: Path) -> None:
-        try:
-            written = carry_out(obj.live, state, command, who, draft, record)
-        except CommandError as error:
-            _refuse(obj, error, refused)
-            return
-        obj.record_job(ACCEPT, begun, time.time() - begun)
-        obj.notify("Accepted", f"Saved in {written}", "green")
+    def _check_unmoved(self) -> None:
+        if moved := self._obj.live.moved_since(self.state):
+            raise CommandError(moved)
 
-    obj.start("save", job, keep)
-    obj.changed()
+    def _write(self) -> None:
+        obj, state, who, override = self._obj, self.state, self._who, self.override
+        services, report, doc = obj.services, obj.validation.report, state.present
+        assert doc.tree is not None
+        source = obj.source(doc)
+        command = cmd.Accept(self._pending.comment, obj.validation.known_problems(), override)
+        record = acceptance_record(
+            apply(state, command, Context(who, "")),
+            services.store.history(obj.record.id),
+            obj.need_asset().source,
+            report,
+            override,
+            warnings_seen=report is not None and report is self.seen,
+            scene=None if obj.in_scene is None else obj.in_scene.source(),
+        )
+        services.acceptances.begin(obj.record.id, self._pending)
+        job = services.drafts.finish(source, doc.tree, obj.jobs.progress("save"))
 
+        def keep(draft: Path) -> None:
+            try:
+                written = carry_out(obj.live, state, command, who, draft, record)
+            except CommandError as error:
+                self._refuse(error)
+                return
+            obj.record_job(ACCEPT, self._begun, time.time() - self._begun)
+            obj.notify("Accepted", f"Saved in {written}", "green")
 
-def _role(obj: OpenObject, command: cmd.Accept, who: str) -> Role:
-    return obj.services.store.people.role_for(obj.record.id, command, who)
+        obj.start("save", job, keep)
+        obj.changed()
+
+    def _hold(self, reason: str) -> None:
+        """Put it on hold until it is decided or the object changes."""
+        obj = self._obj
+        reason = display_text(obj.document, reason)
+        if obj.in_scene is not None:
+            obj.in_scene.hold(reason, obj.validation.report)
+        held = replace(self._pending, seq=obj.state.seq, hold_reason=reason)
+        obj.services.acceptances.hold(obj.record.id, held)
+
+    def _refuse(self, error: CommandError) -> None:
+        if self._refused is None:
+            self._obj.notify("Not accepted", str(error), "yellow")
+        else:
+            self._refused(error)
 
 
 def acceptance_over(obj: OpenObject) -> bool:
@@ -134,70 +196,3 @@ def withdraw(obj: OpenObject) -> bool:
     obj.services.queue.changed()
     obj.changed()
     return True
-
-
-def _admits(obj: OpenObject, request: AcceptanceRequest, pending: PendingAcceptance) -> bool:
-    """True if it may be accepted now, False if the request waits for validation.
-
-    Raises:
-        CommandError: where it may not.
-    """
-    validation, acceptances = obj.validation, obj.services.acceptances
-    waiting_text = f"{obj.display_name}: when the checks pass"
-    waits = validation.report is None and not validation.problem
-    if waits and validation.acceptance_waits and not (pending.comment or pending.override):
-        obj.notify("Accepting", f"{waiting_text}, as requested before", "gray")
-        return False
-    if waits:  # first, as the report may arrive any moment: the comment outlives this server
-        acceptances.begin(obj.record.id, pending)
-    try:
-        admitted = validation.admits(request)
-    except CommandError:
-        if waits:
-            acceptances.end(obj.record.id)
-        raise
-    if not admitted:
-        obj.notify("Accepting", waiting_text, "blue")
-        obj.services.queue.changed()
-        obj.changed()
-    return admitted
-
-
-def _check_validated(obj: OpenObject) -> None:
-    """Refuse where there is no report: the person who went on meanwhile doesn't know.
-
-    Raises:
-        CommandError: with the reason why there is none.
-    """
-    if obj.validation.report is None:
-        why = obj.validation.problem.rstrip(".")
-        raise CommandError(f"The checks failed: {why}. Press Y to accept it unchecked")
-
-
-def _hold(obj: OpenObject, pending: PendingAcceptance, reason: str) -> None:
-    """Put the acceptance on hold until it is decided or the object changes."""
-    reason = display_text(obj.document, reason)
-    if obj.in_scene is not None:
-        obj.in_scene.hold(reason, obj.validation.report)
-    obj.services.acceptances.hold(
-        obj.record.id, replace(pending, seq=obj.state.seq, hold_reason=reason)
-    )
-
-
-def _check_unmoved(obj: OpenObject, state: SessionState) -> None:
-    if moved := obj.live.moved_since(state):
-        raise CommandError(moved)
-
-
-def _refuse(
-    obj: OpenObject, error: CommandError, refused: Callable[[CommandError], None] | None
-) -> None:
-    if refused is None:
-        obj.notify("Not accepted", str(error), "yellow")
-    else:
-        refused(error)
-
-
-def _source_record(obj: OpenObject) -> Source:
-    asset = obj.need_asset()
-    return Source(asset.path, asset.sha256, asset.up_axis, asset.unit_scale, asset.shift)

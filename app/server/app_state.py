@@ -193,24 +193,15 @@ class AppState:
         member = self._member(record.id)
         return record.name if member is None else member.name
 
-    def is_saving(self, object_id: int) -> bool:
-        """True while the asset of an object is written here, before its acceptance."""
-        opened = self._open.get(object_id)
-        return opened is not None and "save" in opened.jobs
-
-    def is_validating(self, object_id: int) -> bool:
-        """True while an object's acceptance waits here for the validation of its joints."""
-        opened = self._open.get(object_id)
-        return opened is not None and opened.validation.acceptance_waits
-
     def is_predicting(self, object_id: int) -> bool:
         """True while the joints of an object are predicted here."""
         opened = self._open.get(object_id)
-        return opened is not None and opened.predicting
+        return opened is not None and "predict" in opened.jobs
 
     def is_accepting(self, object_id: int) -> bool:
         """True while an object is being accepted here."""
-        return self.is_validating(object_id) or self.is_saving(object_id)
+        opened = self._open.get(object_id)
+        return opened is not None and opened.being_accepted
 
     def was_interrupted(self, record: ObjectRecord) -> bool:
         """True if an acceptance of the present object began before this server started and is
@@ -226,12 +217,12 @@ class AppState:
 
     def shown_state(self, record: ObjectRecord) -> tuple[str, str]:
         """Return an object's state or what runs on it, and why it needs attention, or ""."""
-        held = self.on_hold(record)
+        held, opened = self.on_hold(record), self._open.get(record.id)
         if record.id in self.queue.unreadable:
             return "unreadable", held
-        if self.is_saving(record.id):
+        if opened is not None and "save" in opened.jobs:
             return "saving", ""
-        if self.is_validating(record.id):
+        if opened is not None and opened.validation.acceptance_waits:
             return "validating", ""
         if held:
             return "on_hold", held
@@ -264,6 +255,7 @@ class AppState:
         """End the workers."""
         self._closed.set()
         self.workers.closing = True
+        self.hub.store_announced()
         self.bulk.cancel()
         self.learning.close()
         if self.scene is not None:

@@ -1,7 +1,7 @@
 """The HTTP side of ``artiworld backend``: one machine predicts for many annotators.
 
 ``GET /health`` needs no token and says whether one is needed. ``POST /v1/predict`` takes the
-format of :mod:`model.prediction.remote.wire`. Refusals have a status (400 malformed, 401 wrong
+format of :mod:`model.prediction.remote_backend`. Refusals have a status (400 malformed, 401 wrong
 token, 408 timeout, 413 too large, 415 wrong type, 429 too many wrong tokens, 503 busy) and a JSON
 body ``{"error": text}``; later errors are lines of the stream. Connections have limits that
 uvicorn itself lacks.
@@ -20,24 +20,53 @@ from typing import Any
 
 import h11
 import numpy as np
+import numpy.typing as npt
 import uvicorn
 from fastapi import FastAPI, Request
 from fastapi.responses import JSONResponse, Response, StreamingResponse
 from starlette.types import ASGIApp, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-from app.server import backend_tasks
 from app.server.jobs import Job, JobFailed, WorkerProcess
 from app.server.login import Login
 from app.server.network import MAX_SOCKETS, OncePerMinute
 from model.core.errors import ArtiworldError
+from model.core.progress import Progress, no_progress
+from model.prediction.registry import Predictor, load_predictor
 from model.prediction.remote_backend import (
     CONTENT_TYPE,
     HEALTH_PATH,
     PREDICT_PATH,
     RequestError,
+    decode_request,
+    encode_answer,
     read_header,
 )
+
+_loaded: list[Predictor] = []
+
+
+def load(name: str) -> None:
+    """Load the predictor: the initializer of a worker."""
+    _loaded[:] = [load_predictor(name)]
+
+
+def ready() -> str:
+    """Return the name of the loaded predictor."""
+    return _loaded[0].name
+
+
+def predict(body: npt.NDArray[np.uint8], progress: Progress = no_progress) -> dict[str, Any]:
+    """Predict for the bytes of a request.
+
+    Raises:
+        ArtiworldError: where they are malformed.
+    """
+    progress(0.0, "Reading the parts")
+    segmented, locked, seed = decode_request(body.tobytes())
+    answer = _loaded[0].predict(segmented, locked=locked, seed=seed, progress=progress)
+    return encode_answer(answer)
+
 
 HEADER_SECONDS = 10.0
 """Longest time from the connection, or the last answer's end, to the end of a request's header."""
@@ -251,7 +280,7 @@ class Backend:
                 loop.call_soon_threadsafe(changed.set)
 
         job: Job[Any] = self._workers[index].submit(
-            backend_tasks.predict, np.frombuffer(body, np.uint8), on_progress=wake
+            predict, np.frombuffer(body, np.uint8), on_progress=wake
         )
         before.append(job)
         job.add_done_callback(wake)

@@ -21,12 +21,12 @@ from app.server.prepare_tasks import removed_of
 from app.server.segmenting_tasks import source_regions
 from app.server.tasks import ReadOptions, arrays_of, asset_of, pixels_of, stamp, working_copy
 from model.core.articulated_object import ArticulatedObject, Part, Prediction
-from model.core.asset import Asset, ElementKind, UpAxis
+from model.core.asset import Asset, ElementKind, Source
 from model.core.files import draft_of
 from model.core.geometry import Mesh, PointCloud
 from model.core.progress import Progress, no_progress
 from model.core.tree import KinematicTree
-from model.evaluation import render
+from model.geometry import drawing
 from model.geometry.ambient_light import CreaseEdges, crease_edges, is_plain, with_ambient_occlusion
 from model.geometry.display import display_asset, thin
 from model.geometry.levelling import box_yaw
@@ -134,6 +134,7 @@ class OpenedAsset:
 
     Attributes:
         folder: memory-mapped arrays of the asset, shared by the workers.
+        source: the file, and how it was read.
         display_vertices, display_faces: the displayed mesh, or None.
         display_points, display_colors: the displayed cloud, or None.
         element: (D,) source element of each displayed face or point.
@@ -146,17 +147,13 @@ class OpenedAsset:
         source_joints: the joints of the file.
         display_confidence: (D,) of the displayed cloud's points, or None.
         removed: (R, 3) some of what is left out, to be shown.
-        shift: of the source; see :class:`~model.core.asset.Source`.
         masks: what the tool is called that took the parts from masks, their file in it, or "".
         heavy: whether work on it takes so long that others must not wait for it.
     """
 
     name: str
     folder: Path
-    path: Path
-    sha256: str
-    up_axis: UpAxis
-    unit_scale: float
+    source: Source
     element_kind: ElementKind
     element_count: int
     bounds: npt.NDArray[np.float64]
@@ -177,7 +174,6 @@ class OpenedAsset:
     front: tuple[float, float, float] = (0.0, -1.0, 0.0)
     display_confidence: npt.NDArray[np.float32] | None = None
     removed: npt.NDArray[np.float32] | None = None
-    shift: tuple[float, float, float] = (0.0, 0.0, 0.0)
     masks: str = ""
     heavy: bool = False
 
@@ -205,6 +201,12 @@ class PartPayload:
     colors: npt.NDArray[np.uint8] | None
     vertices: npt.NDArray[np.float32] | None = None
     faces: npt.NDArray[np.int32] | None = None
+
+    @property
+    def shape(self) -> npt.NDArray[np.float32]:
+        """(N, 3) its vertices, or the points of a cloud."""
+        shape = self.points if self.vertices is None else self.vertices
+        return np.zeros((0, 3), np.float32) if shape is None else shape
 
 
 def open_asset(
@@ -254,16 +256,13 @@ def _source_joints(asset: Asset, path: Path) -> Prediction | None:
 
 def _opened(asset: Asset, folder: Path, path: Path) -> OpenedAsset:
     shown = display_asset(asset)
-    source = asset.source
+    source = asset.source or Source(path, "")
     part_names, category, warnings = _short_names(asset)
     mesh, cloud = shown.mesh, shown.cloud
     return OpenedAsset(
         name=asset.name,
         folder=folder,
-        path=path,
-        sha256=source.sha256 if source else "",
-        up_axis=source.up_axis if source else "z",
-        unit_scale=source.unit_scale if source else 1.0,
+        source=replace(source, path=path),
         element_kind=asset.element_kind,
         element_count=asset.element_count,
         bounds=np.asarray(asset.bounds),
@@ -279,7 +278,6 @@ def _opened(asset: Asset, folder: Path, path: Path) -> OpenedAsset:
         category=category,
         warnings=(*asset.warnings, *warnings),
         display_confidence=None if cloud is None else cloud.confidence,
-        shift=source.shift if source else (0.0, 0.0, 0.0),
         heavy=asset.element_count > HEAVY_ELEMENTS or pixels_of(asset) > HEAVY_PIXELS,
         front=front_direction(mesh.triangles.mean(1) if mesh is not None else cloud.points),  # type: ignore[union-attr]
     )
@@ -360,7 +358,7 @@ def part_payloads(
 
 SIZE = (208, 156)
 """Pixels of a thumbnail: a card of the gallery on a sharp screen."""
-_VIEW = render.View(azimuth=-math.pi / 2 - 0.6, width=3 * SIZE[0] // 2, height=3 * SIZE[1] // 2)
+_VIEW = drawing.View(azimuth=-math.pi / 2 - 0.6, width=3 * SIZE[0] // 2, height=3 * SIZE[1] // 2)
 
 
 def draw_thumbnail(path: Path, workspace: Path, options: ReadOptions) -> Path:
@@ -381,7 +379,7 @@ def draw_thumbnail(path: Path, workspace: Path, options: ReadOptions) -> Path:
     asset = moved(asset, options.frame.object_from_read)
     whole = Part("link_0", asset.mesh, asset.cloud)
     obj = ArticulatedObject("thumbnail", (whole,), KinematicTree(("link_0",), ()))
-    image = render.draw(obj, view=_VIEW).resize(SIZE, Image.Resampling.LANCZOS)
+    image = drawing.draw(obj, view=_VIEW).resize(SIZE, Image.Resampling.LANCZOS)
     with draft_of(target) as draft:
         image.save(draft, "WEBP", quality=80)
     return target

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import os
+import zipfile
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -11,8 +13,9 @@ from model.core.packages import install_command
 from model.core.progress import Progress, no_progress, scaled_progress
 from model.geometry.completion import as_scanned, complete
 from model.io.assets.reader import PROVENANCE, load_object, reading_notes
+from model.io.export.formats import losses_of
 from model.io.export.manifest import about_asset, write_about
-from model.io.export.registry import EXPORTERS, load_exporter, losses_of, write_object
+from model.io.export.registry import EXPORTERS, load_exporter, write_object
 from model.io.export.simready import (
     VALIDATOR,
     AboutPackage,
@@ -23,6 +26,21 @@ from model.io.export.simready import (
 from model.io.file_names import FileNames
 from model.io.readback import read_back
 from model.physics.simulation_values import PhysicsSettings, physics_of, whose_shapes
+
+DOWNLOAD_BYTES = 400_000_000
+"""Largest download: it passes through the memory of the server."""
+
+
+def zipped(folder: Path, name: str) -> bytes | None:
+    """Return the files of a folder as a zip, in which it has that name; None if it is too large."""
+    files = sorted(p for p in folder.rglob("*") if p.is_file())
+    if sum(p.stat().st_size for p in files) > DOWNLOAD_BYTES:
+        return None
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+        for path in files:
+            archive.write(path, Path(name) / path.relative_to(folder))
+    return buffer.getvalue()
 
 
 @dataclass(frozen=True)

@@ -66,6 +66,7 @@ class Job(Generic[T]):
         works_on: Hashable = None,
         most_seconds: float | None = None,
         repeated: bool = False,
+        on_found: Callable[[Any], object] | None = None,
     ) -> None:
         self.name = name
         self.state: JobState = "queued"
@@ -76,6 +77,7 @@ class Job(Generic[T]):
         self._number = number
         self._call: tuple[Any, ...] | None = call
         self._on_progress = on_progress
+        self._on_found = on_found
         self._progress_waiting = False
         self._key = key
         self._preempted_by = preempted_by
@@ -154,6 +156,10 @@ class Job(Generic[T]):
             callbacks, self._callbacks = self._callbacks, []
         for callback in callbacks:
             _callbacks.call(callback, self)
+
+    def _found(self, value: Any) -> None:
+        if self._on_found is not None:
+            _callbacks.call(self._on_found, value)
 
     def _progressed(self, fraction: float, message: str) -> None:
         self.fraction, self.message = fraction, message

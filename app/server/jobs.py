@@ -98,6 +98,7 @@ class WorkerProcess:
         function: Callable[..., T],
         *args: Any,
         on_progress: Callable[[float, str], object] | None = None,
+        on_found: Callable[[Any], object] | None = None,
         priority: int = 0,
         key: Hashable = None,
         preempted_by: int | None = None,
@@ -112,6 +113,8 @@ class WorkerProcess:
             function: importable by name. Where it takes ``progress``, it gets a
                 :class:`~model.core.progress.Progress` that reports here and stops a cancelled job.
             on_progress: called with (fraction, message) on the callback thread.
+            on_found: called there with what the function gives to its parameter ``found`` before
+                its end; again where its child died and it runs once more.
             priority: higher runs earlier; equal ones in the order of submission.
             key: replaces a queued (not running) job of the same key, so that only the newest
                 click counts.
@@ -127,7 +130,7 @@ class WorkerProcess:
         call = (function, args, kwargs)
         job: Job[T] = Job(
             self._cancel, number, name, call, on_progress, key, preempted_by, works_on,
-            most_seconds, repeated,
+            most_seconds, repeated, on_found,
         )  # fmt: skip
         replaced: Job[Any] | None = None
         with self._lock:
@@ -314,7 +317,7 @@ class WorkerProcess:
         if kind == "ready":
             child.ready = True
             return
-        if kind != "progress":
+        if kind not in ("progress", "found"):
             self._tally()
         job = next((j for j in self._running if j._number == number), None)
         if number == 0:
@@ -327,6 +330,8 @@ class WorkerProcess:
                 job._deadline = time.monotonic() + job._most_seconds
         elif kind == "progress":
             job._progressed(*unpack(chunks))
+        elif kind == "found":
+            job._found(unpack(chunks))
         else:
             self._running.remove(job)
             finish(job, chunks)

@@ -1,4 +1,6 @@
-"""Learns from accepted objects in a process of its own, one run at a time."""
+"""Learns from accepted objects in a process of its own, one run at a time, and offers their parts
+to objects that are like them.
+"""
 
 from __future__ import annotations
 
@@ -8,16 +10,116 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from app.server import like_tasks
+from app.server.acceptances import asset_folder
 from app.server.job import Job
-from app.server.jobs import WorkerProcess
+from app.server.jobs import PREVIEWS, WorkerProcess
+from app.server.like_tasks import LIKE, LikeOffer
+from app.server.object_context import ObjectContext
 from app.server.worker import WorkerTemplate
 from app.server.workers import READING, in_background
 from model.core.errors import CommandError, ConfigurationError
 from model.core.progress import Progress, no_progress
+from sessions import commands as cmd
 from sessions.command_log import open_database
+from sessions.document import Document, RegionRef
 from sessions.quality import seconds_in
 from sessions.releases import accepted_assets
 from sessions.store import Store
+from sessions.tool_commands import ToolRegion
+
+MOST = 60
+"""Accepted objects that are compared: those of its category first, then the newest."""
+
+
+class Likeness:
+    """Similarity of an open object to the workspace's accepted ones.
+
+    Attributes:
+        offer: the parts of the most similar one; None where there is none, or not yet.
+    """
+
+    def __init__(self, obj: ObjectContext) -> None:
+        self.offer: LikeOffer | None = None
+        self._obj = obj
+        self._asked: tuple[Path, tuple[Path, ...]] | None = None
+
+    def update(self) -> None:
+        """Look for an object like it, as long as nobody worked on it, when it is read and shown."""
+        obj = self._obj
+        asset, doc = obj.asset, obj.document
+        if asset is None or not _untouched(doc):
+            return
+        assets = self._accepted(doc)
+        if not assets or (asset.folder, assets) == self._asked:
+            return
+        self._asked, self.offer = (asset.folder, assets), None
+        job = obj.lane.segmentation.submit(
+            like_tasks.find_alike,
+            asset.folder,
+            obj.services.workspace,
+            assets,
+            priority=PREVIEWS - 1,  # after the encoding, which it needs
+            preempted_by=PREVIEWS,
+        )
+
+        def keep(offer: LikeOffer | None) -> None:
+            if obj.asset is asset:
+                self.offer = offer
+
+        obj.start("like", job, keep)
+
+    @property
+    def wanted(self) -> LikeOffer | None:
+        """The offer, as long as nobody worked on the object."""
+        return self.offer if _untouched(self._obj.document) else None
+
+    def take(self, who: str) -> int:
+        """Take the offered parts with their names, as one step; returns their number.
+
+        Raises:
+            CommandError: where nothing is offered.
+        """
+        offer = self.wanted
+        if offer is None:
+            raise CommandError("no accepted object is like this one")
+        regions = tuple(
+            ToolRegion(part, region.elements, True, region.count, name)
+            for part, (region, name) in enumerate(
+                zip(offer.regions, offer.names, strict=True), start=1
+            )
+        )
+        self._obj.do(cmd.ApplyTool(f"{LIKE} {offer.folder}", regions), who)
+        if offer.category and self._obj.document.category is None:
+            self._obj.do(cmd.SetCategory(offer.category), who)
+        return len(regions)
+
+    def source_of_joints(self, doc: Document) -> Path | None:
+        """Return the accepted asset whose parts were taken; None where it is gone."""
+        for prompt in doc.prompts:
+            if isinstance(prompt, RegionRef) and prompt.tool.startswith(f"{LIKE} "):
+                name = prompt.tool[len(LIKE) + 1 :]
+                folder = self._obj.services.workspace / "assets" / name
+                # Scripts write commands, too: the name may lead nowhere else.
+                inside = folder.name == name and name not in (".", "..")
+                return folder if inside and folder.is_dir() else None
+        return None
+
+    def _accepted(self, doc: Document) -> tuple[Path, ...]:
+        obj = self._obj
+        records = [
+            r
+            for r in obj.services.queue.records()
+            if r.state == "accepted" and r.id != obj.record.id
+        ]
+        records.sort(key=lambda r: r.updated, reverse=True)
+        records.sort(key=lambda r: doc.category is None or r.category != doc.category)
+        folders = (asset_folder(obj.services.workspace, r) for r in records[:MOST])
+        return tuple(folder for folder in folders if folder.is_dir())
+
+
+def _untouched(doc: Document) -> bool:
+    return not doc.prompts and doc.tree is None and doc.review.state != "accepted"
 
 
 def learn_from(

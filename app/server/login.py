@@ -6,11 +6,12 @@ from __future__ import annotations
 
 import hashlib
 import hmac
-import html
-import json
 import secrets
 import time
 from collections import OrderedDict
+from pathlib import Path
+
+from jinja2 import Template
 
 from app.server.network import API
 from model.core.errors import ConfigurationError
@@ -23,40 +24,7 @@ GUESSES = 100
 ATTEMPT_SECONDS = 60.0
 """Time after which a wrong token no longer counts."""
 _ADDRESSES_KEPT = 10_000
-
-_STYLE = """
-body { font: 16px/1.5 system-ui, sans-serif; background: #f4f5f7; color: #1c2430; margin: 0;
-  display: grid; place-items: center; min-height: 100vh; }
-form { background: #fff; padding: 2rem; border-radius: 10px; width: 20rem;
-  box-shadow: 0 2px 12px #0002; }
-h1 { font-size: 1.3rem; margin: 0 0 1rem; }
-input, button { font: inherit; width: 100%; box-sizing: border-box; padding: .5rem .7rem;
-  border-radius: 6px; border: 1px solid #b9c0cb; margin-top: .4rem; }
-button { background: #2b59c3; color: #fff; border: 0; margin-top: 1rem; cursor: pointer; }
-a.button { display: block; text-align: center; padding: .5rem .7rem; border-radius: 6px;
-  border: 1px solid #2b59c3; color: #2b59c3; text-decoration: none; margin-top: 1rem; }
-p { color: #b3261e; min-height: 1.5em; margin: .5rem 0 0; }
-"""
-
-_PAGE = """<!doctype html>
-<html lang="en"><head><meta charset="utf-8"><title>ArtiWorld: log in</title>
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<style nonce="{nonce}">{style}</style></head><body>
-<form action="/login" method="get" autocomplete="off"><h1>ArtiWorld</h1>
-<label>Token<input type="password" name="token" required autofocus></label>
-<button>Log in</button><p id="problem" role="alert">{problem}</p></form>
-<script nonce="{nonce}">
-// Send the token in a header, so that it stands in no address and no history.
-const form = document.querySelector("form");
-form.addEventListener("submit", async (event) => {{
-  event.preventDefault();
-  const answer = await fetch("/login", {{
-    headers: {{ "X-ArtiWorld-Token": encodeURIComponent(form.token.value) }}, cache: "no-store" }});
-  if (answer.ok) location.replace("/");
-  else document.querySelector("#problem").textContent = await answer.text();
-}});
-</script></body></html>
-"""
+TEMPLATE = Path(__file__).with_name("login.html")
 
 
 class Attempts:
@@ -161,79 +129,7 @@ def new_token() -> str:
 
 def login_page(problem: str = "") -> tuple[bytes, str]:
     """Return the page, and the content security policy that allows its script only."""
-    nonce = secrets.token_urlsafe(16)
-    page = _PAGE.format(nonce=nonce, style=_STYLE, problem=html.escape(problem))
-    return page.encode(), page_policy(nonce)
-
-
-def page_style() -> str:
-    """Return the CSS of the pages shown before login."""
-    return _STYLE
-
-
-def page_policy(nonce: str) -> str:
-    """Return the content security policy that allows the script of ``nonce`` only."""
-    return (
-        f"default-src 'none'; style-src 'nonce-{nonce}'; script-src 'nonce-{nonce}'; "
-        "connect-src 'self'; form-action 'self'; base-uri 'none'; frame-ancestors 'none'"
-    )
-
-
-_ACCOUNT_PAGE = """<!doctype html>
-<html lang="en"><head><meta charset="utf-8"><title>ArtiWorld: your account</title>
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<style nonce="{nonce}">{style}</style></head><body>
-<form hidden id="login"><h1>ArtiWorld</h1>
-<label>Name<input name="name" autocomplete="username" required autofocus></label>
-<label>Password<input type="password" name="password" autocomplete="current-password" required>
-</label><button>Log in</button><p role="alert"></p>{provider}</form>
-<form hidden id="invitation"><h1>Welcome, <span></span></h1>
-<label>Choose a password<input type="password" name="password" autocomplete="new-password"
- minlength="10" required></label><button>Begin</button><p role="alert"></p></form>
-<form hidden id="account"><h1><span></span></h1>
-<label>Password<input type="password" name="old" autocomplete="current-password" required></label>
-<label>New password<input type="password" name="new" autocomplete="new-password" minlength="10"
- required></label><button>Change password</button>
-<button type="button" id="logout">Log out</button><p role="alert"></p><a href="/">Back</a></form>
-<script nonce="{nonce}">
-const api = {api}, person = {person};
-const ask = (path, body) => fetch(api + path, {{ method: "POST", cache: "no-store",
-  headers: {{ "Content-Type": "application/json", "X-ArtiWorld": "1" }},
-  body: JSON.stringify(body) }});
-// The invitation stands behind the #, so that it is in no log of a server.
-const code = new URLSearchParams(location.hash.slice(1)).get("invitation");
-function show(id, title, path, extra, then) {{
-  const form = document.getElementById(id), said = form.querySelector("p");
-  form.hidden = false;
-  if (title) form.querySelector("span").textContent = title;
-  form.addEventListener("submit", async (event) => {{
-    event.preventDefault();
-    const answer = await ask(path, {{ ...Object.fromEntries(new FormData(form)), ...extra }});
-    if (answer.ok) then(said); else said.textContent = (await answer.json()).error;
-  }});
-}}
-const enter = () => location.replace("/");
-if (code) ask("/invitation", {{ code }}).then(async (answer) => {{
-  const heard = await answer.json();
-  if (answer.ok) show("invitation", heard.name, "/invitation/accept", {{ code }}, enter);
-  else {{ show("login", "", "/login", {{}}, enter);
-    document.querySelector("#login p").textContent = heard.error; }}
-}});
-else if (person) show("account", person, "/password", {{}},
-  (said) => {{ said.textContent = "Changed; you are logged out everywhere else."; }});
-else show("login", "", "/login", {{}}, enter);
-document.getElementById("logout").addEventListener("click", async () => {{
-  await ask("/logout", {{}}); location.replace("/login"); }});
-</script></body></html>
-"""
-
-_ANSWER = """<!doctype html>
-<html lang="en"><head><meta charset="utf-8"><title>ArtiWorld: log in</title>
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<style nonce="{nonce}">{style}</style></head><body>
-<form><h1>ArtiWorld</h1><p role="alert">{problem}</p><a class="button" href="{target}">Go on</a>
-</form><script nonce="{nonce}">{wait}</script></body></html>
-"""
+    return _page("token", problem=problem)
 
 
 def answer_page(problem: str = "") -> tuple[bytes, str]:
@@ -245,15 +141,7 @@ def answer_page(problem: str = "") -> tuple[bytes, str]:
     Args:
         problem: why nobody is logged in, or "".
     """
-    nonce = secrets.token_urlsafe(16)
-    page = _ANSWER.format(
-        nonce=nonce,
-        style=page_style(),
-        problem=html.escape(problem),
-        target="/login" if problem else "/",
-        wait="" if problem else "location.replace('/');",
-    )
-    return page.encode(), page_policy(nonce)
+    return _page("answer", problem=problem)
 
 
 def account_page(name: str, provider: str = "") -> tuple[bytes, str]:
@@ -263,14 +151,14 @@ def account_page(name: str, provider: str = "") -> tuple[bytes, str]:
         name: who is logged in, or "".
         provider: label of the button to the organisation's provider; "" for none.
     """
+    return _page("account", person=name, provider=provider, api=API)
+
+
+def _page(kind: str, **values: str) -> tuple[bytes, str]:
     nonce = secrets.token_urlsafe(16)
-    person = json.dumps(name).replace("<", "\\u003c")
-    link = f'<a class="button" href="{API}/oidc/login">{html.escape(provider)}</a>'
-    page = _ACCOUNT_PAGE.format(
-        nonce=nonce,
-        style=page_style(),
-        api=json.dumps(API),
-        person=person,
-        provider=link if provider else "",
+    template = Template(TEMPLATE.read_text(encoding="utf-8"), autoescape=True)
+    policy = (
+        f"default-src 'none'; style-src 'nonce-{nonce}'; script-src 'nonce-{nonce}'; "
+        "connect-src 'self'; form-action 'self'; base-uri 'none'; frame-ancestors 'none'"
     )
-    return page.encode(), page_policy(nonce)
+    return template.render(kind=kind, nonce=nonce, **values).encode(), policy

@@ -7,10 +7,9 @@ from collections import defaultdict
 from collections.abc import Sequence
 
 from model.core.names import joint_display_name, link_display_name
-from model.core.tree import KinematicTree, moving_chain
+from model.core.tree import KinematicTree, holds_part, moving_chain
 from sessions.database import ObjectRecord
 from sessions.document import Document
-from sessions.tree_edits import holds_part
 
 _LINK = re.compile(r"(?<![\w/])(?:link|helper)_\d+(?!\.?\w)")
 """A link in a sentence; neither a file name nor a part of a longer one."""

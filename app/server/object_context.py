@@ -19,7 +19,7 @@ from app.server.display_tasks import OpenedAsset
 from app.server.job import Job
 from app.server.object_queue import ObjectQueue
 from app.server.observable import Observable, RunningJobs
-from app.server.part_tasks import PartSource
+from app.server.part_tasks import PartSource, source_of
 from app.server.tasks import ReadOptions
 from app.server.workers import Lane, Workers
 from model.core.errors import CommandError
@@ -110,11 +110,6 @@ class ObjectContext(Observable):
         """Carry out one user decision; it is on disk when this returns."""
         return self.live.do(command, who)
 
-    @property
-    def predicting(self) -> bool:
-        """True while a prediction is under way."""
-        return "predict" in self.jobs
-
     def need_asset(self) -> OpenedAsset:
         """Return the asset.
 
@@ -146,16 +141,8 @@ class ObjectContext(Observable):
         doc = document or self.document
         if self.asset is None or doc.segmentation is None:
             raise CommandError("no part is there yet: click on a part that moves")
-        names = {p.id: p.name for p in doc.parts if p.name}
-        return PartSource(
-            self.asset.folder,
-            self.services.workspace,
-            doc.segmentation.labels,
-            names,
-            doc.category,
-            self.record.name,  # a working copy's folder is named after its content, too
-            doc.complete,
-        )
+        # A working copy's folder is named after its content, too.
+        return source_of(doc, self.asset.folder, self.services.workspace, self.record.name)
 
     def part_of(self, element: int) -> int | None:
         """Return the part of a source element, displayed or not; None before segmentation."""

@@ -5,10 +5,12 @@ from __future__ import annotations
 import hashlib
 import os
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
-from app.server.observable import Listener
+from app.server.observable import Listener, Observable
 from app.server.tasks import stamp_if_there
 from app.server.uploads import keep_upload
 from model.core.errors import CommandError
@@ -16,7 +18,7 @@ from model.io.model_files import asset_name, find_assets, refusal
 from sessions.store import ObjectRecord, Store
 
 
-class ObjectQueue:
+class ObjectQueue(Observable):
     """The queue, shared by all tabs.
 
     Args:
@@ -35,9 +37,9 @@ class ObjectQueue:
         pending: Callable[[int], bool],
         workspace: Path | None = None,
     ) -> None:
+        super().__init__()
         self._store, self._pending = store, pending
         self._lock = threading.RLock()
-        self._listeners: list[Listener] = []
         self._ids: list[int] = []
         self._records: dict[int, ObjectRecord] = {}
         self._workspace = workspace
@@ -142,11 +144,19 @@ class ObjectQueue:
         if self.unreadable != before:
             self.changed()
 
-    def refresh(self, object_id: int) -> None:
-        """Read an object's record again, and notify the tabs where its state changed."""
-        record = self._store.object(object_id)
+    def refresh(self, object_id: int, fields: Mapping[str, Any] | None = None) -> None:
+        """Update an object's record, and notify the tabs where its state changed.
+
+        Args:
+            fields: those of the record that changed; None: it is read again.
+        """
         with self._lock:
-            before, self._records[object_id] = self._records.get(object_id), record
+            before = self._records.get(object_id)
+            if before is None or fields is None:
+                record = self._store.object(object_id)
+            else:
+                record = replace(before, **fields)
+            self._records[object_id] = record
         if before is None or before.state != record.state or self._pending(object_id):
             self.changed()
 
@@ -167,18 +177,7 @@ class ObjectQueue:
 
     def subscribe(self, listener: Listener) -> Callable[[], None]:
         """Call ``listener`` when a state in the queue changes. Returns its removal."""
-        self._listeners.append(listener)
-
-        def stop() -> None:
-            if listener in self._listeners:
-                self._listeners.remove(listener)
-
-        return stop
-
-    def changed(self) -> None:
-        """Tell all tabs that the queue changed."""
-        for listener in list(self._listeners):
-            listener()
+        return self.watch(listener, lambda *_: None)
 
 
 def _kept(record: ObjectRecord, workspace: Path) -> bool:

@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from app.server import display_tasks, part_tasks, picking_tasks
+from app.server import display_tasks, part_tasks, segmenting_tasks
 from app.server.display_tasks import OpenedAsset, PartPayload
 from app.server.job import OutOfTimeError
 from app.server.jobs import CLICKS, EDITS, Job, JobFailed
-from app.server.likeness import Likeness
+from app.server.learning import Likeness
 from app.server.object_context import ObjectContext, SceneMember, Services
 from app.server.observable import Listener, Notice
 from app.server.preparing import Preparing
@@ -227,7 +227,7 @@ class OpenObject(ObjectContext):
     def _prepare_clicks(self, asset: OpenedAsset) -> None:
         """Have a lane of its own, which knows it."""
         self.lane = self.services.workers.lanes.take(self, heavy=asset.heavy)
-        self.lane.geometry.submit(picking_tasks.prepare_picking, asset.folder)
+        self.lane.geometry.submit(segmenting_tasks.prepare_picking, asset.folder)
         self.segmenting.prepare()
 
     # --- jobs that the state asks for
@@ -246,7 +246,7 @@ class OpenObject(ObjectContext):
             if self.document.prompts and not self._warm and self.asset.element_kind == "point":
                 self._warm = True
                 self.services.workers.prediction.submit(part_tasks.warm_up, priority=-1)
-        self.services.queue.refresh(self.record.id)
+        self.services.queue.refresh(self.record.id, self.live.summary)
         self.changed()
 
     def part_payloads(self) -> list[PartPayload] | None:
@@ -279,7 +279,7 @@ class OpenObject(ObjectContext):
             who: the current user.
             here: with this machine's own predictor, whatever backend is set.
         """
-        if self.predicting:
+        if "predict" in self.jobs:
             return
         source, doc = self.source(), self.document
         transition(doc.review.state, "predict")  # refuses now, not after the wait

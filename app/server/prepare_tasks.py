@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from app.server import tasks
 from app.server.tasks import ReadOptions, arrays_of, asset_of, working_copy
 from model.core.asset import Asset
 from model.core.errors import CommandError
@@ -43,49 +42,41 @@ class Removal:
 
 @dataclass(frozen=True)
 class Crop:
-    """An object cut out of a scan; see :class:`sessions.tool_commands.CropOut`."""
+    """An object cut out of a scan; see :class:`sessions.tool_commands.CropOut`.
+
+    Attributes:
+        rest: file of the rest of a working copy, in its frame; None where that isn't written.
+    """
 
     name: str
     path: Path
     elements: str
     count: int
     position: tuple[float, float, float]
-
-
-@dataclass(frozen=True)
-class Picked:
-    """A part as an object of its own, and the file of the rest, in its former frame."""
-
-    crop: Crop
-    rest: Path
+    rest: Path | None = None
 
 
 def floor_and_walls(
-    folder: Path, workspace: Path, left_out: str | None, progress: Progress = no_progress
+    workspace: Path, left_out: str | None, folder: Path, progress: Progress = no_progress
 ) -> Removal:
     """Find floor, ceiling, walls and outliers, and add what was left out before.
 
     Raises:
         CommandError: where there are none, or nothing would be left.
     """
-    asset = tasks.asset_of(folder)
-    progress(0.05, "Finding outliers")
-    gone = outliers(asset)
-    progress(0.4, "Finding floor and walls")
-    inside = np.flatnonzero(~gone)
-    border = room_surfaces(crop(asset, ~gone))
-    if not border.any():
+    asset = asset_of(folder)
+    kinds = _room_kinds(asset, None, progress)
+    if not (kinds == SUPPORT).any():
         raise CommandError("no floor, ceiling or wall was found: this looks like a single object")
-    gone[inside[border]] = True
-    return removal(workspace, asset, np.flatnonzero(gone), left_out)
+    return removal(workspace, asset, np.flatnonzero(kinds != OBJECT), left_out)
 
 
 def leave_out_part(
-    folder: Path, workspace: Path, labels: str, part: int, left_out: str | None
+    workspace: Path, left_out: str | None, folder: Path, labels: str, part: int
 ) -> Removal:
     """Return the elements of one part, and what was left out before."""
-    mine = np.flatnonzero(tasks.arrays_of(workspace).get(labels) == part)
-    return removal(workspace, tasks.asset_of(folder), mine, left_out)
+    mine = np.flatnonzero(arrays_of(workspace).get(labels) == part)
+    return removal(workspace, asset_of(folder), mine, left_out)
 
 
 def removal(workspace: Path, asset: Asset, gone: Elements, left_out: str | None) -> Removal:
@@ -100,36 +91,40 @@ def removal(workspace: Path, asset: Asset, gone: Elements, left_out: str | None)
         raise CommandError("there is nothing to leave out")
     whole = in_source(workspace, gone, left_out)
     if left_out is not None:
-        whole = np.union1d(whole, tasks.arrays_of(workspace).get(left_out))
-    return Removal(tasks.arrays_of(workspace).put(whole), len(whole))
+        whole = np.union1d(whole, arrays_of(workspace).get(left_out))
+    return Removal(arrays_of(workspace).put(whole), len(whole))
 
 
 def in_source(workspace: Path, elements: Elements, left_out: str | None) -> Elements:
     """Return the (K,) elements as elements of the whole source, some of which is left out."""
     if left_out is None:
         return elements
-    out = tasks.arrays_of(workspace).get(left_out)
+    out = arrays_of(workspace).get(left_out)
     # The k-th remaining element is k plus the number of those left out before it.
     before = out - np.arange(len(out))
     return elements + np.searchsorted(before, elements, side="right")
 
 
 def cut_out(
-    folder: Path,
     workspace: Path,
+    left_out: str | None,
+    folder: Path,
     labels: str,
     part: int,
-    left_out: str | None,
     name: str,
+    copy: Path | None = None,
     progress: Progress = no_progress,
 ) -> Crop:
     """Write one part as an object of its own, on its own origin.
 
+    Args:
+        copy: the working copy whose rest is written, too.
+
     Raises:
         CommandError: where the part is empty, or the whole scan.
     """
-    asset = tasks.asset_of(folder)
-    mine = tasks.arrays_of(workspace).get(labels) == part
+    asset, arrays = asset_of(folder), arrays_of(workspace)
+    mine = arrays.get(labels) == part
     if not mine.any():
         raise CommandError("this part is empty: click on the object, or draw a box around it")
     if mine.all():
@@ -139,36 +134,18 @@ def cut_out(
     low, high = cut.bounds
     origin = np.array([*np.rint((low + high)[:2] / 2 * GRID) / GRID, low[2]])
     elements = in_source(workspace, np.flatnonzero(mine), left_out)
-    ref = tasks.arrays_of(workspace).put(elements)
+    ref = arrays.put(elements)
     plain = re.sub(r"[^A-Za-z0-9._-]+", "_", name).strip("._")[:60] or "object"
     progress(0.6, "Writing it")
-    path = _write(cut, workspace / "crops" / ref[:16] / plain, origin)
+    path, rest = _write(cut, workspace / "crops" / ref[:16] / plain, origin), None
+    if copy is not None:
+        progress(0.7, "Writing the rest")
+        whole, _ = working_copy(copy, workspace, ReadOptions())
+        kept = np.ones(whole.element_count, bool)
+        kept[elements] = False
+        rest = _write(crop(whole, kept), path.with_name(f"without_{plain}"), np.zeros(3))
     x, y, z = (float(v) for v in origin)
-    return Crop(plain, path, ref, int(mine.sum()), (x, y, z))
-
-
-def pick_out(
-    copy: Path,
-    folder: Path,
-    workspace: Path,
-    labels: str,
-    part: int,
-    left_out: str | None,
-    name: str,
-    progress: Progress = no_progress,
-) -> Picked:
-    """Like :func:`cut_out`, and write the rest of the working copy, too.
-
-    Raises:
-        CommandError: where the part is empty, or the whole scan.
-    """
-    cut = cut_out(folder, workspace, labels, part, left_out, name, progress)
-    progress(0.7, "Writing the rest")
-    whole, _ = tasks.working_copy(copy, workspace, tasks.ReadOptions())
-    kept = np.ones(whole.element_count, bool)
-    kept[tasks.arrays_of(workspace).get(cut.elements)] = False
-    rest = _write(crop(whole, kept), cut.path.with_name(f"without_{cut.name}"), np.zeros(3))
-    return Picked(cut, rest)
+    return Crop(plain, path, ref, int(mine.sum()), (x, y, z), rest)
 
 
 def _write(asset: Asset, stem: Path, origin: npt.NDArray[np.float64]) -> Path:
@@ -267,13 +244,22 @@ def _is_room(points: Array, found: PrepareProposal) -> bool:
     return bool(object_.min() > ROOM_METRES and object_.prod() > _ROOM_SHARE * whole.prod())
 
 
-def _room_kinds(asset: Asset, frame: Array) -> Kinds:
-    """Kinds in a room: floor, ceiling and walls support what stands there."""
+def _room_kinds(
+    asset: Asset, frame: Array | None = None, progress: Progress = no_progress
+) -> Kinds:
+    """Kinds in a room: floor, ceiling and walls support what stands there.
+
+    Args:
+        frame: (4, 4) in which it is upright; None is its own.
+    """
+    progress(0.05, "Finding outliers")
     kinds = np.zeros(asset.element_count, np.int8)
     alone = outliers(asset)
     kinds[alone] = OUTLIER
     inside = np.flatnonzero(~alone)
-    kinds[inside[room_surfaces(prepare.moved(crop(asset, ~alone), frame))]] = SUPPORT
+    progress(0.4, "Finding floor and walls")
+    rest = crop(asset, ~alone)
+    kinds[inside[room_surfaces(rest if frame is None else prepare.moved(rest, frame))]] = SUPPORT
     return kinds
 
 

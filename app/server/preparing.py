@@ -1,8 +1,11 @@
-"""Preparing one open object: what is proposed, what is noticed, and the decisions."""
+"""Preparing one open object: what is proposed, what is noticed, and the decisions; leaving out
+parts of it, and cutting objects out of it.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,14 +15,15 @@ from app.server import prepare_tasks
 from app.server.display_tasks import OpenedAsset
 from app.server.jobs import CLICKS, WorkerProcess
 from app.server.object_context import ObjectContext
-from app.server.prepare_tasks import Marks, Removal, ScanProposal, Vector
+from app.server.prepare_tasks import Crop, Marks, Removal, ScanProposal, Vector
 from model.core.errors import CommandError
 from model.geometry.cleaning import CLUTTER, OBJECT, OUTLIER, SUPPORT
 from model.geometry.levelling import SURE
 from model.geometry.picking import Camera, Stroke
 from model.io.geometry_files import declares_up
 from sessions import commands as cmd
-from sessions.tool_commands import SOURCE_FRAME, LeaveOut, ObjectFrame
+from sessions.document import SOURCE_FRAME, ObjectFrame
+from sessions.tool_commands import LeaveOut
 
 Array = npt.NDArray[np.float64]
 
@@ -129,7 +133,7 @@ class Preparing:
             return 0.0
         supported = level.support is not None and self._share(OBJECT) > _LEAST_OBJECT
         if level.askew:  # slanted lamps are, too: a format that declares its axis is trusted more
-            sure = level.confidence >= SURE and (supported or not declares_up(asset.path))
+            sure = level.confidence >= SURE and (supported or not declares_up(asset.source.path))
         else:
             sure = level.confidence >= _VERY_SURE and supported and self._along_an_axis
         return level.tilt if sure else 0.0
@@ -138,7 +142,7 @@ class Preparing:
     def _along_an_axis(self) -> bool:
         """True if another axis of the file seems to be up, and its format doesn't declare one."""
         found, asset = self.current, self._obj.asset
-        if found is None or asset is None or declares_up(asset.path):
+        if found is None or asset is None or declares_up(asset.source.path):
             return False
         _, y, z = found.levelling.up
         return max(abs(y), -z) > np.cos(TILT)
@@ -153,7 +157,7 @@ class Preparing:
             return False
         level = found.levelling
         on_axis = level.confidence >= SURE and self._along_an_axis
-        return level.askew or on_axis or level.lies(declares_up(asset.path))
+        return level.askew or on_axis or level.lies(declares_up(asset.source.path))
 
     @property
     def _rejected(self) -> bool:
@@ -216,14 +220,8 @@ class Preparing:
             done()
 
         # The process that made the proposal has it still.
-        self._job(
-            keep,
-            prepare_tasks.marked_elements,
-            asset.folder,
-            found.up,
-            marks,
-            worker=obj.lane.geometry,
-        )
+        task, worker = prepare_tasks.marked_elements, obj.lane.geometry
+        _start(obj, keep, task, asset.folder, found.up, marks, worker=worker)
 
     def _command(
         self, matrix: Array, leave_out: LeaveOut | None, what: str, metres: float | None = None
@@ -241,17 +239,12 @@ class Preparing:
 
     def remove(self, chosen: str, what: str, who: str) -> None:
         """Leave out stored elements of the present asset."""
-        obj, folder = self._obj, self._obj.need_asset().folder
-
-        def keep(removal: Removal) -> None:
-            obj.do(cmd.LeaveOut(removal.elements, removal.count, what), who)
-
-        self._job(keep, prepare_tasks.chosen_elements, folder, chosen)
+        _leave_out(self._obj, what, who, prepare_tasks.chosen_elements, chosen)
 
     def restore(self, camera: Camera, stroke: Stroke | tuple[Any, Any], who: str) -> None:
         """Bring back what a stroke or a box covers of what is left out."""
-        obj, doc = self._obj, self._obj.document
-        asset, left = obj.need_asset(), doc.left_out
+        obj, left = self._obj, self._obj.document.left_out
+        asset = obj.need_asset()
         if left is None:
             raise CommandError("nothing was removed")
 
@@ -261,28 +254,79 @@ class Preparing:
                 command = cmd.LeaveOut(removal.elements, removal.count, left.what)
             obj.do(command, who)
 
-        self._job(
-            keep, prepare_tasks.restored_elements, asset.path, obj.read_options, camera, stroke
-        )
+        task, options = prepare_tasks.restored_elements, obj.read_options
+        _start(obj, keep, task, asset.source.path, options, camera, stroke)
 
-    def _job(
-        self,
-        keep: Callable[[Any], None],
-        task: Callable[..., Any],
-        *arguments: Any,
-        worker: WorkerProcess | None = None,
-    ) -> None:
-        obj, left = self._obj, self._obj.document.left_out
-        if obj.document.face_cuts:
-            raise CommandError("faces were split by a cut: undo it first")
-        job = (worker or obj.services.workers.reading).submit(
-            task,
-            obj.services.workspace,
-            None if left is None else left.elements,
-            *arguments,
-            on_progress=obj.jobs.progress("room"),
-            priority=6,
-            preempted_by=CLICKS,
-        )
-        obj.start("room", job, keep)
-        obj.changed()
+
+def leave_out(obj: ObjectContext, part: int | None, who: str) -> None:
+    """Leave out one part, or where that is None the floor and the walls."""
+    if part is None:
+        _leave_out(obj, "floor and walls", who, prepare_tasks.floor_and_walls)
+    else:
+        name, labels = obj.document.part_names.get(part, f"part {part}"), obj.source().labels
+        _leave_out(obj, name, who, prepare_tasks.leave_out_part, labels, part)
+
+
+def _leave_out(
+    obj: ObjectContext, what: str, who: str, task: Callable[..., Removal], *arguments: Any
+) -> None:
+    def keep(removal: Removal) -> None:
+        obj.do(cmd.LeaveOut(removal.elements, removal.count, what), who)
+
+    _start(obj, keep, task, obj.need_asset().folder, *arguments)
+
+
+def cut_out(obj: ObjectContext, part: int, who: str, done: Callable[[int], None]) -> None:
+    """Make one part an object of its own in the queue; ``done`` gets its id."""
+    asset = obj.need_asset()
+    source = asset.source
+
+    def keep(crop: Crop) -> None:
+        new = obj.services.queue.add([crop.path])[0]
+        placed = cmd.Placed(str(source.path), source.sha256, crop.elements, crop.position)
+        obj.services.hub.session(new).do(placed, who)
+        out = cmd.CropOut(crop.name, str(crop.path), crop.elements, crop.count, crop.position)
+        obj.do(out, who)
+        done(new)
+
+    name = obj.document.part_names.get(part) or f"part_{part}"
+    pick_out(obj, part, f"{asset.name}_{name}", None, keep)
+
+
+def pick_out(
+    obj: ObjectContext, part: int, name: str, copy: Path | None, keep: Callable[[Crop], None]
+) -> None:
+    """Write one part as an object of its own.
+
+    Args:
+        copy: folder of the working copy that is open, to write its rest, too.
+        keep: gets the object.
+    """
+    folder, doc = obj.need_asset().folder, obj.document
+    if not doc.segmentation_current:
+        raise CommandError("the parts are still being computed; try again in a moment")
+    _start(obj, keep, prepare_tasks.cut_out, folder, obj.source(doc).labels, part, name, copy)
+
+
+def _start(
+    obj: ObjectContext,
+    keep: Callable[[Any], None],
+    task: Callable[..., Any],
+    *arguments: Any,
+    worker: WorkerProcess | None = None,
+) -> None:
+    """Start a task about elements of the file, what is left out among them."""
+    left = obj.document.left_out
+    if obj.document.face_cuts:
+        raise CommandError("faces were split by a cut: undo it first, then cut again")
+    job = (worker or obj.services.workers.reading).submit(
+        task,
+        obj.services.workspace,
+        None if left is None else left.elements,
+        *arguments,
+        on_progress=obj.jobs.progress("room"),
+        priority=6,
+        preempted_by=CLICKS,
+    )
+    obj.start("room", job, keep)
+    obj.changed()

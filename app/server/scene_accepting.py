@@ -25,9 +25,9 @@ from model.core.errors import CommandError
 from model.validation.examine import with_low_confidence, with_unknown_names
 from model.validation.report import Severity, ValidationReport
 from sessions import commands as cmd
-from sessions.document import DecisionRecord, Document
+from sessions.document import DecisionRecord, Document, review_problems
 from sessions.scene_commands import Decided, DecideObjects
-from sessions.state import Context, SessionState, apply, review_problems
+from sessions.state import Context, SessionState, apply
 from sessions.store import clean_who
 
 Mark = Literal["", "validating", "on_hold"]

@@ -17,21 +17,21 @@ from typing import Any
 
 import numpy as np
 
+from app.server.names import part_title
 from app.server.part_tasks import PartSource, articulated_object
-from app.server.scene_tasks import SceneItem, Shape
+from app.server.scene_tasks import SceneItem, Shape, placed
 from model.core.articulated_object import ArticulatedObject, Part
 from model.core.errors import ArtiworldError, CommandError, InputFileError
 from model.core.files import write_json
-from model.core.geometry import Mesh, PointCloud
+from model.core.geometry import Mesh, PointCloud, merged
 from model.core.joint import Joint
 from model.core.progress import Progress, no_progress
-from model.core.tree import KinematicTree
-from model.evaluation import render
-from model.evaluation.html_report import write_page
+from model.core.tables import write_page
+from model.core.tree import KinematicTree, holds_part
+from model.geometry import drawing
 from model.io.assets.asset_folder import write_asset
 from model.io.assets.reader import read_provenance
 from model.io.file_names import FileNames
-from model.io.urdf.meshes import merged
 from model.physics.simulation_values import physics_of
 from model.scenes.asset_parts import asset_digest
 from model.scenes.convert import ConvertSettings, alone, asset_job, shorten_limits
@@ -52,6 +52,7 @@ from model.scenes.jobs import (
 from model.scenes.registry import read_scene
 from model.scenes.results import SCENE_JSON, Outcome, write_results
 from model.scenes.scene import Decision, SceneProblem
+from sessions.document import Document
 
 STATES: dict[str, tuple[str, tuple[int, int, int]]] = {
     "predicted": ("predicted, not reviewed", (128, 90, 213)),
@@ -76,9 +77,7 @@ class ReportRow:
         status: its state.
         confidence: of its least confident joint, or of the finder.
         decided: whether a person called it articulable; None where nobody decided.
-        tree, confidences: its joints and their confidence by child link.
-        names: link → display name.
-        by, at, reason: who decided last, when, and why it was rejected.
+        document: the decisions about its working copy, or None.
         notes: notes for the reader.
         source: its parts, to draw it.
         work: id of the working copy that it shares with its twins.
@@ -88,12 +87,7 @@ class ReportRow:
     status: str
     confidence: float
     decided: bool | None
-    tree: KinematicTree | None
-    confidences: Mapping[str, float]
-    names: Mapping[str, str]
-    by: str
-    at: str
-    reason: str
+    document: Document | None
     notes: tuple[str, ...]
     source: PartSource | None
     work: int | None
@@ -168,24 +162,23 @@ def _notes(row: ReportRow, saved: Mapping[str, Any]) -> list[str]:
 
 def _joints(row: ReportRow, saved: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Return a line for each moving joint, and a note where the saved scene shortens its range."""
-    if row.tree is None:
+    doc = row.document
+    if doc is None or doc.tree is None:
         return []
     shorter = {c["joint"]: c for c in saved.get("shortened", ())}
-    return [_joint(row, joint, shorter.get(joint.name)) for joint in row.tree.joints if joint.moves]
+    return [_joint(doc, joint, shorter.get(joint.name)) for joint in doc.tree.joints if joint.moves]
 
 
-def _joint(row: ReportRow, joint: Joint, shorter: Mapping[str, Any] | None) -> tuple[str, str]:
+def _joint(doc: Document, joint: Joint, shorter: Mapping[str, Any] | None) -> tuple[str, str]:
     limits = (joint.lower or 0.0, joint.upper or 0.0) if joint.limited else None
-    confidence, note = row.confidences.get(joint.child), ""
+    confidence, note = confidences(doc).get(joint.child), ""
     if shorter is not None and _same(limits, shorter["was"]):
         hits = ", ".join(dict.fromkeys(shorter["hits"].values()))
         was = "" if limits is None else f", was{_span(joint, limits)}"
         limits = shorter["limits"]
         note = f"in the saved scene limited by {hits}{was}"
-    name, span = (
-        row.names.get(joint.child, joint.name),
-        "" if limits is None else _span(joint, limits),
-    )
+    name = part_title(doc, joint.child) if holds_part(joint.child) else joint.name
+    span = "" if limits is None else _span(joint, limits)
     certainty = "" if confidence is None else f", confidence {100 * confidence:.0f} %"
     return f"{name}: {joint.type}{span}{certainty}", note
 
@@ -208,19 +201,12 @@ def _scene_picture(rows: Sequence[ReportRow], shapes: Mapping[Path, Shape | str]
     by_state: dict[str, list[Mesh]] = {}
     scanned: dict[str, list[np.ndarray]] = {}
     for row in rows:
-        obj = row.item.obj
-        if obj.box is not None:
-            corners = np.array([[i >> k & 1 for k in range(3)] for i in range(8)]) - 0.5
-            shape, scale, world = corners, np.asarray(obj.box), obj.world_from_object
-            faces = _BOX_FACES
-        else:
-            found = None if row.item.path is None else shapes.get(row.item.path)
-            if not isinstance(found, Shape):
-                continue
-            placed = obj.placed(found.bounds)
-            shape, scale, world = found.vertices, placed.scale, placed.world_from_asset
-            faces = None if found.faces is None else found.faces.astype(np.int32)
-        at = (shape * scale) @ world[:3, :3].T + world[:3, 3]
+        found = placed(row.item, shapes)
+        if found is None:
+            continue
+        shape, world, scale = found
+        faces = None if shape.faces is None else shape.faces.astype(np.int32)
+        at = (shape.vertices * scale) @ world[:3, :3].T + world[:3, 3]
         if faces is None:
             scanned.setdefault(row.status, []).append(at.astype(np.float32))
         else:
@@ -235,33 +221,27 @@ def _scene_picture(rows: Sequence[ReportRow], shapes: Mapping[Path, Shape | str]
     links = tuple(p.link for p in parts)
     fixed = tuple(Joint(link, "fixed", links[0], link, (0, 0, 1), (0, 0, 0)) for link in links[1:])
     whole = ArticulatedObject("scene", parts, KinematicTree(links, fixed))
-    view = render.View(azimuth=-1.05, elevation=0.6, width=1100, height=620)
-    return render.png(
-        render.draw(whole, colors={link: STATES[link.split()[0]][1] for link in links}, view=view)
+    view = drawing.View(azimuth=-1.05, elevation=0.6, width=1100, height=620)
+    return drawing.png(
+        drawing.draw(whole, colors={link: STATES[link.split()[0]][1] for link in links}, view=view)
     )
 
 
 def _thumbnail(row: ReportRow) -> bytes | None:
-    assert row.source is not None and row.tree is not None
+    assert row.source is not None and row.document is not None and row.document.tree is not None
     try:
-        obj = articulated_object(row.source, row.tree)
+        obj = articulated_object(row.source, row.document.tree)
     except ArtiworldError:
         return None
-    colors = render.part_colors([p.link for p in obj.parts], obj.tree.root)
-    shown = render.draw(
+    colors = drawing.part_colors([p.link for p in obj.parts], obj.tree.root)
+    shown = drawing.draw(
         obj,
         colors=colors,
-        q=render.half_open(obj),
+        q=drawing.half_open(obj),
         joints=True,
-        view=render.View(azimuth=-math.pi / 2 - 0.6, width=220, height=180),
+        view=drawing.View(azimuth=-math.pi / 2 - 0.6, width=220, height=180),
     )
-    return render.png(shown)
-
-
-_BOX_FACES = np.array(
-    [[0, 2, 1], [1, 2, 3], [4, 5, 6], [5, 7, 6], [0, 1, 4], [1, 5, 4],
-     [2, 6, 3], [3, 6, 7], [0, 4, 2], [2, 4, 6], [1, 3, 5], [3, 7, 5]], np.int32,
-)  # fmt: skip
+    return drawing.png(shown)
 
 
 ASSET_SECONDS = 1800.0
@@ -273,18 +253,18 @@ class MovingCopy:
     """A working copy that moves in the saved scene.
 
     Attributes:
-        accepted: folder of the accepted asset; None where it is only predicted.
+        document: the decisions about it, with its joints.
         bounds: (2, 3) of its asset, at the asset's own size.
-        confidence: child link → confidence.
-        reason: human-readable reason why it moves.
     """
 
     source: PartSource
-    tree: KinematicTree
+    document: Document
     bounds: list[list[float]]
-    accepted: str | None
-    confidence: Mapping[str, float]
-    reason: str
+
+
+def confidences(doc: Document) -> Mapping[str, float]:
+    """Return child link → confidence of the predicted joints."""
+    return {} if doc.prediction is None else doc.prediction.confidence
 
 
 @dataclass(frozen=True)
@@ -406,16 +386,18 @@ def _rigid(item: SceneItem, out: Path, made: Mapping[str, dict[str, Any]]) -> di
 def _moving_asset(item: SceneItem, moving: MovingCopy, out: Path) -> dict[str, Any]:
     """Write a working copy as an asset below ``out``."""
     assert item.copy is not None and item.path is not None
-    key = item.copy.name
-    folder = out / ASSETS / key
+    key, doc = item.copy.name, moving.document
+    folder, accepted = out / ASSETS / key, doc.review.state == "accepted"
+    saved = Path(doc.saved.folder) if accepted and doc.saved is not None else None
+    assert doc.tree is not None
     store = moving.source.workspace / "collision"
     shutil.rmtree(folder, ignore_errors=True)
     # Not read from the accepted files: the collision shapes of these very parts are cached.
-    obj = articulated_object(moving.source, moving.tree)
+    obj = articulated_object(moving.source, doc.tree)
     physics = physics_of(obj, store=store)
     names = FileNames.of(obj)
-    if moving.accepted is not None and Path(moving.accepted).is_dir():
-        shutil.copytree(moving.accepted, folder)
+    if saved is not None and saved.is_dir():
+        shutil.copytree(saved, folder)
         names = FileNames.stored(read_provenance(folder)["asset"])
     else:
         source = {"path": item.path.name, "sha256": asset_digest(item.path)}
@@ -425,16 +407,16 @@ def _moving_asset(item: SceneItem, moving: MovingCopy, out: Path) -> dict[str, A
             physics=physics,
             provenance={"source": source, "review": "predicted, not accepted"},
         )
-    obj, confidence = names.object(obj), names.by_link(moving.confidence)
+    obj, confidence = names.object(obj), names.by_link(confidences(doc))
     write_formats(obj, folder, _formats(), names.physics(physics))
     joints = [
         {**asdict(j), "confidence": confidence.get(j.child)} for j in obj.tree.joints if j.moves
     ]
-    state = PREDICTED if moving.accepted is None else ACCEPTED
+    state = PREDICTED if saved is None else ACCEPTED
     return {
         "key": key,
         "state": state if joints else STATIC,
-        "reason": moving.reason,
+        "reason": f"accepted by {doc.review.by}" if accepted else "",
         "bounds": moving.bounds,
         "joints": joints,
     }

@@ -18,11 +18,10 @@ from app.server.job import Job
 from app.server.jobs import CLICKS
 from app.server.object_context import Services
 from app.server.observable import Observable, RunningJobs
-from app.server.part_tasks import PartSource
+from app.server.part_tasks import PartSource, source_of
 from app.server.scene_saving_tasks import Decided, MovingCopy, ReportRow, save_scene, write_report
-from app.server.scene_tasks import DrawnParts, OpenedScene, SceneItem, Shape
+from app.server.scene_tasks import DrawnParts, OpenedScene, SceneItem, Shape, placed
 from model.core.errors import CommandError, InputFileError
-from model.core.names import link_display_name
 from model.scenes.asset_parts import asset_digest
 from model.scenes.jobs import ACCEPTED, PREDICTED, REJECTED, TODO
 from sessions import commands as cmd
@@ -81,18 +80,10 @@ class Work:
 
     def part_source(self, workspace: Path) -> PartSource | None:
         """Return its parts as workers cut them; None before they are drawn."""
-        if self.drawn is None:
+        if self.drawn is None or self.document.segmentation is None:
             return None
-        doc = self.document
-        return PartSource(
-            self.drawn.folder,
-            workspace,
-            self.drawn.labels,
-            doc.part_names,
-            doc.category,
-            self.name,
-            doc.complete,
-        )
+        source = source_of(self.document, self.drawn.folder, workspace, self.name)
+        return replace(source, labels=self.drawn.labels)
 
     def source(self, scene: Path, workspace: Path) -> dict[str, Any]:
         """Return its source for ``provenance.json``: the asset, not the copy in the workspace.
@@ -159,6 +150,11 @@ class Row:
 def drawn_labels(work: Work) -> str | None:
     """Return the labels of the drawn parts, or None."""
     return None if work.drawn is None else work.drawn.labels
+
+
+def order(rows: Sequence[Row]) -> list[str]:
+    """Return the ids in the order of a review: undecided ones, lowest confidence first."""
+    return [r.id for r in rows if r.undecided]
 
 
 def decided_text(rows: Sequence[Row]) -> str:
@@ -236,10 +232,8 @@ class SceneState(Observable):
 
     def world_from_copy(self, item: SceneItem) -> npt.NDArray[np.float64] | None:
         """Return the (4, 4) pose of the working copy at its size; None before it is drawn."""
-        shape = None if item.path is None else self.shapes.get(item.path)
-        if not isinstance(shape, Shape):
-            return None
-        return item.obj.placed(shape.bounds).world_from_asset
+        found = placed(item, self.shapes) if item.path is not None else None
+        return None if found is None else found[1]
 
     def start(
         self,
@@ -374,10 +368,7 @@ class Saving:
         source = work.part_source(scene.services.workspace)
         if source is None or shape is None or isinstance(shape, str):
             raise CommandError(f"{work.item.obj.id} is still being prepared; save in a moment")
-        folder = doc.saved.folder if state == "accepted" and doc.saved is not None else None
-        reason = f"accepted by {doc.review.by}" if state == "accepted" else ""
-        confidence = {} if doc.prediction is None else dict(doc.prediction.confidence)
-        return MovingCopy(source, doc.tree, shape.bounds.tolist(), folder, confidence, reason)
+        return MovingCopy(source, doc, shape.bounds.tolist())
 
     def report(self, done: Callable[[Path], None]) -> None:
         """Write the report; ``done`` gets the path of the page."""
@@ -405,10 +396,9 @@ class Saving:
 
     def _row(self, item: SceneItem) -> ReportRow:
         scene, work = self._scene, self._scene.work(item.obj.id)
-        row = self._list_row(item)
-        doc = None if work is None else work.document
+        row, doc = self._list_row(item), None if work is None else work.document
         source = None
-        if work is not None and work.document.tree is not None:
+        if work is not None and doc is not None and doc.tree is not None:
             source = work.part_source(scene.services.workspace)
         notes = [] if work is None else [work.reason, self._why_refused(work)]
         notes.append(scene.missing_reason(item))
@@ -417,15 +407,8 @@ class Saving:
             "on_hold" if row.shown == "on_hold" else row.status,
             row.confidence,
             scene.document.articulable.get(item.obj.id),
-            None if doc is None else doc.tree,
-            {} if doc is None or doc.prediction is None else dict(doc.prediction.confidence),
-            {}
-            if doc is None
-            else {p.link: link_display_name(p.link, p.name, root=False) for p in doc.parts},
-            "" if doc is None else doc.review.by,
-            "" if doc is None else doc.review.at,
-            "" if doc is None else (doc.review.reason or "").replace("_", " "),
+            doc,
             tuple(n for n in notes if n),
             source,
-            None if work is None else work.id,
+            row.work,
         )

@@ -7,7 +7,7 @@ from __future__ import annotations
 import hashlib
 import json
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -16,9 +16,10 @@ import numpy as np
 import numpy.typing as npt
 
 from app.server import part_tasks, prepare_tasks, segmenting_tasks, tasks
+from app.server.part_tasks import PartSource
 from app.server.prompt_file import beside, read_prompts
 from app.server.tasks import ReadOptions, arrays_of, stamp, working_copy
-from model.core.articulated_object import Part, Prediction, SegmentedObject
+from model.core.articulated_object import Part, Prediction
 from model.core.asset import MAX_PARTS, Asset, Source
 from model.core.errors import ArtiworldError, CommandError
 from model.core.files import draft_of
@@ -29,7 +30,6 @@ from model.geometry.sampling import face_colors
 from model.geometry.splitting import split
 from model.io.urdf.model import save_declared
 from model.io.write import write_cloud, write_mesh
-from model.prediction.registry import load_predictor
 from model.scenes.articulable_finders import FinderOptions, default_cache, load_finder
 from model.scenes.asset_parts import (
     AssetParts,
@@ -244,7 +244,7 @@ def prepare_for_picking(
     if np.ptp(np.asarray(asset.bounds)[:, :2], axis=0).max() <= ROOM_METRES:
         return None
     try:
-        return prepare_tasks.floor_and_walls(folder, workspace, None, progress)
+        return prepare_tasks.floor_and_walls(workspace, None, folder, progress)
     except CommandError:
         return None  # it has none
 
@@ -275,7 +275,11 @@ def prepare(
     else:
         return Prepared(reason)
     progress(0.4, "predicting")
-    prediction = _predicted(item, asset, cut, workspace, predictor, progress)
+    assert cut.labels is not None
+    names = {part: name for part, name in cut.names if name}
+    source = PartSource(folder, workspace, cut.labels, names, item.category, asset.name)
+    span = scaled_progress(progress, 0.4, 1.0)
+    prediction = part_tasks.predict(source, predictor, (), 0, progress=span)
     if prediction.tree is None or not any(j.moves for j in prediction.tree.joints):
         why = "; ".join(prediction.problems) or "no reason was given"
         return replace(cut, reason=f"no joint was predicted: {why}")
@@ -325,21 +329,6 @@ def _cut_by_source(asset: Asset, element_part: npt.NDArray[np.int32], workspace:
     )
 
 
-def _predicted(
-    item: SceneItem,
-    asset: Asset,
-    cut: Prepared,
-    workspace: Path,
-    predictor: str,
-    progress: Progress,
-) -> Prediction:
-    labels = tasks.arrays_of(workspace).get(cut.labels)
-    parts = split(asset, labels, {p: n for p, n in cut.names if n})
-    segmented = SegmentedObject(asset.name, tuple(map(part_tasks.named, parts)), item.category)
-    span = scaled_progress(progress, 0.4, 1.0)
-    return load_predictor(predictor).predict(segmented, seed=0, progress=span)
-
-
 BATCH_SECONDS = 0.4
 """Time after which a job returns the shapes it has, so that the scene fills up."""
 
@@ -361,6 +350,30 @@ class Shape:
     faces: npt.NDArray[np.uint32] | None
     colors: npt.NDArray[np.uint8] | None = None
     spacing: float = 0.0
+
+
+BOX = Shape(
+    np.array([[-0.5] * 3, [0.5] * 3]),
+    np.array([[i >> k & 1 for k in range(3)] for i in range(8)], np.float32) - 0.5,
+    np.array([[0, 2, 1], [1, 2, 3], [4, 5, 6], [5, 7, 6], [0, 1, 4], [1, 5, 4],
+              [2, 6, 3], [3, 6, 7], [0, 4, 2], [2, 4, 6], [1, 3, 5], [3, 7, 5]], np.uint32),
+)  # fmt: skip
+"""A cube of 1 m; vertex i is at the upper end of axis k where bit k of i is set."""
+
+
+def placed(
+    item: SceneItem, shapes: Mapping[Path, Shape | str]
+) -> tuple[Shape, FloatArray, FloatArray] | None:
+    """Return an object's shape, its (4, 4) pose in the scene and its (3,) scale: a vertex v is at
+    ``pose @ (scale * v)``. None where the shape isn't known (yet)."""
+    obj = item.obj
+    if obj.box is not None:
+        return BOX, obj.world_from_object, np.asarray(obj.box)
+    shape = None if item.path is None else shapes.get(item.path)
+    if not isinstance(shape, Shape):
+        return None
+    at = obj.placed(shape.bounds)
+    return shape, at.world_from_asset, at.scale
 
 
 @dataclass(frozen=True, eq=False)

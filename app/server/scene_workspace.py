@@ -16,13 +16,13 @@ from typing import Any
 import numpy as np
 
 from app.server import scene_tasks
-from app.server.cutting import Picking
 from app.server.gallery import confidence
 from app.server.job import Job, OutOfTimeError, WorkerDied
 from app.server.jobs import CLICKS
 from app.server.object_context import SceneMember, Services
 from app.server.observable import Notice
 from app.server.scene_accepting import Accepting
+from app.server.scene_picking import Picking
 from app.server.scene_state import (
     SHOWN,
     Row,

@@ -5,7 +5,8 @@ from __future__ import annotations
 import threading
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from concurrent.futures import Future
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
 import numpy as np
@@ -13,22 +14,26 @@ import numpy.typing as npt
 
 from app.server import segmenting_tasks, tool_tasks
 from app.server.display_tasks import OpenedAsset
-from app.server.jobs import CLICKS, PREVIEWS, Job
+from app.server.jobs import CLICKS, PREVIEWS, Job, WorkerProcess
 from app.server.object_context import ObjectContext
 from app.server.segmenting_tasks import StoredRegion
 from model.core.asset import MAX_PARTS
-from model.core.errors import CommandError
+from model.core.errors import ArtiworldError, CommandError
 from model.segmentation.prompts import BASE, Click
 from sessions import commands as cmd
 from sessions.document import Document, RegionRef
-from sessions.state import needed_jobs
+from sessions.state import SessionState
 from sessions.statistics import MASKS, SEGMENTER, SOURCE
 from sessions.tool_commands import ToolRegion
 
 T = TypeVar("T")
 
+POINTING = 20
+"""Priority of what finds a place in the picture."""
 TOOL_SECONDS = 120.0
 """Longest wait for a tool."""
+_ANSWERS = frozenset({"encode", "segment", "tool", "room"})
+"""Jobs of the segmenter."""
 _INEFFECTIVE_SHARE = 0.03
 """A click that changes less of its part than this share is ineffective."""
 _MASKS_KEPT = 50
@@ -60,6 +65,27 @@ class MaskShown:
         return part == self.part and doc.prompts == self.prompts
 
 
+@dataclass(eq=False)
+class _Clicked:
+    """A click on its way to its labels.
+
+    Attributes:
+        asset: the asset that was clicked on.
+        before: key of the prompts before it.
+        who: the person.
+        prompt: its prompt, once that is shown.
+        announced: the state with its prompt.
+        job: finds its place, and its labels.
+    """
+
+    asset: OpenedAsset
+    before: str
+    who: str
+    prompt: Future[Click | None] = field(default_factory=Future)
+    announced: SessionState | None = None
+    job: Job[Any] | None = None
+
+
 class Segmenting:
     """Runs the segmenter whenever an object's prompts change, and keeps the labels shown.
 
@@ -78,7 +104,7 @@ class Segmenting:
         self._obj = obj
         self._labels_ref: str | None = None
         self._asked: tuple[tuple[object, ...], Job[Any] | None] = ((), None)
-        self._applying_source = False
+        self._held = False
         self._lock = threading.Lock()
 
     def forget(self) -> None:
@@ -122,13 +148,13 @@ class Segmenting:
         )
         counts = {part: count for part, (_, count) in asset.source_parts.items()}
         labels = asset.source_labels
-        self._applying_source = True  # the segmenter must not run in between
+        self._held = True  # the segmenter must not run in between
         try:
             obj.do(cmd.ApplyTool(tool, regions), who)
             key = obj.document.key
             obj.do(cmd.RecordSegmentation(key, labels, tool, 0.0, counts), who)
         finally:
-            self._applying_source = False
+            self._held = False
         joints = asset.source_joints
         if joints is not None:
             obj.do(cmd.RecordPrediction(joints, labels), SOURCE)
@@ -142,9 +168,9 @@ class Segmenting:
         doc, asset = obj.document, obj.asset
         assert asset is not None
         record = doc.segmentation
-        if self._applying_source:
+        if self._held:
             return
-        if needed_jobs(obj.state):
+        if doc.needs_labels:
             self._segment(asset, doc)
             return
         ref = record.labels if record is not None and doc.prompts else None
@@ -171,38 +197,134 @@ class Segmenting:
             asked, job = self._asked
             if asked == (asset.folder, doc.key) and job is not None and not job.done:
                 return
-            job = obj.lane.segmentation.submit(
+            job = self._submit(
+                obj.lane.segmentation,
                 segmenting_tasks.segment,
-                asset.folder,
-                obj.services.workspace,
-                obj.services.config.segmenter,
                 stored_prompts(doc),
                 doc.key,
                 asset.element,
                 on_progress=obj.jobs.progress("segment"),
                 priority=10,
                 key=("segment", obj.record.id),
-                preempted_by=CLICKS,
-                works_on=asset.folder,
-                repeated=True,
             )
             self._asked = ((asset.folder, doc.key), job)
         obj.start("segment", job, self._if_current(asset, self._keep))
+
+    def _submit(
+        self, worker: WorkerProcess, task: Callable[..., T], *args: Any, **how: Any
+    ) -> Job[T]:
+        """Have a worker do something for a click, with the asset and the segmenter."""
+        services, folder = self._obj.services, self._obj.need_asset().folder
+        how = {"works_on": folder, "preempted_by": CLICKS, **how}
+        known = folder, services.workspace, services.config.segmenter
+        return worker.submit(task, *known, *args, repeated=True, **how)
+
+    def click(
+        self, aim: segmenting_tasks.Aim, part: int, positive: bool, who: str
+    ) -> Future[Click | None]:
+        """Answer a click by one job: its prompt shows as soon as its place is known, and is stored
+        together with its labels.
+
+        While the segmenter is at work on the object, the other process finds the place, and the
+        prompt is stored before its labels are there.
+
+        Returns:
+            The prompt; None where the ray hits nothing.
+        """
+        obj, asset, doc = self._obj, self._obj.need_asset(), self._obj.document
+        alone = _ANSWERS.isdisjoint(obj.jobs.busy)
+        clicked = _Clicked(asset, doc.key, who)
+        worker = obj.lane.segmentation if alone else obj.lane.geometry
+        with self._lock:
+            clicked.job = self._submit(
+                worker,
+                segmenting_tasks.click,
+                stored_prompts(doc) if alone else None,
+                aim,
+                part,
+                positive,
+                asset.element,
+                on_found=lambda prompt: self._found(clicked, prompt),
+                on_progress=obj.jobs.progress("segment"),
+                priority=POINTING,
+            )
+        if alone:
+            obj.jobs.add("segment", clicked.job, lambda job: self._clicked(clicked, job))
+        else:
+            clicked.job.add_done_callback(lambda job: self._clicked(clicked, job))
+        return clicked.prompt
+
+    def _found(self, clicked: _Clicked, prompt: Click | None) -> None:
+        """Show the prompt of a click."""
+        obj = self._obj
+        if clicked.prompt.done():
+            return  # its worker died, and answers once more
+        try:
+            if prompt is not None and obj.asset is clicked.asset:
+                clicked.announced = obj.live.announce(cmd.AddClick(prompt), clicked.who)
+                with self._lock:
+                    self._asked = ((clicked.asset.folder, obj.document.key), clicked.job)
+                obj.changed()
+        except ArtiworldError as error:
+            clicked.prompt.set_exception(error)
+        else:
+            clicked.prompt.set_result(prompt)
+
+    def _clicked(self, clicked: _Clicked, job: Job[Any]) -> None:
+        """Store the prompt of a click, with its labels."""
+        obj, answers = self._obj, list[segmenting_tasks.SegmentationAnswer]()
+        error = obj.jobs.deliver("segment", job, answers.append)
+        obj.jobs.drop("segment", job)
+        if error is not None and not clicked.prompt.done():
+            clicked.prompt.set_exception(error)
+        elif clicked.announced is not None:
+            self._held = error is not None  # it would only fail again
+            try:
+                self._keep_click(clicked, clicked.announced, answers[0] if answers else None)
+            except ArtiworldError as refused:
+                error = refused
+                self.forget()
+                if obj.asset is not None:
+                    self.update()  # back to the stored labels
+            finally:
+                self._held = False
+            if isinstance(error, ArtiworldError):
+                obj.notify("Failed", str(error), "red")
+        obj.changed()
+
+    def _keep_click(
+        self,
+        clicked: _Clicked,
+        announced: SessionState,
+        answer: segmenting_tasks.SegmentationAnswer | None,
+    ) -> None:
+        click, record = announced.present.prompts[-1], None
+        assert isinstance(click, Click)
+        same = announced.past[-1].key == clicked.before and self._obj.asset is clicked.asset
+        if answer is not None and same:
+            record = self._show_answer(replace(answer, prompts_key=announced.present.key))
+        stored = self._obj.live.complete(announced, cmd.AddClick(click, record))
+        if record is not None and not stored:
+            self._obj.do(record, SEGMENTER)
+        elif not stored and self._obj.asset is not None:
+            self.update()  # another command stored it, while this job was still to answer it
 
     def _if_current(self, asset: OpenedAsset, keep: Callable[[T], None]) -> Callable[[T], None]:
         """Return ``keep``, which then ignores results for an asset that was replaced meanwhile."""
         return lambda answer: keep(answer) if self._obj.asset is asset else None
 
     def _keep(self, answer: segmenting_tasks.SegmentationAnswer) -> None:
+        self._obj.do(self._show_answer(answer), SEGMENTER)
+
+    def _show_answer(self, answer: segmenting_tasks.SegmentationAnswer) -> cmd.RecordSegmentation:
+        """Show an answer; returns its record."""
         self._count_ineffective(answer)
         # Labels of undone prompts aren't shown; those of earlier prompts are better than none.
-        if answer.prompts_key == self._obj.document.key or needed_jobs(self._obj.state):
+        doc = self._obj.document
+        if answer.prompts_key == doc.key or doc.needs_labels:
             self._show(answer.labels, answer.display_labels)
-        self._obj.do(
-            cmd.RecordSegmentation(
-                answer.prompts_key, answer.labels, answer.segmenter, answer.seconds, answer.counts
-            ),
-            SEGMENTER,
+        return cmd.RecordSegmentation(
+            answer.prompts_key, answer.labels, answer.segmenter, answer.seconds, answer.counts
         )
 
     def _count_ineffective(self, answer: segmenting_tasks.SegmentationAnswer) -> None:
@@ -254,18 +376,15 @@ class Segmenting:
         long = request.tool == tool_tasks.PROPOSE
         if long:  # clicks on the same asset come between its steps, so encode it first
             self._encode(asset)
-        job = obj.lane.segmentation.submit(
+        job = self._submit(
+            obj.lane.segmentation,
             tool_tasks.use_tool,
-            asset.folder,
-            obj.services.workspace,
-            obj.services.config.segmenter,
             kept,
             request,
             on_progress=obj.jobs.progress("tool"),
             priority=PREVIEWS - 1 if long else 12,
             preempted_by=PREVIEWS if long else CLICKS,
             works_on=None if long else asset.folder,
-            repeated=True,
         )
         obj.jobs.add("tool", job, self._tool_ended)
         obj.changed()

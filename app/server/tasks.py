@@ -26,8 +26,8 @@ from model.geometry.splitting import split_faces
 from model.io.asset_cache import load_asset, save_asset
 from model.io.model_files import files_named_by, is_model
 from model.io.open_asset import open_asset
+from sessions.document import SOURCE_FRAME, FaceCut, ObjectFrame
 from sessions.storage import ArrayFiles
-from sessions.tool_commands import SOURCE_FRAME, FaceCut, ObjectFrame
 
 Stamp = tuple[tuple[str, int, int], ...]
 PIXELS_KEPT = 1 << 27

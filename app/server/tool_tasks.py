@@ -35,7 +35,7 @@ from model.segmentation.prompts import BASE, Click, Prompts
 from model.segmentation.registry import DEFAULT
 from model.segmentation.similar import mirrored, same_shape
 from model.segmentation.solver import look_alike
-from sessions.tool_commands import FaceCut
+from sessions.document import FaceCut
 
 Bool = npt.NDArray[np.bool_]
 Point = tuple[float, float, float]

@@ -95,7 +95,7 @@ def _unpacked(target: Path, name: str, content: bytes, max_bytes: int) -> Path:
 
 
 def _files_in(archive: zipfile.ZipFile, name: str) -> _Files:
-    """Those to unpack; not such as resource forks, thumbnails, programs."""
+    """Files to unpack, without resource forks, thumbnails and programs."""
     entries = [e for e in archive.infolist() if not e.is_dir()]
     if len(entries) > MAX_FILES:
         raise InputFileError(

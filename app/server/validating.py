@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Collection, Hashable
+from collections.abc import Collection, Hashable
 from dataclasses import dataclass
 
 from app.server.jobs import CLICKS
@@ -51,21 +51,21 @@ class UnseenWarningsError(CommandError):
     """Validation reports warnings that the person wasn't shown before accepting."""
 
 
-@dataclass(frozen=True, eq=False)
 class AcceptanceRequest:
     """An acceptance that a person asks for; see :func:`app.server.accepting.accept`.
 
-    Attributes:
+    Args:
         override: reason for accepting it despite errors, else "".
         seen: the report whose warnings the person was shown, or None.
-        retry: asks again; called when the report is there, where it wasn't yet.
         state: the state that the person decided about.
     """
 
-    override: str
-    seen: ValidationReport | None
-    retry: Callable[[], None]
-    state: SessionState
+    def __init__(self, override: str, seen: ValidationReport | None, state: SessionState) -> None:
+        self.override, self.seen, self.state = override, seen, state
+
+    def report_ended(self) -> None:
+        """The report is there, where it wasn't yet, or won't come."""
+        raise NotImplementedError
 
 
 class Validation:
@@ -131,7 +131,7 @@ class Validation:
         if revision is None:
             self._requested = None
             return
-        if revision == self._requested or obj.predicting:
+        if revision == self._requested or "predict" in obj.jobs:
             return
         self._requested = revision
         obj.jobs.cancel("check")
@@ -232,7 +232,7 @@ class Validation:
         with self._lock:
             waiting, self._waiting = self._waiting, None
         if waiting is not None:
-            waiting.retry()
+            waiting.report_ended()
 
     def withdraw(self) -> bool:
         """Withdraw the waiting request; whether there was one that wasn't decided yet."""

@@ -30,7 +30,8 @@ import sys
 import threading
 import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Container
+from functools import partial
 from multiprocessing.connection import Connection
 from typing import Any, Protocol
 
@@ -165,8 +166,11 @@ class _Worker:
     def _answer(self, number: int, chunks: list[Any]) -> tuple[str, Any]:
         try:
             function, args, kwargs = unpack(chunks)
-            if "progress" not in kwargs and _takes_progress(function):
+            takes = _parameters(function)
+            if "progress" in takes and "progress" not in kwargs:
                 kwargs["progress"] = self._progress(number)
+            if "found" in takes:
+                kwargs["found"] = partial(self._send, "found", number)
             return "done", function(*args, **kwargs)
         except BaseException as error:  # the boundary of a job; Rust's panics are no Exception
             return "error", describe_error(error)
@@ -194,11 +198,11 @@ class _Worker:
         return progress
 
 
-def _takes_progress(function: Callable[..., object]) -> bool:
+def _parameters(function: Callable[..., object]) -> Container[str]:
     try:
-        return "progress" in inspect.signature(function).parameters
+        return inspect.signature(function).parameters
     except (TypeError, ValueError):
-        return False
+        return ()
 
 
 def _trim_memory() -> None:
@@ -221,7 +225,6 @@ def work(descriptor: int, parent: int, name: str) -> None:
 MODULES = (
     "app.server.display_tasks",
     "app.server.part_tasks",
-    "app.server.picking_tasks",
     "app.server.prepare_tasks",
     "app.server.segmenting_tasks",
 )

@@ -28,7 +28,8 @@ from app.viewer.steps.annotate import AnnotateStep
 from app.viewer.steps.joints import JointsStep
 from app.viewer.steps.prepare import PrepareStep
 from app.viewer.steps.review import ReviewActions, ReviewStep
-from app.viewer.steps.scene import SceneHost, SceneStep
+from app.viewer.steps.scene import SceneStep
+from app.viewer.steps.scene_selection import SceneHost
 from app.viewer.tab import AT_REST, STEPS, Panel, Step, Tab
 from sessions import commands as cmd
 from sessions.credentials import Person
@@ -113,9 +114,10 @@ class ClientApp:
                 self._exporting.ask,
             )
         else:
-            self.scene = SceneStep(
-                tab, app_state.scene, self.commands.rejecting, self._scene_host()
+            host = SceneHost(
+                self._show_session, self._remember, self._accept_seen, self._reject_seen
             )
+            self.scene = SceneStep(tab, app_state.scene, self.commands.rejecting, host)
         self._object_folder = gui.add_folder(None, visible=self.scene is None)
         with self._object_folder:
             if self.scene is not None:
@@ -198,14 +200,6 @@ class ClientApp:
 
     def _reject_seen(self) -> None:
         self.tab.act(self.commands.reject)
-
-    def _scene_host(self) -> SceneHost:
-        return SceneHost(
-            show=self._show_session,
-            remember=self._remember,
-            accept=self._accept_seen,
-            reject=self._reject_seen,
-        )
 
     def _pointer_actions(self) -> PointerActions:
         return PointerActions(
@@ -309,11 +303,11 @@ class ClientApp:
             self.scene.draw()
         obj = selection.object
         self._tour.draw(obj)
-        put(self._object_folder, "visible", obj is not None)
+        put(self._object_folder, visible=obj is not None)
         broken = obj is not None and obj.problem is not None
         for step, folder in self._folders.items():
             # An unreadable file has nothing to click on.
-            put(folder, "visible", step == selection.step and not (broken and step in AT_REST))
+            put(folder, visible=step == selection.step and not (broken and step in AT_REST))
         if obj is None:
             self._bar.draw(None)
             self.rail.draw(None)

@@ -183,7 +183,7 @@ class Navigation:
             self.open(following)
 
     def _returned(self, records: list[ObjectRecord]) -> list[ObjectRecord]:
-        """Those that came back to this person, and that weren't passed since."""
+        """Objects that came back to this person and weren't passed since."""
         assigned = self._app_state.store.people.work.assigned()
         return [
             r

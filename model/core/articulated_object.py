@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -17,7 +17,7 @@ import numpy.typing as npt
 from model.core.errors import GeometryError, KinematicsError
 from model.core.geometry import Mesh, PointCloud
 from model.core.joint import Joint
-from model.core.shapes import Shape
+from model.core.shapes import Shape, moved_shape
 from model.core.tree import KinematicTree
 
 AffordanceKind = Literal["grasp", "hook", "push", "turn"]
@@ -132,7 +132,7 @@ class Inertial:
 
 
 def together(inertials: Sequence[Inertial]) -> Inertial:
-    """Those of several bodies that are fixed to each other; at least one."""
+    """Inertial of several bodies that are fixed to each other; at least one."""
     if len(inertials) == 1:
         return inertials[0]
     mass = sum(i.mass for i in inertials)
@@ -189,10 +189,21 @@ class Part:
         """(2, 3) lowest and highest corner."""
         return (self.mesh if self.mesh is not None else self.cloud).bounds  # type: ignore[union-attr]
 
+    def moved(self, matrix: npt.NDArray[np.float64]) -> Part:
+        """The part under an affine (4, 4)."""
+        mesh, cloud = (None if g is None else g.moved(matrix) for g in (self.mesh, self.cloud))
+        return replace(self, mesh=mesh, cloud=cloud)
+
 
 def remarks_of(parts: Iterable[Part]) -> tuple[str, ...]:
     """The remarks of all parts, each once: parts of one source share theirs."""
     return tuple(dict.fromkeys(remark for part in parts for remark in part.remarks))
+
+
+def bounds_of(parts: Iterable[Part]) -> npt.NDArray[np.float64]:
+    """(2, 3) lowest and highest corner of all parts."""
+    each = np.stack([p.bounds for p in parts])
+    return np.stack([each[:, 0].min(0), each[:, 1].max(0)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,8 +234,7 @@ class SegmentedObject:
     @property
     def bounds(self) -> npt.NDArray[np.float64]:
         """(2, 3) lowest and highest corner of all parts."""
-        each = np.stack([p.bounds for p in self.parts])
-        return np.stack([each[:, 0].min(0), each[:, 1].max(0)])
+        return bounds_of(self.parts)
 
 
 @dataclass(frozen=True, eq=False)
@@ -263,6 +273,23 @@ class ArticulatedObject:
     def pose(self, q: Mapping[str, float]) -> dict[str, npt.NDArray[np.float64]]:
         """Link → (4, 4), as :meth:`KinematicTree.pose`."""
         return self.tree.pose(q)
+
+    @property
+    def bounds(self) -> npt.NDArray[np.float64]:
+        """(2, 3) lowest and highest corner of all parts."""
+        return bounds_of(self.parts)
+
+    def moved(self, matrix: npt.NDArray[np.float64]) -> ArticulatedObject:
+        """The object under (4, 4) ``matrix``, a rotation, a uniform scale, a translation, without
+        its affordances."""
+        return replace(
+            self,
+            parts=tuple(p.moved(matrix) for p in self.parts),
+            tree=self.tree.moved(matrix),
+            inertials={link: i.moved(matrix) for link, i in self.inertials.items()},
+            shapes={k: tuple(moved_shape(s, matrix) for s in v) for k, v in self.shapes.items()},
+            affordances=(),
+        )
 
 
 @dataclass(frozen=True)

@@ -22,15 +22,34 @@ from model.core.tree import KinematicTree, moving_chain
 CompositeKind = Literal["single", "screw", "lift_and_swivel", "ball", "universal", "planar"]
 COMPOSITE_KINDS: tuple[CompositeKind, ...] = get_args(CompositeKind)
 Axis = tuple[float, float, float]
-HELPERS = {
-    "single": 0,
-    "screw": 1,
-    "lift_and_swivel": 1,
-    "universal": 1,
-    "ball": 2,
-    "planar": 2,
+
+
+@dataclass(frozen=True)
+class CompositeRow:
+    """Properties of one motion, and its words elsewhere.
+
+    Attributes:
+        title: on screens.
+        helpers: links between the parent and the part.
+        sdf: the joint type that SDF has for it; "" where it has none.
+        pitched: True where it has a pitch; such a motion is one joint in the SDF that we write.
+    """
+
+    title: str
+    helpers: int = 0
+    sdf: str = ""
+    pitched: bool = False
+
+
+COMPOSITES: dict[str, CompositeRow] = {
+    "single": CompositeRow("One joint"),
+    "screw": CompositeRow("Screw", 1, "screw", pitched=True),
+    "lift_and_swivel": CompositeRow("Lift and swivel", 1),
+    "ball": CompositeRow("Ball", 2, "ball"),
+    "universal": CompositeRow("Universal joint", 1),
+    "planar": CompositeRow("Plane", 2),
 }
-"""Kind → helper links between the parent and the part."""
+"""Kind → its row."""
 SWING = math.pi / 4
 """Radians by which a ball or universal joint tilts either way where nothing is said: the usual
 45 degrees of ball-and-socket joints for machines (DIN 71802 allows 18 degrees, camera heads 90)."""
@@ -58,7 +77,7 @@ class Composite:
         if self.kind not in COMPOSITE_KINDS:
             known = ", ".join(COMPOSITE_KINDS)
             raise KinematicsError([f"motion {self.kind!r} is none of {known}"])
-        if not math.isfinite(self.pitch) or (self.kind == "screw") != (self.pitch != 0):
+        if not math.isfinite(self.pitch) or COMPOSITES[self.kind].pitched != (self.pitch != 0):
             raise KinematicsError(
                 [f"a screw has a pitch other than 0 m, and nothing else has one: got {self.pitch}"]
             )
@@ -77,13 +96,13 @@ def composite_joints(
     Args:
         joint: parent, child, axis, origin and limits; its name stays with the part's own joint. The
             axis is the screw's, a ball's twist, or the plane's normal.
-        helpers: free names of links, at least as many as :data:`HELPERS` says.
+        helpers: free names of links, at least as many as :data:`COMPOSITES` says.
         swing: radians of a tilt either way.
         slide: metres of a lift or a plane's slides.
     """
     if composite.kind == "single":
         return (joint,)
-    above = [joint.parent, *helpers[: HELPERS[composite.kind]]]
+    above = [joint.parent, *helpers[: COMPOSITES[composite.kind].helpers]]
     turn = _turning(joint, composite)
     x, y = _across(joint.axis)
     own = replace(turn, parent=above[-1])
@@ -139,7 +158,7 @@ def with_composite(
     base = replace(_main(joints_now, own), parent=joints_now[0].parent, mimic=None)
     slides = [j.motion_range for j in joints_now if j.type == "prismatic"]
     gone = set(chain[:-1])
-    helpers = free_helpers(child, HELPERS[composite.kind], set(tree.links) - gone)
+    helpers = free_helpers(child, COMPOSITES[composite.kind].helpers, set(tree.links) - gone)
     lift = slides[0] if now.kind == "lift_and_swivel" else None
     made = composite_joints(composite, base, helpers, slide=lift)
     lost = {j.name for j in joints_now} - {j.name for j in made}
@@ -189,10 +208,10 @@ def _main(joints: Sequence[Joint], own: Joint) -> Joint:
 
 def _turning(joint: Joint, composite: Composite) -> Joint:
     """The joint as the turn of a motion."""
-    if composite.kind == "screw" and joint.type == "prismatic":
+    if composite.pitch and joint.type == "prismatic":
         ends = sorted(2 * math.pi / composite.pitch * q for q in joint.motion_range)
         return replace(joint, type="revolute", lower=ends[0], upper=ends[1])
-    if composite.kind == "screw" and joint.type != "revolute":
+    if composite.pitch and joint.type != "revolute":
         return replace(joint, type="revolute", lower=0.0, upper=2 * math.pi * TURNS)
     if joint.type == "revolute":
         return joint

@@ -7,7 +7,8 @@ and written as URDF and SDF have them: roll, pitch, yaw, radians.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -86,6 +87,14 @@ def about(axis: int, angle: float) -> npt.NDArray[np.float64]:
     i, j = (axis + 1) % 3, (axis + 2) % 3
     out[i, i], out[i, j], out[j, i], out[j, j] = c, -s, s, c
     return out
+
+
+def x_onto(axis: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """(3, 3) rotation that turns x onto a unit axis."""
+    helper = np.eye(3)[np.abs(axis).argmin()]
+    side = np.asarray(np.cross(axis, helper), np.float64)
+    side /= np.linalg.norm(side)
+    return np.stack([axis, side, np.cross(axis, side)], axis=1)
 
 
 def rotation_from_rpy(rpy: npt.ArrayLike) -> npt.NDArray[np.float64]:
@@ -218,6 +227,13 @@ class Mesh:
         used = self.vertices[np.unique(self.faces)]
         return np.stack([used.min(0), used.max(0)])
 
+    def moved(self, matrix: npt.NDArray[np.float64]) -> Mesh:
+        """The mesh under an affine (4, 4); a mirroring turns the faces over, so that they keep
+        facing outwards."""
+        linear = matrix[:3, :3]
+        faces = self.faces[:, ::-1] if np.linalg.det(linear) < 0 else self.faces
+        return replace(self, vertices=self.vertices @ linear.T + matrix[:3, 3], faces=faces)
+
     def take_faces(self, index: npt.NDArray[np.integer] | npt.NDArray[np.bool_]) -> Mesh:
         """The faces at ``index`` with the vertices and materials that they use."""
         faces = self.faces[index]
@@ -283,3 +299,59 @@ class PointCloud:
         if not len(self.points):
             raise GeometryError("a cloud without points has no bounds")
         return np.stack([self.points.min(0), self.points.max(0)]).astype(np.float64)
+
+    def moved(self, matrix: npt.NDArray[np.float64]) -> PointCloud:
+        """The cloud under an affine (4, 4) that has an inverse."""
+        points, normals = self.points @ matrix[:3, :3].T + matrix[:3, 3], self.normals
+        if normals is not None:
+            normals = normals @ np.linalg.inv(matrix[:3, :3])
+            length = np.linalg.norm(normals, axis=1, keepdims=True)
+            normals = (normals / np.where(length > 0, length, 1.0)).astype(np.float32)
+        return replace(self, points=points.astype(np.float32), normals=normals)
+
+
+def merged(meshes: Sequence[Mesh]) -> Mesh:
+    """One mesh of several, in order, with all their materials."""
+    if len(meshes) == 1:
+        return meshes[0]
+    counts = np.cumsum([0, *(len(m.vertices) for m in meshes)])
+    materials = np.cumsum([0, *(len(m.materials) for m in meshes)])
+    uv = colors = None
+    if any(m.uv is not None for m in meshes):
+        uv = np.concatenate(
+            [m.uv if m.uv is not None else np.zeros((len(m.vertices), 2)) for m in meshes]
+        ).astype(np.float32)
+    if any(m.vertex_colors is not None for m in meshes):
+        colors = np.concatenate([_colors(m) for m in meshes])
+    return Mesh(
+        np.concatenate([m.vertices for m in meshes]),
+        np.concatenate([m.faces + c for m, c in zip(meshes, counts, strict=False)]),
+        np.concatenate([m.face_material + c for m, c in zip(meshes, materials, strict=False)]),
+        tuple(material for m in meshes for material in m.materials),
+        uv,
+        colors,
+    )
+
+
+def _colors(mesh: Mesh) -> npt.NDArray[np.uint8]:
+    """Vertex colours that leave the mesh looking as it does without them."""
+    if mesh.vertex_colors is not None:
+        return mesh.vertex_colors
+    out = np.full((len(mesh.vertices), 4), 255, np.uint8)
+    base = np.array([m.base_color for m in mesh.materials], np.uint8)
+    out[mesh.faces] = base[mesh.face_material][:, None]
+    return out
+
+
+def merged_clouds(clouds: Sequence[PointCloud]) -> PointCloud:
+    """One cloud of several, in order; normals and colours where all of them have some."""
+
+    def joined(values: list[npt.NDArray | None]) -> npt.NDArray | None:
+        there = [v for v in values if v is not None]
+        return np.concatenate(there) if len(there) == len(values) else None
+
+    return PointCloud(
+        np.concatenate([c.points for c in clouds]),
+        joined([c.normals for c in clouds]),
+        joined([c.colors for c in clouds]),
+    )

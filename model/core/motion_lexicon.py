@@ -313,18 +313,6 @@ BASE_WORDS: dict[str, float] = {
 }
 """Words for the part that everything hangs on, and how sure they are."""
 
-CATEGORY_PARENTS: dict[str, dict[str, str]] = {
-    "stapler": {"body": "lid"},
-    "chair": {"wheel": "caster"},
-    "cart": {"wheel": "caster"},
-    "table": {"wheel": "caster"},
-    "suitcase": {"wheel": "caster"},
-    "storagefurniture": {"wheel": "caster"},
-    "globe": {"sphere": "bracket"},
-    "fan": {"rotor": "frame"},
-}
-"""Category → a part's word → the word of the part that it hangs on, where one is near."""
-
 TURN_PREFIX = {"rotation", "rotating", "rotary", "revolving", "hinged", "swivel", "flip"}
 SLIDE_PREFIX = {"translation", "translating", "sliding", "slide", "telescopic", "retractable"}
 PRESS_PREFIX = {"press", "pressing", "push"}

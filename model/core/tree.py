@@ -116,6 +116,23 @@ class KinematicTree:
         )
         return KinematicTree(tuple(names.get(x, x) for x in self.links), joints)
 
+    def moved(self, matrix: npt.NDArray[np.float64]) -> KinematicTree:
+        """The same mechanism after (4, 4) ``matrix`` has moved the object: any affine map.
+
+        Slides are stretched as their axis is. In a mirror a turn goes the other way round; where
+        the map stretches across its axis it is none any more, and the axis goes along.
+        """
+        if (matrix == np.eye(4)).all():
+            return self
+        along = {j.name: matrix[:3, :3] @ np.asarray(j.axis) for j in self.joints}
+        scale = {
+            j.name: float(f"{np.linalg.norm(along[j.name]):.12g}") if j.slides else 1.0
+            for j in self.joints
+        }
+        way = float(np.sign(np.linalg.det(matrix[:3, :3])))
+        joints = tuple(_moved(j, matrix, along[j.name], scale, way) for j in self.joints)
+        return replace(self, joints=joints)
+
     def joint_values(self, q: Mapping[str, float]) -> dict[str, float]:
         """Value of each moving joint by name: missing ones are 0, mimics follow.
 
@@ -182,6 +199,37 @@ def moving_chain(tree: KinematicTree, link: str, holds: Callable[[str], bool]) -
             break
         chain.insert(0, joint.parent)
     return tuple(chain)
+
+
+def _moved(
+    joint: Joint,
+    matrix: npt.NDArray[np.float64],
+    along: npt.NDArray[np.float64],
+    scale: Mapping[str, float],
+    way: float,
+) -> Joint:
+    own, length = scale[joint.name], float(np.linalg.norm(along))
+    unit = along / length if joint.slides else way * along / (length or 1.0)
+    mimic, dynamics = joint.mimic, joint.dynamics
+    if mimic is not None:
+        multiplier = mimic.multiplier * own / scale[mimic.joint]
+        mimic = replace(mimic, multiplier=multiplier, offset=mimic.offset * own)
+    if dynamics is not None:  # newtons stay newtons, whatever the unit of length
+        slow, fast = dynamics.damping, dynamics.velocity
+        dynamics = replace(
+            dynamics,
+            damping=None if slow is None else slow / own,
+            velocity=None if fast is None else fast * own,
+        )
+    return replace(
+        joint,
+        axis=tuple((unit + 0.0).tolist()),
+        origin=tuple((matrix[:3, :3] @ np.asarray(joint.origin) + matrix[:3, 3]).tolist()),
+        lower=None if joint.lower is None else joint.lower * own,
+        upper=None if joint.upper is None else joint.upper * own,
+        mimic=mimic,
+        dynamics=dynamics,
+    )
 
 
 def _reversed(joint: Joint) -> Joint:
@@ -252,3 +300,96 @@ def _mimic_problems(joints: tuple[Joint, ...]) -> list[str]:
         if leader is not None and leader.name in seen:
             out.append(f"joint {j.name!r} mimics itself through {', '.join(sorted(seen))}")
     return out
+
+
+def replace_joint(tree: KinematicTree, joint: Joint) -> KinematicTree:
+    """Return the tree with the joint of ``joint.child`` replaced.
+
+    Joints that mimic it follow a new name. A new parent below the child first takes the child's
+    place: base → door → handle becomes base → handle → door.
+
+    Raises:
+        KinematicsError: naming everything that is wrong.
+    """
+    old = tree.joint_of.get(joint.child)
+    if old is None:
+        raise KinematicsError([_no_joint(tree, joint.child)])
+    lifted = None
+    if joint.parent != old.parent and joint.parent in tree.descendants(joint.child):
+        lifted = joint.parent
+    joints = [joint if j.child == joint.child else _renamed(j, old, joint) for j in tree.joints]
+    joints = [replace(j, parent=old.parent) if j.child == lifted else j for j in joints]
+    return replace(tree, joints=tuple(joints))
+
+
+def with_chain_of(tree: KinematicTree, other: KinematicTree, child: str) -> KinematicTree:
+    """Return the tree where ``child`` hangs on the helper links that it has in ``other``.
+
+    Where they are the same, or ``child`` has no joint in one of them, nothing changes.
+    """
+    if child not in tree.joint_of or child not in other.joint_of:
+        return tree
+    now, then = moving_chain(tree, child, holds_part), moving_chain(other, child, holds_part)
+    if now == then:
+        return tree
+    above = tree.joint_of[now[0]].parent
+    added = [other.joint_of[link] for link in then]
+    added[0] = replace(added[0], parent=above)
+    gone = {tree.joint_of[link].name for link in now} - {j.name for j in added}
+    kept = [
+        replace(j, mimic=None) if j.mimic is not None and j.mimic.joint in gone else j
+        for j in tree.joints
+        if j.child not in now
+    ]
+    links = (*(x for x in tree.links if x not in now[:-1]), *then[:-1])
+    return KinematicTree(links, (*kept, *added))
+
+
+def holds_part(link: str) -> bool:
+    """True if a session's link holds a part; the others are helpers."""
+    return link.startswith("link_")
+
+
+def _renamed(follower: Joint, old: Joint, new: Joint) -> Joint:
+    if follower.mimic is None or follower.mimic.joint != old.name:
+        return follower
+    return replace(follower, mimic=replace(follower.mimic, joint=new.name))
+
+
+def with_fixed(tree: KinematicTree, link: str) -> KinematicTree:
+    """Return the tree with one more ``link``, fixed to the root."""
+    name = f"fixed_{link}"
+    while name in tree.by_name:
+        name += "_"
+    joint = Joint(name, "fixed", tree.root, link)
+    return KinematicTree((*tree.links, link), (*tree.joints, joint))
+
+
+def without_link(tree: KinematicTree, link: str) -> KinematicTree | None:
+    """Return the tree without ``link``; None where it was the only one.
+
+    Its children go to its parent; a root is replaced by its first child. Joints that mimicked the
+    removed one become independent.
+    """
+    if link not in tree.links:
+        return tree
+    if len(tree.links) == 1:
+        return None
+    own = tree.joint_of.get(link)
+    kids = tree.children(link)
+    heir = kids[0] if own is None else own.parent
+    gone = {link} if own is not None else {heir}
+    names_gone = {tree.joint_of[child].name for child in gone}
+    joints = [j for j in tree.joints if j.child not in gone]
+    joints = [replace(j, parent=heir) if j.parent == link else j for j in joints]
+    joints = [
+        replace(j, mimic=None) if j.mimic is not None and j.mimic.joint in names_gone else j
+        for j in joints
+    ]
+    return KinematicTree(tuple(n for n in tree.links if n != link), tuple(joints))
+
+
+def _no_joint(tree: KinematicTree, child: str) -> str:
+    if child == tree.root:
+        return f"{child!r} is the root and has no joint; choose another root first"
+    return f"no joint moves a link {child!r}; links with a joint: {', '.join(tree.joint_of)}"

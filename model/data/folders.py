@@ -12,7 +12,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -23,10 +23,9 @@ from model.core.errors import InputFileError
 from model.core.files import read_json, static_assets
 from model.core.joint import JOINT_KINDS, Joint
 from model.core.tree import KinematicTree
-from model.data.datasets import GroundTruth
+from model.data.registry import GroundTruth
 from model.geometry.splitting import split
-from model.io.formats.mtl import MaterialFiles
-from model.io.merging import merge_rigid
+from model.io.merging import merge_rigid, read_rigid
 from model.io.mjcf_reader import need_mujoco, read_mjcf_model
 from model.io.open_asset import open_asset
 from model.io.urdf.files import (
@@ -36,11 +35,9 @@ from model.io.urdf.files import (
     is_anymesh,
     partnet_category,
     read_json_beside,
-    semantic_names,
 )
 from model.io.urdf.meshes import load_part
 from model.io.urdf.model import UrdfModel
-from model.io.urdf.reader import read_urdf_model
 from model.io.write import write_cloud, write_mesh
 
 _TURNS = frozenset(kind for kind, row in JOINT_KINDS.items() if row.rotates)
@@ -80,7 +77,7 @@ class PartNetMobility:
         return found
 
     def category(self, object_id: str) -> str | None:
-        """See :class:`~model.data.datasets.Dataset`."""
+        """See :class:`~model.data.registry.Dataset`."""
         return partnet_category(Path(self.root) / object_id)
 
     def load(self, object_id: str) -> GroundTruth:
@@ -88,39 +85,14 @@ class PartNetMobility:
         return read_partnet_mobility(Path(self.root) / object_id)
 
 
-def read_partnet_mobility(folder: Path, *, shapes: bool = False) -> GroundTruth:
-    """Read one PartNet-Mobility folder.
-
-    Args:
-        shapes: whether to load the collision shapes that it tells, too.
-
-    Returns:
-        The object in the URDF's root frame (+z up, metres as written), q = 0.
+def read_partnet_mobility(folder: Path) -> GroundTruth:
+    """Read one PartNet-Mobility folder; see :func:`~model.io.merging.read_rigid`.
 
     Raises:
         InputFileError: where ``mobility.urdf`` or a mesh is missing or broken.
     """
-    folder = Path(folder)
-    model = read_urdf_model(folder / MOBILITY)
-    names = semantic_names(folder)
-    files = MaterialFiles(folder)  # textures lie in images/, beside the meshes' folder
-    parts = {
-        link: replace(load_part(link, visuals, files), name=None)
-        for link, visuals in model.by_link.items()
-    }
-    if not parts:
-        raise InputFileError(model.path, "no link has a mesh", "at least one is needed")
-    obj, merged = merge_rigid(
-        folder.name,
-        model.tree,
-        parts,
-        names=names,
-        category=partnet_category(folder),
-        inertials=model.declared.inertials,
-        collision=model.declared.collision if shapes else None,
-    )
-    notes = (*model.notes, *merged, *_disagreements(folder, model))
-    return GroundTruth(folder.name, obj, notes)
+    obj, model, notes = read_rigid(folder / MOBILITY, folder.name)
+    return GroundTruth(folder.name, obj, (*notes, *_disagreements(folder, model)))
 
 
 def _disagreements(folder: Path, model: UrdfModel) -> tuple[str, ...]:
@@ -200,46 +172,18 @@ class UrdfFolders:
         return tuple(sorted(found))
 
     def category(self, object_id: str) -> str | None:
-        """See :class:`~model.data.datasets.Dataset`."""
+        """See :class:`~model.data.registry.Dataset`."""
         said = description_beside(self._path(object_id)).get("category")
         return said if isinstance(said, str) else None
 
-    def load(self, object_id: str, *, shapes: bool = False) -> GroundTruth:
+    def load(self, object_id: str) -> GroundTruth:
         """Read one object, its rigid groups merged.
-
-        Args:
-            shapes: whether to load the collision shapes that it tells, too.
 
         Raises:
             InputFileError: where the URDF or a mesh is missing or broken.
         """
-        path = self._path(object_id)
-        model = read_urdf_model(path, root=self.root)
-        # Part names come from object.json alone; names of visuals are the file's own.
-        files = MaterialFiles(path.parent)
-        parts = {
-            link: replace(load_part(link, visuals, files), name=None)
-            for link, visuals in model.by_link.items()
-        }
-        if not parts:
-            raise InputFileError(path, "no link has a mesh", "at least one is needed")
-        names = description_beside(path).get("names")
-        named = {
-            link: str(name)
-            for link, name in (names if isinstance(names, dict) else {}).items()
-            if link in parts
-        }
-        category = self.category(object_id)
-        obj, notes = merge_rigid(
-            object_id,
-            model.tree,
-            parts,
-            names=named,
-            category=category,
-            inertials=model.declared.inertials,
-            collision=model.declared.collision if shapes else None,
-        )
-        return GroundTruth(object_id, obj, (*model.notes, *notes))
+        obj, _, notes = read_rigid(self._path(object_id), object_id, root=self.root)
+        return GroundTruth(object_id, obj, notes)
 
     def _path(self, object_id: str) -> Path:
         found = urdf_files(self.root).get(object_id)
@@ -317,25 +261,10 @@ class MjcfFolder:
         path = self._files().get(object_id)
         if path is None:
             raise InputFileError(Path(self.root) / object_id, "no MJCF there")
-        return read_mjcf(path, object_id, Path(self.root))
-
-
-def read_mjcf(path: Path, name: str | None = None, root: Path | None = None) -> GroundTruth:
-    """Read one MJCF file; see ``read_mjcf_model``.
-
-    Args:
-        path: the file.
-        name: of the object; by default the file's.
-        root: the folder that references must not leave; by default the file's own.
-
-    Raises:
-        InputFileError: where MuJoCo can't load it, or nothing in it can be seen.
-    """
-    model = read_mjcf_model(path, root=root)
-    parts = {link: load_part(link, visuals) for link, visuals in model.by_link.items()}
-    object_id = name or path.stem
-    obj, merges = merge_rigid(object_id, model.tree, parts)
-    return GroundTruth(object_id, obj, (*model.notes, *merges))
+        model = read_mjcf_model(path, root=self.root)
+        parts = {link: load_part(link, visuals) for link, visuals in model.by_link.items()}
+        obj, merges = merge_rigid(object_id, model.tree, parts)
+        return GroundTruth(object_id, obj, (*model.notes, *merges))
 
 
 class Bundled:

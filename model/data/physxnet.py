@@ -30,14 +30,13 @@ import numpy as np
 from model.core.articulated_object import Part
 from model.core.errors import InputFileError, KinematicsError
 from model.core.files import read_json
-from model.core.geometry import Mesh
+from model.core.geometry import Mesh, affine, merged
 from model.core.joint import Joint
 from model.core.tree import KinematicTree
-from model.data.datasets import GroundTruth
+from model.data.registry import GroundTruth
 from model.io.geometry_files import turned_up
 from model.io.merging import merge_rigid
 from model.io.open_asset import open_asset
-from model.io.urdf.meshes import merged
 
 Vector = tuple[float, float, float]
 _AXES: tuple[Vector, ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
@@ -69,7 +68,7 @@ class PhysXNet:
         return found
 
     def category(self, object_id: str) -> str | None:
-        """See :class:`~model.data.datasets.Dataset`."""
+        """See :class:`~model.data.registry.Dataset`."""
         said = self._read(object_id).get("category")
         return said if isinstance(said, str) else None
 
@@ -84,15 +83,12 @@ class PhysXNet:
         labels = {label: key for key, g in groups.items() for label in g.labels}
         meshes = {label: self._mesh(object_id, label) for label in labels}
         scale, notes = _scale(data, list(meshes.values()))
-        transform = scale * _TO_Z_UP
+        transform = affine(scale * _TO_Z_UP)
         parts: dict[str, Part] = {}
         for key, group in groups.items():
             own = [meshes[label] for label in group.labels]
             if own:
-                mesh = merged(own)
-                vertices = mesh.vertices @ transform.T
-                whole = Mesh(vertices, mesh.faces, mesh.face_material, mesh.materials, mesh.uv)
-                parts[f"link_{key}"] = Part(f"link_{key}", whole)
+                parts[f"link_{key}"] = Part(f"link_{key}", merged(own).moved(transform))
         if not parts:
             raise InputFileError(path, "group_info names no part", "it needs at least one label")
         said = {p.get("label"): p.get("name") for p in data.get("parts", []) if isinstance(p, dict)}

@@ -17,10 +17,9 @@ import numpy as np
 import numpy.typing as npt
 
 from model.core.articulated_object import ArticulatedObject
-from model.core.geometry import uniform_scale
 from model.evaluation.joint_metrics import WORST_ANGLE, ObjectScore, UsableLimits, score_object
 from model.evaluation.part_matching import match_parts, sampled_parts
-from model.evaluation.predictions import Similarity, renamed
+from model.evaluation.predictions import renamed
 
 
 @dataclass(frozen=True)
@@ -75,7 +74,7 @@ def agreement(
         one_from_other: (4, 4) similarity between the frames; None where they are the same.
     """
     if one_from_other is not None:
-        other = similarity_of(one_from_other).object(other)
+        other = other.moved(np.asarray(one_from_other, np.float64))
     matches = match_parts(sampled_parts(one.parts), sampled_parts(other.parts))
     tree = renamed(other.tree, {m.link: m.part for m in matches})
     score = score_object(
@@ -97,13 +96,6 @@ def agreement(
     )
     size = _mean(lacking) or 0.0
     return Agreement(part_iou, types, axis, origin, ranges, size, _differences(one, score))
-
-
-def similarity_of(matrix: npt.NDArray[np.float64]) -> Similarity:
-    """The similarity that a (4, 4) matrix of rotation, one scale and shift is."""
-    linear = np.asarray(matrix, np.float64)[:3, :3]
-    scale = uniform_scale(linear)
-    return Similarity(linear / scale, scale, np.asarray(matrix, np.float64)[:3, 3])
 
 
 def mean_figures(pairs: Sequence[Agreement]) -> dict[str, Any]:

@@ -9,57 +9,34 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from functools import partial
-from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
-from model.core.articulated_object import ArticulatedObject
+from model.core.pool import OutOfTimeError, time_limit
 from model.core.progress import Progress, no_progress
-from model.data.registry import DatasetOptions, open_dataset
+from model.core.tables import finite, mean
+from model.evaluation.bench import SECONDS, ObjectBench
 from model.evaluation.joint_metrics import execute
-from model.evaluation.pool import OutOfTimeError, robust_map, time_limit
-from model.evaluation.report import finite
-from model.evaluation.scans import Half, half_of
 from model.io.export.registry import EXPORTERS
 from model.io.export.simready import VALIDATOR
 from model.io.readback import write_and_read
 from model.physics.simulation_values import physics_of
-from model.prediction.registry import DEFAULT, load_predictor
 from model.validation.engines import ENGINES
-
-Joints = Literal["true", "predicted"]
-SECONDS = 600.0
-"""Time limit of an object's drives, and of its formats."""
 
 
 @dataclass(frozen=True)
-class AssetsConfig:
+class AssetsConfig(ObjectBench):
     """Objects, engines and formats to measure.
 
     Attributes:
-        data: the objects. half: see :func:`~model.evaluation.scans.half_of`. limit: of them; 0 for
-            all.
-        joints: the true ones, or predicted ones with names given.
         engines: see :data:`~model.validation.engines.ENGINES`. formats: that are written.
-        seed: random seed of the shuffle. jobs: processes.
     """
 
-    data: DatasetOptions
-    half: Half = "table"
-    limit: int = 0
-    joints: Joints = "true"
     engines: tuple[str, ...] = tuple(ENGINES)
     formats: tuple[str, ...] = tuple(EXPORTERS.built_in)
-    seed: int = 0
-    jobs: int = 2
-
-    @property
-    def label(self) -> str:
-        """Label of its row."""
-        return f"{self.data.name}, {self.joints} joints"
 
 
 @dataclass(frozen=True)
@@ -86,19 +63,14 @@ class AssetScore:
 
 def run(config: AssetsConfig, progress: Progress = no_progress) -> list[AssetScore]:
     """Measure; an object whose process dies counts as refused everywhere."""
-    ids = half_of(open_dataset(config.data).ids(), config.half, config.seed, config.limit)
-    found: dict[str, AssetScore] = {}
-    for name, score in robust_map(partial(score_object, config), ids, config.jobs):
-        found[name] = score or _lost(config, name, "its process died")
-        progress(len(found) / len(ids), f"{config.label}: {name}")
-    return [found[i] for i in ids]
+    return config.scores(partial(score_object, config), partial(_lost, config), progress)
 
 
 def score_object(config: AssetsConfig, name: str) -> AssetScore:
     """Judge one object; never raises but for a lack of memory."""
     try:
         with time_limit(SECONDS):
-            obj = _object(config, name)
+            obj = config.object(name)
             start = time.perf_counter()
             physics = physics_of(obj)  # the drives find its shapes in the cache
             shaped = time.perf_counter()
@@ -125,16 +97,6 @@ def score_object(config: AssetsConfig, name: str) -> AssetScore:
     )
 
 
-def _object(config: AssetsConfig, name: str) -> ArticulatedObject:
-    truth = open_dataset(config.data).load(name)
-    if config.joints == "true":
-        return truth.object
-    found = load_predictor(DEFAULT).predict(truth.segmented(names=True), seed=0)
-    if found.tree is None:
-        raise ValueError("; ".join(found.problems) or "there is no tree")
-    return replace(truth.object, tree=found.tree, affordances=())
-
-
 def _lost(config: AssetsConfig, name: str, why: str) -> AssetScore:
     return AssetScore(name, dict.fromkeys(config.engines, False), problems=(why,))
 
@@ -143,7 +105,7 @@ def row(config: AssetsConfig, scores: Sequence[AssetScore]) -> dict[str, float |
     """Shares in 0..1, of all objects, or of those that a reader got."""
     out: dict[str, float | str] = {"objects": config.label, "n": len(scores)}
     for engine in config.engines:
-        out[ENGINES[engine].title] = _mean([s.engines.get(engine, False) for s in scores])
+        out[ENGINES[engine].title] = mean([s.engines.get(engine, False) for s in scores])
     out |= {name: share for name, share in _readers(scores)}
     shaped = [s for s in scores if s.links]
     links = sum(s.links for s in shaped)
@@ -156,13 +118,9 @@ def row(config: AssetsConfig, scores: Sequence[AssetScore]) -> dict[str, float |
 def _readers(scores: Sequence[AssetScore]) -> Iterator[tuple[str, float]]:
     """NVIDIA's validator, and the share of objects that all other readers take."""
     if any(VALIDATOR in s.readers for s in scores):
-        yield "Robotics-Prop", _mean([s.readers.get(VALIDATOR, False) for s in scores])
+        yield "Robotics-Prop", mean([s.readers.get(VALIDATOR, False) for s in scores])
     rest = [[fine for name, fine in s.readers.items() if name != VALIDATOR] for s in scores]
-    yield "other readers", _mean([bool(each) and all(each) for each in rest])
-
-
-def _mean(values: Sequence[bool]) -> float:
-    return float(np.mean(values)) if values else float("nan")
+    yield "other readers", mean([bool(each) and all(each) for each in rest])
 
 
 def to_json(runs: Sequence[tuple[AssetsConfig, Sequence[AssetScore]]]) -> dict[str, Any]:
@@ -189,11 +147,3 @@ def beside(rows: Sequence[Mapping[str, Any]], before: Mapping[str, Any]) -> list
 
 def _text(value: Any) -> str:
     return "–" if value is None else value if isinstance(value, str) else f"{value:.3g}"
-
-
-def folder_runs(folder: Path | None, **settings: Any) -> list[AssetsConfig]:
-    """Truth and predictions of a folder of PartNet-Mobility, then of the bundled objects."""
-    bundled = AssetsConfig(DatasetOptions("bundled"), **{**settings, "half": "all"})
-    sets = [] if folder is None else [DatasetOptions("partnet-mobility", folder)]
-    runs = [AssetsConfig(s, joints=j, **settings) for s in sets for j in ("true", "predicted")]
-    return [*runs, bundled, replace(bundled, joints="predicted")]

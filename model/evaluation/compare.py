@@ -5,29 +5,23 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
+from typing import Any
 
 from model.core.errors import ConfigurationError
+from model.core.tables import escaped, finite, print_table, table
 from model.evaluation.joint_metrics import ObjectScore
-from model.evaluation.report import (
-    COLUMNS,
-    Report,
-    escaped,
-    faults,
-    finite,
-    paper_rows,
-    show,
-    table,
+from model.evaluation.report import COLUMNS, Report, faults, paper_rows, show
+from model.evaluation.summary import (
+    METRICS,
+    RESAMPLES,
+    Summary,
+    intervals,
+    resampled,
+    summarise,
+    term_sums,
 )
-from model.evaluation.summary import METRICS, Summary, resampled, summarise, term_sums
 
-if TYPE_CHECKING:
-    from rich.console import Console
-
-
-RESAMPLES = 2000
+HEADER = ("figure", "before", "after", "difference (95 % interval)", "")
 KIND_NAMES = {"broken": "regressed", "mended": "fixed", "changed": "changed"}
 
 
@@ -122,8 +116,7 @@ class Comparison:
             f"{kinds.count('changed')} otherwise changed.",
             "",
         ]
-        header = ("figure", "before", "after", "difference (95 % interval)", "")
-        lines += table(header, self.rows())
+        lines += table(HEADER, self.rows())
         lines += ["", "## Objects", ""]
         lines += table(
             ("object", "category", "", "gone", "new"),
@@ -186,80 +179,32 @@ def _differences(
     """Paired: the same objects are drawn for both runs."""
     figures = [summarise(s) for s in (before, after)]
     drawn = [resampled(term_sums(s), seed=seed, resamples=RESAMPLES) for s in (before, after)]
-    delta = drawn[1] - drawn[0]
-    out = {}
-    for i, m in enumerate(METRICS):
-        values = delta[:, i][np.isfinite(delta[:, i])]
-        low, high = np.percentile(values, (2.5, 97.5)) if len(values) else (np.nan, np.nan)
-        out[m.key] = (figures[1][m.key] - figures[0][m.key], float(low), float(high))
-    return out
-
-
-WIDTH = 150
-"""Columns of output to a file or a pipe."""
+    spans = intervals(drawn[1] - drawn[0])
+    return {m.key: (figures[1][m.key] - figures[0][m.key], *spans[m.key]) for m in METRICS}
 
 
 def print_reports(reports: Sequence[Report]) -> None:
     """The paper's table: a row each run, then the paper's own rows for reference."""
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(title=Text(f"{reports[0].dataset}, {len(reports[0].scores)} objects"))
-    table.add_column("method")
-    for column in COLUMNS:
-        table.add_column(column, justify="right")
-    for report in reports:
-        table.add_row(*(Text(c) for c in report.row()), style="bold")
-    for row in paper_rows():
-        table.add_row(*(Text(c) for c in row), style="dim")
-    console = _console()
-    console.print(table)
-    for report in reports:
-        console.print(Text(_words(report)))
+    print_table(
+        f"{reports[0].dataset}, {len(reports[0].scores)} objects",
+        ("method", *COLUMNS),
+        [*(r.row() for r in reports), *paper_rows()],
+        styles=["bold"] * len(reports),
+        below=map(_words, reports),
+    )
 
 
 def print_comparison(comparison: Comparison) -> None:
     """Figures side by side, and the objects that changed."""
-    from rich.table import Table
-    from rich.text import Text
-
-    a, b = comparison.labels
-    table = Table(title=Text(f"{a} → {b}, {comparison.objects} objects"))
-    for column in ("figure", "before", "after", "difference (95 % interval)", ""):
-        table.add_column(column, justify="left" if column in ("figure", "") else "right")
-    for row in comparison.rows():
-        table.add_row(*(Text(c) for c in row))
-    console = _console()
-    console.print(table)
+    lines = []
     for c in comparison.changes:
         parts = [f"{KIND_NAMES[c.kind]} {c.object_id}:"]
         parts += [f"gone: {'; '.join(c.gone)}."] if c.gone else []
         parts += [f"new: {'; '.join(c.new)}."] if c.new else []
-        console.print(Text(" ".join(parts)))
-
-
-def print_table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """Any table: the first column is text, the others are numbers."""
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(title=Text(title))
-    for i, column in enumerate(header):
-        table.add_column(column, justify="right" if i else "left")
-    for row in rows:
-        table.add_row(*(Text(c) for c in row))
-    _console().print(table)
-
-
-def _console() -> Console:
-    from rich.console import Console
-
-    console = Console(markup=False, highlight=False, emoji=False)
-    return (
-        console
-        if console.is_terminal
-        else Console(width=WIDTH, markup=False, highlight=False, emoji=False)
-    )
+        lines.append(" ".join(parts))
+    a, b = comparison.labels
+    title = f"{a} → {b}, {comparison.objects} objects"
+    print_table(title, HEADER, comparison.rows(), left=(0, 4), below=lines)
 
 
 def _words(report: Report) -> str:

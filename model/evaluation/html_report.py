@@ -1,52 +1,19 @@
-"""HTML pages of one file, and the evaluation as one: tables, calibration, pictures of failures.
-
-Templates lie beside the modules that fill them; every value is escaped.
-"""
+"""The evaluation as an HTML page: tables, calibration, pictures of failures."""
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
-
-from model.core.files import draft_of, written_to
-from model.evaluation import render
+from model.core.pool import robust_map, time_limit
+from model.core.tables import write_page
 from model.evaluation.joint_metrics import ObjectScore
-from model.evaluation.pool import robust_map, time_limit
 from model.evaluation.report import COLUMNS, Report, faults, figure_row, paper_rows, summary_cells
 from model.evaluation.run import EvaluationConfig, load_truth, score_prediction
 from model.evaluation.summary import METRICS, Calibration
-
-
-def write_page(path: Path, template: Path, **values: Any) -> Path:
-    """Write ``template`` filled with ``values``; ``|png`` makes an address of a PNG file's bytes.
-
-    Raises:
-        InputFileError: where it can't be written.
-    """
-    environment = Environment(
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        undefined=StrictUndefined,
-        loader=FileSystemLoader(template.parent),
-    )
-    environment.filters["png"] = _png
-    page = environment.get_template(template.name).render(values)
-    with written_to(path), draft_of(path) as draft:
-        draft.write_text(page, encoding="utf-8")
-    return path
-
-
-def _png(data: bytes) -> str:
-    return f"data:image/png;base64,{base64.b64encode(data).decode('ascii')}"
-
+from model.geometry import drawing
 
 TEMPLATE = Path(__file__).with_name("report.html")
 
@@ -119,21 +86,20 @@ def draw_object(
         with time_limit(config.timeout):
             truth = load_truth(config, object_id)
             obj = truth.object
-            colors = render.part_colors([p.link for p in obj.parts], obj.tree.root)
-            q = render.half_open(obj)
-            each = np.stack([p.bounds for p in obj.parts])
-            bounds = np.stack([each[:, 0].min(0), each[:, 1].max(0)])
-            given = render.png(render.draw(obj, bounds=bounds))
-            shown = render.png(render.draw(obj, colors=colors, q=q, joints=True, bounds=bounds))
+            colors = drawing.part_colors([p.link for p in obj.parts], obj.tree.root)
+            q = drawing.half_open(obj)
+            bounds = obj.bounds
+            given = drawing.png(drawing.draw(obj, bounds=bounds))
+            shown = drawing.png(drawing.draw(obj, colors=colors, q=q, joints=True, bounds=bounds))
             if object_id in failed:
                 return Pictures(given, shown, None)
             predicted = score_prediction(config, truth).predicted
             if predicted is None:
                 return Pictures(given, shown, None)
-            image = render.draw(
-                predicted, colors=colors, q=render.half_open(predicted), joints=True, bounds=bounds
+            image = drawing.draw(
+                predicted, colors=colors, q=drawing.half_open(predicted), joints=True, bounds=bounds
             )
-            return Pictures(given, shown, render.png(image))
+            return Pictures(given, shown, drawing.png(image))
     except Exception:  # the boundary of a job: the page shows no picture then
         return None
 

@@ -42,9 +42,9 @@ import numpy as np
 
 from model.core.articulated_object import ArticulatedObject
 from model.core.joint import JOINT_KINDS, Joint
+from model.core.pool import OutOfTimeError, time_limit
 from model.core.tree import KinematicTree
 from model.evaluation.part_matching import PartMatch
-from model.evaluation.pool import OutOfTimeError, time_limit
 from model.validation.engines import MUJOCO
 from model.validation.report import Severity, ValidationReport
 from model.validation.runner import validate

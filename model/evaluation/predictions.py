@@ -28,14 +28,14 @@ from scipy.spatial import KDTree
 
 from model.core.articulated_object import ArticulatedObject, Part, Prediction, SegmentedObject
 from model.core.errors import InputFileError
-from model.core.geometry import PointCloud, affine
+from model.core.geometry import affine
 from model.core.joint import Joint
 from model.core.tree import KinematicTree
 from model.data.folders import urdf_files
 from model.evaluation.part_matching import PartMatch, match_parts, sampled_parts
 from model.io.merging import merge_rigid
 from model.io.urdf.files import package_root
-from model.io.urdf.meshes import load_part, moved_mesh
+from model.io.urdf.meshes import load_part
 from model.io.urdf.reader import read_urdf_model
 
 Rule = Literal["as it is", "power of ten", "box"]
@@ -112,32 +112,7 @@ class Similarity:
 
     def object(self, obj: ArticulatedObject) -> ArticulatedObject:
         """Transform an object: geometry, axes, origins and limits."""
-        matrix = affine(self.scale * self.rotation, self.shift)
-        parts = tuple(self._part(p, matrix) for p in obj.parts)
-        return replace(obj, parts=parts, tree=self.tree(obj.tree), affordances=())
-
-    def tree(self, tree: KinematicTree) -> KinematicTree:
-        """Transform a tree."""
-        return KinematicTree(tree.links, tuple(self._joint(j) for j in tree.joints))
-
-    def _joint(self, joint: Joint) -> Joint:
-        axis = tuple(self.rotation @ np.asarray(joint.axis))
-        origin = tuple(self.points(np.asarray(joint.origin)[None])[0])
-        lower, upper = joint.lower, joint.upper
-        if joint.slides and lower is not None and upper is not None:
-            lower, upper = lower * self.scale, upper * self.scale
-        return replace(joint, axis=axis, origin=origin, lower=lower, upper=upper)
-
-    def _part(self, part: Part, matrix: FloatArray) -> Part:
-        cloud = part.cloud
-        if cloud is not None:
-            normals = None if cloud.normals is None else cloud.normals @ self.rotation.T
-            points = self.points(cloud.points.astype(np.float64)).astype(np.float32)
-            cloud = PointCloud(
-                points, None if normals is None else normals.astype(np.float32), cloud.colors
-            )
-        mesh = None if part.mesh is None else moved_mesh(part.mesh, matrix)
-        return Part(part.link, mesh, cloud, part.name)
+        return obj.moved(affine(self.scale * self.rotation, self.shift))
 
 
 @dataclass(frozen=True)

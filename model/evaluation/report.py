@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
@@ -13,6 +12,7 @@ from typing import Any
 
 from model.core.errors import InputFileError
 from model.core.files import write_json, written_to
+from model.core.tables import escaped, finite, table
 from model.evaluation.joint_metrics import Execution, JointScore, ObjectScore
 from model.evaluation.summary import (
     METRICS,
@@ -240,17 +240,6 @@ def faults(score: ObjectScore) -> list[str]:
     return out
 
 
-def finite(value: Any) -> Any:
-    """Replace numbers that aren't finite by None, and tuples by lists."""
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, Mapping):
-        return {k: finite(v) for k, v in value.items()}
-    if isinstance(value, Sequence) and not isinstance(value, str):
-        return [finite(v) for v in value]
-    return value
-
-
 def _number(value: float, digits: int) -> str:
     return "–" if math.isnan(value) else f"{value:.{digits}f}"
 
@@ -283,21 +272,6 @@ def write_markdown(reports: Sequence[Report], path: Path) -> Path:
     with written_to(path):
         path.write_text(to_markdown(reports), encoding="utf-8")
     return path
-
-
-def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    """A Markdown table of escaped cells."""
-    return [
-        "| " + " | ".join(header) + " |",
-        "|" + "---|" * len(header),
-        *("| " + " | ".join(escaped(cell) for cell in row) + " |" for row in rows),
-    ]
-
-
-def escaped(text: str) -> str:
-    """Escape Markdown and HTML, on one line."""
-    plain = " ".join(text.split()).replace("&", "&amp;").replace("<", "&lt;")
-    return re.sub(r"([\\`*\[\]|!#])", r"\\\1", plain)
 
 
 def _run(report: Report) -> list[str]:

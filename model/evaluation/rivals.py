@@ -21,11 +21,13 @@ from scipy.spatial import KDTree
 from model.core.articulated_object import ArticulatedObject
 from model.core.errors import ConfigurationError, InputFileError
 from model.core.files import write_json
+from model.core.geometry import merged, merged_clouds
+from model.core.pool import robust_map, time_limit
 from model.core.progress import Progress, no_progress, scaled_progress
+from model.core.tables import write_page
 from model.data.folders import urdf_files
 from model.data.registry import DatasetOptions
-from model.evaluation.html_report import Pictures, draw_objects, write_page
-from model.evaluation.pool import robust_map, time_limit
+from model.evaluation.html_report import Pictures, draw_objects
 from model.evaluation.predictions import LONGEST_EDGE
 from model.evaluation.report import PAPER_ROWS, Report
 from model.evaluation.run import (
@@ -40,7 +42,6 @@ from model.evaluation.run import (
 from model.evaluation.summary import METRICS
 from model.geometry.sampling import sample_surface
 from model.io.model_files import safe_link
-from model.io.urdf.meshes import merged, merged_clouds
 from model.prediction.registry import DEFAULT
 
 TEMPLATE = Path(__file__).with_name("rivals.html")

@@ -23,23 +23,19 @@ from PIL import Image
 
 from model.core.articulated_object import ArticulatedObject, Part
 from model.core.errors import InputFileError
-from model.core.geometry import Mesh
+from model.core.geometry import Mesh, affine
 from model.core.joint import Joint
+from model.core.pool import OutOfTimeError, time_limit
 from model.core.progress import Progress, no_progress
+from model.core.tables import finite, mean
 from model.core.tree import KinematicTree
-from model.data.registry import DatasetOptions, open_dataset
+from model.evaluation.bench import SECONDS, ObjectBench
 from model.evaluation.gripper import GripperBench, Try
-from model.evaluation.pool import OutOfTimeError, robust_map, time_limit
-from model.evaluation.predictions import Similarity
-from model.evaluation.render import View, draw, part_colors
-from model.evaluation.report import finite
-from model.evaluation.scans import Half, half_of
+from model.geometry.drawing import View, draw, part_colors
 from model.geometry.units import unusual_height
 from model.io.export.mjcf import FILE, MjcfExporter
-from model.io.urdf.meshes import moved_mesh
 from model.physics.part_mesh import part_mesh
 from model.physics.simulation_values import physics_of
-from model.prediction.registry import DEFAULT, load_predictor
 
 EVERY = 0.15
 """Seconds of simulated time between pictures; a GIF shows them as fast."""
@@ -56,15 +52,10 @@ class Film:
         bodies = {model.body(k).name: k for k in range(model.nbody)}
         colors = part_colors([p.link for p in obj.parts], obj.tree.root)
         self._colors = {**colors, "robot": (60, 64, 72)}
-        self._bounds = np.stack(
-            [
-                np.min([p.bounds[0] for p in obj.parts], 0),
-                np.max([p.bounds[1] for p in obj.parts], 0),
-            ]
-        )
+        self._bounds = obj.bounds
         posed = bench.bodies_from_world()
         self._shown: list[tuple[str, int, Mesh]] = [
-            (p.link, bodies[p.link], moved_mesh(part_mesh(p), posed[bodies[p.link]]))
+            (p.link, bodies[p.link], part_mesh(p).moved(posed[bodies[p.link]]))
             for p in obj.parts
             if p.link in bodies
         ]
@@ -84,7 +75,7 @@ class Film:
         for k, (link, body, mesh) in enumerate(self._shown):
             world = np.eye(4)
             world[:3, :3], world[:3, 3] = data.xmat[body].reshape(3, 3), data.xpos[body]
-            parts[f"p{k}"] = Part(f"p{k}", moved_mesh(mesh, world), name=link)
+            parts[f"p{k}"] = Part(f"p{k}", mesh.moved(world), name=link)
         whole = ArticulatedObject("frame", tuple(parts.values()), _loose(tuple(parts)))
         colors = {
             k: self._colors.get(p.name or "", self._colors["robot"]) for k, p in parts.items()
@@ -110,42 +101,25 @@ def _loose(links: tuple[str, ...]) -> KinematicTree:
     return KinematicTree(links, fixed)
 
 
-Joints = Literal["true", "predicted"]
 JointKind = Literal["hinge", "slide", "knob or wheel", "button"]
 KINDS: tuple[JointKind, ...] = ("hinge", "slide", "knob or wheel", "button")
 BUTTON = 0.015
 """Metres of travel up to which a slide counts as a button."""
-SECONDS = 600.0
-"""Time limit of an object."""
 
 
 @dataclass(frozen=True)
-class RobotConfig:
+class RobotConfig(ObjectBench):
     """Objects and joints to measure.
 
     Attributes:
-        data: the objects. half: see :func:`~model.evaluation.scans.half_of`. limit: of them; 0 for
-            all.
-        joints: the true ones, or predicted ones with names given.
         most: joints of an object, spread over all of them.
         usual: whether objects of unusual height get the height that the app proposes.
-        seed: random seed. jobs: processes. pictures: folder of one GIF an object, or None.
+        pictures: folder of one GIF an object, or None.
     """
 
-    data: DatasetOptions
-    half: Half = "table"
-    limit: int = 0
-    joints: Joints = "true"
     most: int = 6
     usual: bool = True
-    seed: int = 0
-    jobs: int = 2
     pictures: Path | None = None
-
-    @property
-    def label(self) -> str:
-        """Label of its row."""
-        return f"{self.data.name}, {self.joints} joints"
 
 
 @dataclass(frozen=True)
@@ -192,12 +166,9 @@ class RobotScore:
 
 def run(config: RobotConfig, progress: Progress = no_progress) -> list[RobotScore]:
     """Measure; an object whose process dies is a problem."""
-    ids = half_of(open_dataset(config.data).ids(), config.half, config.seed, config.limit)
-    found: dict[str, RobotScore] = {}
-    for name, score in robust_map(partial(score_object, config), ids, config.jobs):
-        found[name] = score or RobotScore(name, problem="its process died")
-        progress(len(found) / len(ids), f"{config.label}: {name}")
-    return [found[i] for i in ids]
+    return config.scores(
+        partial(score_object, config), lambda n, why: RobotScore(n, problem=why), progress
+    )
 
 
 def score_object(config: RobotConfig, name: str) -> RobotScore:
@@ -215,18 +186,12 @@ def score_object(config: RobotConfig, name: str) -> RobotScore:
 
 def object_of(config: RobotConfig, name: str) -> ArticulatedObject:
     """The object with its true or predicted joints, at a usual height."""
-    truth = open_dataset(config.data).load(name)
-    obj = truth.object
-    bounds = np.stack([p.bounds for p in obj.parts])
-    height = float(bounds[:, 1, 2].max() - bounds[:, 0, 2].min())
+    obj = config.object(name)
+    height = float(np.ptp(obj.bounds[:, 2]))
     odd = unusual_height(obj.category, height) if config.usual else None
-    scale = Similarity(np.eye(3), 1.0 if odd is None else odd.proposed / height, np.zeros(3))
-    if config.joints == "predicted":
-        found = load_predictor(DEFAULT).predict(truth.segmented(names=True), seed=0)
-        if found.tree is None:
-            raise ValueError("; ".join(found.problems) or "there is no tree")
-        obj = replace(obj, tree=found.tree)
-    return obj if odd is None and config.joints == "true" else scale.object(obj)
+    if odd is None:
+        return obj
+    return obj.moved(affine(np.eye(3) * (odd.proposed / height)))
 
 
 def _scored(config: RobotConfig, name: str, obj: ArticulatedObject) -> RobotScore:
@@ -315,13 +280,13 @@ def row(label: str, scores: Sequence[RobotScore]) -> dict[str, float | str]:
     """Shares of joints in 0..1; NaN where there is none."""
     joints = [j for s in scores for j in s.joints]
     out: dict[str, float | str] = {"objects": label, "n": len(scores), "joints": len(joints)}
-    out["opened"] = _mean([j.opened for j in joints])
-    out["at first"] = _mean([j.opened and len(j.tries) == 1 for j in joints])
-    out["of those that a motor moves"] = _mean([j.opened for j in joints if not j.jams])
+    out["opened"] = mean([j.opened for j in joints])
+    out["at first"] = mean([j.opened and len(j.tries) == 1 for j in joints])
+    out["of those that a motor moves"] = mean([j.opened for j in joints if not j.jams])
     for kind in KINDS:
         of = [j.opened for j in joints if j.kind == kind]
-        out[f"{kind} ({len(of)})"] = _mean(of)
-    out["whole objects"] = _mean([all(j.opened for j in s.joints) for s in scores if s.joints])
+        out[f"{kind} ({len(of)})"] = mean(of)
+    out["whole objects"] = mean([all(j.opened for j in s.joints) for s in scores if s.joints])
     for k, what in enumerate(("export s", "robot s")):
         out[what] = float(np.median([s.seconds[k] for s in scores] or [float("nan")]))
     return out
@@ -332,10 +297,6 @@ def reasons(scores: Sequence[RobotScore]) -> dict[str, int]:
     return dict(Counter(j.why for s in scores for j in s.joints if not j.opened).most_common())
 
 
-def _mean(values: Sequence[bool]) -> float:
-    return float(np.mean(values)) if values else float("nan")
-
-
 def to_json(runs: Sequence[tuple[str, Sequence[RobotScore]]]) -> dict[str, Any]:
     """The table, the reasons of failure and all scores; ``NaN`` is null."""
     return {
@@ -343,11 +304,3 @@ def to_json(runs: Sequence[tuple[str, Sequence[RobotScore]]]) -> dict[str, Any]:
         "reasons": {label: reasons(scores) for label, scores in runs},
         "objects": {label: [asdict(s) for s in scores] for label, scores in runs},
     }
-
-
-def folder_runs(data: DatasetOptions | None, **settings: Any) -> list[RobotConfig]:
-    """Truth and predictions of a data set, then the bundled objects."""
-    bundled = RobotConfig(DatasetOptions("bundled"), **{**settings, "half": "all"})
-    sets = [] if data is None else [data]
-    runs = [RobotConfig(s, joints=j, **settings) for s in sets for j in ("true", "predicted")]
-    return [*runs, bundled, replace(bundled, joints="predicted")]

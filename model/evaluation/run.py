@@ -20,13 +20,11 @@ import numpy.typing as npt
 
 from model.core.articulated_object import ArticulatedObject, Part, Prediction
 from model.core.errors import ArtiworldError, ConfigurationError, InputFileError
-from model.core.geometry import PointCloud
+from model.core.geometry import PointCloud, about, affine
+from model.core.pool import robust_map, time_limit
 from model.core.progress import Progress, no_progress
-from model.core.tree import KinematicTree
-from model.data.datasets import Dataset, GroundTruth, select
-from model.data.registry import DatasetOptions, open_dataset
+from model.data.registry import Dataset, DatasetOptions, GroundTruth, open_dataset, select
 from model.evaluation.joint_metrics import ObjectScore, UsableLimits, execute, score_object
-from model.evaluation.pool import robust_map, time_limit
 from model.evaluation.predictions import (
     LONGEST_EDGE,
     Frame,
@@ -72,41 +70,13 @@ def corrupt(truth: GroundTruth, how: Corruption, rng: np.random.Generator) -> Gr
     """Corrupt an object; its joints are rotated, too."""
     out = _scanned(truth, how, rng) if how.scan else truth
     yaw = float(rng.uniform(-math.pi, math.pi)) if how.yaw is None else how.yaw
-    return _turned(out, yaw) if yaw else out
-
-
-def _turned(truth: GroundTruth, yaw: float) -> GroundTruth:
-    c, s = math.cos(yaw), math.sin(yaw)
-    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-
-    def three(v: tuple[float, float, float]) -> tuple[float, float, float]:
-        x, y, z = turn @ np.asarray(v)
-        return float(x), float(y), float(z)
-
-    parts = []
-    for p in truth.object.parts:
-        mesh = p.mesh and replace(p.mesh, vertices=p.mesh.vertices @ turn.T)
-        cloud = p.cloud and replace(
-            p.cloud,
-            points=(p.cloud.points @ turn.T).astype(np.float32),
-            normals=None
-            if p.cloud.normals is None
-            else (p.cloud.normals @ turn.T).astype(np.float32),
-        )
-        parts.append(replace(p, mesh=mesh, cloud=cloud))
-    tree = truth.object.tree
-    joints = tuple(replace(j, axis=three(j.axis), origin=three(j.origin)) for j in tree.joints)
-    turned = ArticulatedObject(
-        truth.object.name, tuple(parts), KinematicTree(tree.links, joints), truth.object.category
-    )
-    return replace(truth, object=turned)
+    return replace(out, object=out.object.moved(affine(about(2, yaw)))) if yaw else out
 
 
 def _scanned(truth: GroundTruth, how: Corruption, rng: np.random.Generator) -> GroundTruth:
     """Clouds of the visible points; a hidden part keeps a few of its points."""
     parts = truth.object.parts
-    bounds = np.stack([p.bounds for p in parts])
-    low, high = bounds[:, 0].min(0), bounds[:, 1].max(0)
+    low, high = truth.object.bounds
     diagonal = float(np.linalg.norm(high - low)) or 1.0
     dense: list[Array] = []
     for p in parts:
@@ -126,10 +96,7 @@ def _scanned(truth: GroundTruth, how: Corruption, rng: np.random.Generator) -> G
             shown = points[rng.choice(len(points), 12)]
         shown = shown + rng.normal(0.0, how.noise * diagonal, shown.shape)
         out.append(Part(p.link, cloud=PointCloud(shown.astype(np.float32)), name=p.name))
-    scanned = ArticulatedObject(
-        truth.object.name, tuple(out), truth.object.tree, truth.object.category
-    )
-    return replace(truth, object=scanned)
+    return replace(truth, object=replace(truth.object, parts=tuple(out)))
 
 
 def visible(
@@ -167,7 +134,7 @@ class EvaluationConfig:
     """Configuration of an evaluation.
 
     Attributes:
-        data: the data set. split: which of its objects, see :mod:`model.data.datasets`.
+        data: the data set. split: which of its objects, see :mod:`model.data.registry`.
         predictor: name of the predictor, :data:`TRUTH` for the truth; or the name of
             ``predictions`` in the report.
         predictions: folder of URDFs to score instead of running a predictor.

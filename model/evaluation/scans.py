@@ -22,8 +22,9 @@ import numpy.typing as npt
 from model.core.articulated_object import ArticulatedObject, SegmentedObject
 from model.core.asset import Asset
 from model.core.errors import ArtiworldError
-from model.core.geometry import uniform_scale
+from model.core.geometry import merged, uniform_scale
 from model.core.joint import Joint, same_motion
+from model.core.pool import robust_map
 from model.core.progress import Progress, no_progress
 from model.core.tree import KinematicTree
 from model.data.registry import DatasetOptions, open_dataset
@@ -32,21 +33,19 @@ from model.data.simulated.depth_camera import (
     ReconstructionSettings,
     reconstruct_scan,
 )
+from model.evaluation.bench import Half, half_of
 from model.evaluation.joint_metrics import chain
-from model.evaluation.pool import robust_map
 from model.evaluation.segmentation_clicks import front_of, picture_of, visible_rounds
 from model.geometry.cleaning import OBJECT
 from model.geometry.crop import crop
 from model.geometry.prepare import PrepareSettings, moved, prepare
 from model.geometry.sampling import sample_surface
 from model.geometry.splitting import split
-from model.io.urdf.meshes import merged
 from model.prediction.registry import DEFAULT, load_predictor
 from model.segmentation.prompts import BASE
 from model.segmentation.registry import load_segmenter
 
 Frame = Literal["cleaned by the truth", "upright", "any", "clean, even", "clean, uneven"]
-Half = Literal["choose", "table", "all"]
 CLEAN: dict[Frame, float] = {"clean, even": 1.0, "clean, uneven": 0.1}
 """Density of what faces away from one side, in that of what faces it."""
 FRAMES: tuple[Frame, ...] = ("cleaned by the truth", "upright", "any", *CLEAN)
@@ -67,7 +66,7 @@ class ScansConfig:
 
     Attributes:
         data: the objects.
-        half: "choose" and "table" are two halves of the shuffled objects that share none.
+        half: see :func:`~model.evaluation.bench.half_of`.
         limit: objects of that half; 0 for all.
         seed: random seed of the shuffle and the scans.
         frames: of :data:`FRAMES`.
@@ -130,15 +129,6 @@ def run(config: ScansConfig, progress: Progress = no_progress) -> list[ScanScore
         out += found or [ScanScore(name, frame, problem="crashed") for frame in config.frames]
         progress((k + 1) / len(ids), name)
     return sorted(out, key=lambda s: (FRAMES.index(s.frame), ids.index(s.id)))
-
-
-def half_of(all_ids: Sequence[str], half: Half, seed: int, limit: int) -> list[str]:
-    """One of two halves of the shuffled objects that share none, at most ``limit`` (0: all)."""
-    ids = list(all_ids)
-    np.random.default_rng(seed).shuffle(ids)
-    middle = len(ids) // 2
-    ids = {"choose": ids[:middle], "table": ids[middle:], "all": ids}[half]
-    return ids[: limit or None]
 
 
 def score_object(config: ScansConfig, name: str) -> list[ScanScore]:
@@ -235,8 +225,7 @@ def _delivered(
             return found.asset, found.object_from_source, found.kept, 0.0
         kept = np.flatnonzero(scan.kind == OBJECT)
         return crop(upright, scan.kind == OBJECT), np.eye(4), kept, 0.0
-    bounds = np.concatenate([p.bounds for p in truth.parts])
-    height = float(np.ptp(bounds[:, 2]))
+    height = float(np.ptp(truth.bounds[:, 2]))
     found = prepare(source, PrepareSettings(height=height))
     up = scan.source_from_object[:3, 2]
     cosine = float(np.dot(found.levelling.up, up) / np.linalg.norm(up))
@@ -271,9 +260,8 @@ def joints_right(
 ) -> tuple[int, int, int]:
     """Right joints and true joints of the parts that are seen, and extra ones."""
     links = {p.link for p in truth.parts}
-    bounds = np.concatenate([p.bounds for p in truth.parts])
     scale = uniform_scale(asset_from_truth[:3, :3])
-    diagonal = scale * float(np.linalg.norm(np.ptp(bounds, axis=0)))
+    diagonal = scale * float(np.linalg.norm(np.ptp(truth.bounds, axis=0)))
     mine = set() if tree is None else {f"link_{n}" for n in [BASE, *seen]} & set(tree.links)
     right = total = extra = 0
     for k, part in enumerate(truth.parts):

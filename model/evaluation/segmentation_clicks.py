@@ -22,8 +22,8 @@ from model.core.articulated_object import ArticulatedObject
 from model.core.asset import Asset
 from model.core.errors import ArtiworldError, InputFileError
 from model.core.geometry import Mesh, PointCloud
-from model.data.datasets import Dataset
 from model.data.folders import PartNetMobility
+from model.data.registry import Dataset
 from model.data.simulated.depth_camera import ScanSettings, simulate_scan
 from model.data.simulated.depth_camera import View as Camera
 from model.data.simulated.scans import build, scan, visible_from
@@ -268,7 +268,7 @@ _DEPTH_NOISE, _MISALIGNED = 0.001, 0.0003
 _SIDES: tuple[Direction, ...] = (FRONT, (0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
 
 ROOM_CLASSES = {2: "cabinet", 7: "door", 14: "refrigerator"}
-"""Those of ScanNet's 20 classes, counted from 0, that a person would pick out of a room."""
+"""Classes among ScanNet's 20, counted from 0, that a person would pick out of a room."""
 
 _BENCH_SEED = 900_000
 

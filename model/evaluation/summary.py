@@ -253,22 +253,27 @@ def term_sums(objects: Sequence[ObjectScore]) -> npt.NDArray[np.float64]:
     return np.array([[m.terms(o) for m in METRICS] for o in objects]).reshape(-1, len(METRICS), 2)
 
 
-def bootstrap(
-    objects: Sequence[ObjectScore], *, seed: int = 0, resamples: int = 2000, level: float = 0.95
-) -> dict[str, tuple[float, float]]:
-    """Percentile intervals of every metric, objects drawn with replacement (Efron, 1979).
+RESAMPLES = 2000
+Interval = tuple[float, float]
+
+
+def bootstrap(objects: Sequence[ObjectScore], *, seed: int = 0) -> dict[str, Interval]:
+    """95 % percentile intervals of every metric, objects drawn with replacement (Efron, 1979).
 
     Returns:
         key → lower and upper end; NaN where a metric has no value.
     """
     if not objects:
         return {m.key: (math.nan, math.nan) for m in METRICS}
-    drawn = resampled(term_sums(objects), seed=seed, resamples=resamples)
-    tail = 100 * (1 - level) / 2
+    return intervals(resampled(term_sums(objects), seed=seed, resamples=RESAMPLES))
+
+
+def intervals(drawn: npt.NDArray[np.float64]) -> dict[str, Interval]:
+    """Key → 95 % percentile interval of (resamples, M) figures or their differences."""
     out = {}
     for i, metric in enumerate(METRICS):
         values = drawn[:, i][np.isfinite(drawn[:, i])]
-        low, high = np.percentile(values, (tail, 100 - tail)) if len(values) else (np.nan, np.nan)
+        low, high = np.percentile(values, (2.5, 97.5)) if len(values) else (np.nan, np.nan)
         out[metric.key] = (float(low), float(high))
     return out
 

@@ -150,8 +150,7 @@ def render(
         azimuth, elevation: of the camera, radians; azimuth 0 looks at the front.
         labels: whether parts have flat colours instead of their own.
     """
-    bounds = np.concatenate([p.bounds for p in obj.parts])
-    low, high = bounds.min(0), bounds.max(0)
+    low, high = obj.bounds
     target, radius = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
     fov = 0.45
     away = np.array(

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from model.core.articulated_object import ArticulatedObject, Part
-from model.core.geometry import Mesh, PointCloud
+from model.core.geometry import Mesh, PointCloud, merged_clouds
 from model.core.joint import Joint, canonical_axis_sign, motion
 from model.core.progress import Progress, attempt, no_progress
 from model.geometry.cleaning import denoised, noise_level
@@ -306,7 +306,7 @@ def _closed(
         wall: metres.
     """
     if panel is None:
-        return closed_solid(_joined([cloud, *fronts]), wall)
+        return closed_solid(merged_clouds([cloud, *fronts]), wall)
     # Filled up to beyond the outline, the surface is cut at the panel's border.
     outward = panel.frame[:3, 2]
     plane = np.array([*outward, panel.thickness / 3 - outward @ panel.frame[:3, 3]])
@@ -332,12 +332,7 @@ def _filled(cloud: PointCloud, panel: Panel) -> PointCloud:
     made = np.column_stack([grid, np.median(front[near, 2], axis=1)])[empty]
     points = made @ panel.frame[:3, :3].T + panel.frame[:3, 3]
     normals = np.tile(panel.frame[:3, 2], (len(points), 1))
-    return _joined([cloud, PointCloud(points.astype(np.float32), normals.astype(np.float32))])
-
-
-def _joined(clouds: Sequence[PointCloud]) -> PointCloud:
-    normals = [c.normals for c in clouds if c.normals is not None]
-    return PointCloud(np.concatenate([c.points for c in clouds]), np.concatenate(normals))
+    return merged_clouds([cloud, PointCloud(points.astype(np.float32), normals.astype(np.float32))])
 
 
 def _room(panel: Panel, body: PointCloud, others: Sequence[Array], gap: float) -> float:

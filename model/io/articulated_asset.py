@@ -17,8 +17,7 @@ import numpy.typing as npt
 from model.core.articulated_object import ArticulatedObject, Inertial, Part, remarks_of
 from model.core.asset import MAX_PARTS
 from model.core.errors import InputFileError
-from model.core.geometry import Mesh, PointCloud, uniform_scale
-from model.core.joint import Joint
+from model.core.geometry import Mesh, PointCloud, merged, merged_clouds
 from model.core.progress import Progress, no_progress
 from model.core.shapes import Shape, moved_shape
 from model.core.tree import KinematicTree
@@ -35,14 +34,7 @@ from model.io.urdf.files import (
     partnet_category,
     semantic_names,
 )
-from model.io.urdf.meshes import (
-    DeclaredCollision,
-    declared_shapes,
-    load_part,
-    merged,
-    merged_clouds,
-    moved_mesh,
-)
+from model.io.urdf.meshes import DeclaredCollision, declared_shapes, load_part
 from model.io.urdf.model import UrdfModel
 
 _NOTES_SHOWN = 6
@@ -172,16 +164,8 @@ def _opened(
     path, said = files[0], list(notes)
     meshes, clouds = _geometry(path, obj.parts)
     sizes = [len(m.faces) for m in meshes] or [len(c) for c in clouds]
-    mesh = moved_mesh(merged(meshes), matrix) if meshes else None
-    cloud = None
-    if clouds:
-        whole = merged_clouds(clouds)
-        points = whole.points @ matrix[:3, :3].T
-        normals = whole.normals
-        if normals is not None:
-            turned = normals @ matrix[:3, :3].T / uniform_scale(matrix[:3, :3])
-            normals = turned.astype(np.float32)
-        cloud = PointCloud(points.astype(np.float32), normals, whole.colors)
+    mesh = merged(meshes).moved(matrix) if meshes else None
+    cloud = merged_clouds(clouds).moved(matrix) if clouds else None
     tree = _without_bare_ends(obj.tree, {p.link for p in obj.parts}, said)
     moves = any(j.moves for j in tree.joints)
     # Without moving joints the links are the only parts; they stay apart for the predictor.
@@ -286,12 +270,11 @@ def _numbered(
 ) -> KinematicTree:
     """The moving joints between the parts, under ``matrix``."""
     link = {top: f"link_{number[top]}" if top in number else top for top in groups}
-    types = {j.name: j for j in tree.joints}
-    scale = uniform_scale(matrix[:3, :3])
-    joints = []
-    for joint in (j for j in tree.joints if j.moves):
-        parent, child = link[head[joint.parent]], link[head[joint.child]]
-        joints.append(replace(_moved(joint, types, matrix, scale), parent=parent, child=child))
+    joints = [
+        replace(j, parent=link[head[j.parent]], child=link[head[j.child]])
+        for j in tree.moved(matrix).joints
+        if j.moves
+    ]
     return KinematicTree(tuple(link.values()), tuple(joints))
 
 
@@ -326,34 +309,3 @@ def _shaped(
             link = f"link_{number[top]}" if top in number else top
             out[link] = tuple(moved_shape(s, matrix) for s in held)
     return out
-
-
-def _moved(
-    joint: Joint, all_: Mapping[str, Joint], matrix: npt.NDArray[np.float64], scale: float
-) -> Joint:
-    if (matrix == np.eye(4)).all():
-        return joint
-    own = 1.0 if joint.rotates else scale
-    mimic = joint.mimic
-    if mimic is not None:
-        other = 1.0 if all_[mimic.joint].rotates else scale
-        mimic = replace(mimic, multiplier=mimic.multiplier * own / other, offset=mimic.offset * own)
-    dynamics = joint.dynamics
-    if dynamics is not None:  # newtons stay newtons, whatever the unit of length
-        slow, fast = dynamics.damping, dynamics.velocity
-        dynamics = replace(
-            dynamics,
-            damping=None if slow is None else slow / own,
-            velocity=None if fast is None else fast * own,
-        )
-    ax, ay, az = (matrix[:3, :3] @ np.asarray(joint.axis) / scale).tolist()
-    ox, oy, oz = (matrix[:3, :3] @ np.asarray(joint.origin)).tolist()
-    return replace(
-        joint,
-        axis=(ax, ay, az),
-        origin=(ox, oy, oz),
-        lower=None if joint.lower is None else joint.lower * own,
-        upper=None if joint.upper is None else joint.upper * own,
-        mimic=mimic,
-        dynamics=dynamics,
-    )

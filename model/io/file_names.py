@@ -65,7 +65,7 @@ class FileNames:
 
     @classmethod
     def stored(cls, entry: Mapping[str, Any]) -> FileNames:
-        """Those of :meth:`to_json` in a saved asset; none in one of an earlier version."""
+        """Names that :meth:`to_json` left in a saved asset; none in one of an earlier version."""
         kept = entry.get("names")
         found = kept if isinstance(kept, dict) else {}
         return cls(

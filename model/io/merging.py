@@ -9,13 +9,66 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 from model.core.articulated_object import ArticulatedObject, Inertial, Part, remarks_of, together
-from model.core.errors import KinematicsError
+from model.core.errors import InputFileError, KinematicsError
+from model.core.geometry import merged, merged_clouds
 from model.core.joint import Joint
 from model.core.shapes import Shape
 from model.core.tree import KinematicTree
-from model.io.urdf.meshes import DeclaredCollision, declared_shapes, merged, merged_clouds
+from model.io.formats.mtl import MaterialFiles
+from model.io.urdf.files import MOBILITY, description_beside, partnet_category, semantic_names
+from model.io.urdf.meshes import DeclaredCollision, declared_shapes, load_part
+from model.io.urdf.model import UrdfModel
+from model.io.urdf.reader import read_urdf_model
+
+
+def read_rigid(
+    path: Path, name: str | None = None, *, root: Path | None = None, shapes: bool = False
+) -> tuple[ArticulatedObject, UrdfModel, tuple[str, ...]]:
+    """Read a URDF with what lies beside it and tells names and a category; see
+    :func:`merge_rigid`.
+
+    Args:
+        path: the file; ``mobility.urdf`` has PartNet-Mobility's files beside it, others may have an
+            ``object.json``.
+        name: of the object; by default the file's.
+        root: the folder that references must not leave; by default as ``read_urdf_model``.
+        shapes: whether to load the collision shapes that it tells, too.
+
+    Returns:
+        The object in the URDF's root frame (+z up, metres as written) at q = 0, what was read, and
+        human-readable remarks.
+
+    Raises:
+        InputFileError: where the URDF or a mesh is missing or broken.
+    """
+    model, folder = read_urdf_model(path, root=root), path.parent
+    files = MaterialFiles(folder)  # textures may lie beside the meshes' folder
+    parts = {
+        link: replace(load_part(link, visuals, files), name=None)
+        for link, visuals in model.by_link.items()
+    }
+    if not parts:
+        raise InputFileError(path, "no link has a mesh", "at least one is needed")
+    if path.name == MOBILITY:
+        category, names = partnet_category(folder), semantic_names(folder)
+    else:
+        said = description_beside(path)
+        category, listed = (said.get(key) for key in ("category", "names"))
+        pairs = listed.items() if isinstance(listed, dict) else ()
+        names = {link: str(label) for link, label in pairs if link in parts}
+    obj, merges = merge_rigid(
+        name or path.stem,
+        model.tree,
+        parts,
+        names=names,
+        category=category if isinstance(category, str) else None,
+        inertials=model.declared.inertials,
+        collision=model.declared.collision if shapes else None,
+    )
+    return obj, model, (*model.notes, *merges)
 
 
 def merge_rigid(

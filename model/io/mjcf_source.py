@@ -66,7 +66,7 @@ def write_sites(body: ET.Element, affordances: Sequence[Affordance]) -> None:
 
 
 def sites_of(model: Any, links: Sequence[str]) -> Iterator[Affordance]:
-    """Those of a compiled model, with the joint of their body, best first.
+    """Affordances of a compiled model, with the joint of their body, best first.
 
     Args:
         model: ``MjModel``. links: name of each body.

@@ -21,8 +21,10 @@ import numpy as np
 
 from model.core.articulated_object import ArticulatedObject
 from model.core.errors import ArtiworldError
-from model.io.assets.reader import mujoco_problems, random_q, yourdfpy_problems
-from model.io.export.registry import EXPORTERS, load_exporter, write_object
+from model.core.packages import at_place
+from model.io.assets.reader import random_q, yourdfpy_problems
+from model.io.export.formats import FORMATS
+from model.io.export.registry import load_exporter, write_object
 from model.io.export.simready import (
     VALIDATOR,
     AboutPackage,
@@ -31,7 +33,6 @@ from model.io.export.simready import (
     validator_installed,
 )
 from model.io.export.urdf import PACKAGE_URDF
-from model.io.readback_poses import bullet_problems, drake_problems, glb_problems, usd_problems
 from model.physics.simulation_values import Physics
 
 SECONDS = 120.0
@@ -140,12 +141,14 @@ def read_back(
     Raises:
         ArtiworldError: for a format that nothing here can check.
     """
-    if format not in EXPORTERS.built_in:
+    if format not in FORMATS:
         raise ArtiworldError(f"nothing here reads the format {format!r} back")
     rng = np.random.default_rng(seed)
     settings = [random_q(obj, rng) for _ in range(configurations)]
-    modules = [(name, find_spec(m) is not None, reader) for name, m, reader in _readers(format)]
-    every = [*modules, *programs_for(format)]
+    every = [
+        *((name, find_spec(m) is not None, at_place(p)) for name, m, p in FORMATS[format].readers),
+        *programs_for(format),
+    ]
     found = {
         name: tuple(dict.fromkeys(reader(path, obj, settings)))
         for name, installed, reader in every
@@ -180,26 +183,6 @@ def write_and_read(obj: ArticulatedObject, physics: Physics, format: str) -> Rea
     return back
 
 
-def _readers(format: str) -> list[tuple[str, str, Reader]]:
-    """(name, module, function) of those that read a format."""
-    return {
-        "urdf": [
-            ("yourdfpy", "yourdfpy", yourdfpy_problems),
-            ("MuJoCo", "mujoco", mujoco_problems),
-            ("PyBullet", "pybullet", bullet_problems),
-        ],
-        "ros": [("yourdfpy", "yourdfpy", _ros_problems)],
-        "mjcf": [("MuJoCo", "mujoco", mujoco_problems)],
-        "usd": [("usd-core", "pxr", usd_problems)],
-        "sdf": [
-            ("PyBullet", "pybullet", bullet_problems),
-            ("Drake", "pydrake", drake_problems),
-        ],
-        "glb": [("pygltflib", "pygltflib", glb_problems)],
-    }[format]
-
-
-def _ros_problems(
-    path: Path, obj: ArticulatedObject, settings: list[dict[str, float]]
-) -> list[str]:
+def ros_problems(path: Path, obj: ArticulatedObject, settings: list[dict[str, float]]) -> list[str]:
+    """Problems when yourdfpy loads the URDF of a ROS package."""
     return yourdfpy_problems(path.parent / PACKAGE_URDF, obj, settings)

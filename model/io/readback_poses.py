@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import os
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from importlib import import_module
@@ -24,32 +24,14 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from model.core.articulated_object import ArticulatedObject
 from model.core.geometry import affine
-from model.io.assets.reader import Poses, object_from_links
+from model.core.joint import JOINT_KINDS
+from model.io.assets.reader import Poses, object_from_links, pose_problems
 from model.io.export.glb import joint_track
 from model.io.export.sdf import sdf_joint_names, sdf_tree
 from model.io.export.usd import NAME_KEY
 
 TOLERANCE = 1e-5
-"""Metres and entries of rotation matrices, in the size of the pose where that is above 1."""
-
-
-def pose_problems(
-    reader: str, expected: Poses, seen: Mapping[str, np.ndarray], tolerance: float = TOLERANCE
-) -> list[str]:
-    """Links that are elsewhere, or missing."""
-    out: list[str] = []
-    for link, pose in expected.items():
-        if link not in seen:
-            out.append(f"{reader} doesn't know the link {link!r}")
-            continue
-        error = float(np.abs(pose - seen[link]).max())
-        scale = max(1.0, float(np.abs(pose).max()))
-        if not error <= tolerance * scale:
-            shown = "not a number" if math.isnan(error) else f"off by {error:.3g}"
-            out.append(f"{reader} puts {link!r} elsewhere, {shown}")
-    return out
-
-
+"""Of poses in single precision, see :func:`~model.io.assets.reader.pose_problems`."""
 FloatArray = npt.NDArray[np.float64]
 
 
@@ -98,7 +80,7 @@ def _load_and_set(
         for q in settings:
             _set_joints(bullet, bodies[0], client, index, obj, q)
             seen = _bullet_poses(bullet, bodies[0], client, index, obj.tree.root)
-            problems += pose_problems("PyBullet", object_from_links(obj, q), seen)
+            problems += pose_problems("PyBullet", object_from_links(obj, q), seen, TOLERANCE)
         return problems
     except bullet.error as error:
         return [f"PyBullet can't load {path.name}: {error}"]
@@ -116,7 +98,7 @@ def _load_sdf(bullet: Any, path: Path, client: int) -> Any:
         for joint in model.findall("joint"):
             if joint.findtext("parent") == "world":
                 model.remove(joint)
-            elif joint.get("type") == "screw":
+            elif joint.get("type") not in JOINT_KINDS:  # a screw
                 joint.set("type", "revolute")
     with TemporaryDirectory(prefix="artiworld-") as folder:
         for beside in path.parent.iterdir():
@@ -202,7 +184,7 @@ def drake_problems(
             for link, body in frames.items()
         }
         expected = {k: v for k, v in object_from_links(obj, q).items() if k in frames}
-        problems += pose_problems("Drake", expected, seen)
+        problems += pose_problems("Drake", expected, seen, TOLERANCE)
     return list(dict.fromkeys(problems))
 
 
@@ -283,7 +265,7 @@ def usd_problems(path: Path, obj: ArticulatedObject, settings: list[dict[str, fl
         return problems
     for q in settings:
         seen = reader.poses(obj.tree.root, obj.tree.joint_values(q))
-        problems += pose_problems("usd-core", object_from_links(obj, q), seen)
+        problems += pose_problems("usd-core", object_from_links(obj, q), seen, TOLERANCE)
     return list(dict.fromkeys(problems))
 
 

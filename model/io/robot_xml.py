@@ -22,12 +22,12 @@ MAX_BYTES = 64 * 2**20
 """No honest URDF or MJCF is larger; its meshes lie beside it."""
 
 
-def parse(path: Path, roots: tuple[str, ...], kind: str) -> Element:
+def parse(path: Path, roots: tuple[str, ...] = (), kind: str = "this") -> Element:
     """The root element of a file without DTD and entities.
 
     Args:
         path: the file.
-        roots: what the root may be called.
+        roots: what the root may be called; anything where there are none.
         kind: such as ``a URDF``, for messages.
 
     Raises:
@@ -45,14 +45,14 @@ def parse(path: Path, roots: tuple[str, ...], kind: str) -> Element:
     except OSError as error:
         raise InputFileError(path, error.strerror or "can't be read") from error
     try:
-        root = ElementTree.fromstring(data, forbid_dtd=True)
+        root = ElementTree.fromstring(data.lstrip(), forbid_dtd=True)
     except defusedxml.DefusedXmlException as error:
         raise InputFileError(path, "declares a DTD or entities", "remove them") from error
     except (ParseError, ValueError, LookupError) as error:
         raise InputFileError(
             path, f"is not well-formed XML ({error})", f"{kind} is an XML file"
         ) from error
-    if root.tag not in roots:
+    if roots and root.tag not in roots:
         raise InputFileError(path, f"begins with <{root.tag}>", f"{kind} begins with <{roots[0]}>")
     return root
 

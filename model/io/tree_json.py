@@ -87,7 +87,7 @@ def tree_from_json(data: str | Mapping[str, Any]) -> TreeNode:
 
 
 def affordances_in(data: Any) -> tuple[Affordance, ...]:
-    """Those of a nested dictionary that :func:`tree_from_json` reads.
+    """Affordances of a nested dictionary that :func:`tree_from_json` reads.
 
     Raises:
         GeometryError: where one is wrong.

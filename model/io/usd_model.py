@@ -28,7 +28,7 @@ from model.core.packages import require
 from model.core.tree import KinematicTree
 from model.io.export.usd import AFFORDANCE, FRICTION, NAME_KEY
 from model.io.formats.loaded import DEFAULT_MAX_BYTES, size_of
-from model.io.formats.usd import SHAPES, UsdStage, sound_stage
+from model.io.formats.usd import UsdStage, sound_stage
 from model.io.geometry_files import cleaned, to_mesh
 from model.io.urdf.meshes import DeclaredCollision, UrdfVisual
 from model.io.urdf.model import DeclaredPhysics, UrdfModel, renamed_helpers
@@ -90,8 +90,6 @@ class _Reader:
     def __init__(self, path: Path) -> None:
         self.path, self.stage = path, UsdStage(path)
         self.physics = require("pxr.UsdPhysics", "artiworld[usd]", "USD")
-        self.into = self.stage.turn.copy()
-        self.into[:3, :3] *= self.stage.unit
         self.notes: list[str] = []
         self.link_of: dict[Any, str] = {}  # path of a body's prim → its link
         self.taken = {WORLD}
@@ -149,17 +147,12 @@ class _Reader:
 
     def _shapes(self, prims: Any, *, seen: bool) -> Iterator[UrdfVisual]:
         for prim in prims:
-            kind = str(prim.GetTypeName())
-            if kind not in ("Mesh", *SHAPES):
-                continue
             if not seen and not prim.HasAPI(self.physics.CollisionAPI):
                 continue
-            made = (
-                self.stage.mesh_of(prim)
-                if kind == "Mesh"
-                else (self.stage.primitive_of(prim, kind))
-            )
-            world = made.moved(self.stage.world(prim) @ self.into)
+            made = self.stage.shape_of(prim)
+            if made is None:
+                continue
+            world = made.moved(self.stage.world(prim) @ self.stage.into)
             loaded = cleaned(self.path, world, np.eye(4), 1.0)
             yield UrdfVisual(
                 self._holder(prim), str(prim.GetName()), np.eye(4), mesh=to_mesh(loaded)
@@ -450,7 +443,7 @@ class _Reader:
             joint = tree.by_name.get(str(said["joint"]))
             if joint is None:
                 continue
-            matrix = self.stage.world(prim) @ self.into
+            matrix = self.stage.world(prim) @ self.stage.into
             try:
                 center = matrix[:3, :3] @ np.asarray(said["center"], np.float64) + matrix[:3, 3]
                 turned = [

@@ -1,7 +1,8 @@
 """Meshes and clouds to files. The same value gives the same bytes.
 
 Coordinates are written as they are, +z up, except in GLB files, which are +y up by their standard:
-one mesh, one primitive a material, textures inside.
+one mesh, one primitive a material, textures inside. No library writes them here: trimesh leaves out
+animations and the strength of what shines, pygltflib only holds the JSON.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from model.geometry.normals import corner_normals
 from model.geometry.sampling import vertex_colors
 from model.io.formats.gltf_data import BRIGHTER
 
-__all__ = ["MESH_SUFFIXES", "mesh_to_glb", "write_cloud", "write_mesh"]
+__all__ = ["MESH_SUFFIXES", "GlbBuilder", "mesh_to_glb", "write_cloud", "write_mesh"]
 
 
 Array = npt.NDArray[Any]
@@ -56,13 +57,10 @@ def mesh_to_glb(
             be seen, metal without surroundings to reflect would be black, and maps would make what
             is sent up to four times as large.
     """
-    builder = _Builder()
+    builder = GlbBuilder()
     if matt:
         mesh = replace(mesh, materials=tuple(map(_matt, mesh.materials)))
-    look = _looks(mesh.materials)[mesh.face_material]
-    for i in np.unique(look):
-        builder.material(mesh.materials[i], mesh.vertex_colors is not None)
-    builder.geometry(mesh, look, y_up, smooth)
+    builder.append("nodes", {"mesh": builder.mesh(mesh, y_up=y_up, smooth=smooth)})
     return builder.finish()
 
 
@@ -94,11 +92,12 @@ def packed(tree: str, binary: bytes) -> bytes:
     return b"glTF" + struct.pack("<II", 2, 12 + len(chunks)) + chunks
 
 
-class GlbTree:
-    """A glTF tree and its binary buffer while they are written.
+class GlbBuilder:
+    """A glTF tree and its binary buffer while they are written; materials and pictures that are
+    there already are used again, as viewers keep one for each entry.
 
     Attributes:
-        binary: the buffer. tree: the JSON document.
+        binary: the buffer. tree: the JSON document, which shows its first node.
     """
 
     def __init__(self) -> None:
@@ -108,6 +107,8 @@ class GlbTree:
             "scene": 0,
             "scenes": [{"nodes": [0]}],
         }
+        self.tree |= {k: [] for k in ("nodes", "meshes", "accessors", "bufferViews", "materials")}
+        self._pictures: dict[bytes, int] = {}
 
     def append(self, key: str, entry: Any) -> int:
         """Append to the list ``key`` of the tree; returns the entry's number."""
@@ -134,20 +135,24 @@ class GlbTree:
             self.tree["buffers"] = [{"byteLength": len(self.binary)}]
         return packed(json.dumps(self.tree, separators=(",", ":")), bytes(self.binary))
 
+    def mesh(
+        self, mesh: Mesh, *, name: str | None = None, y_up: bool = False, smooth: bool = True
+    ) -> int:
+        """Append a mesh with a primitive a material; returns its number. See
+        :func:`mesh_to_glb`."""
+        look = _looks(mesh.materials)[mesh.face_material]
+        colored = mesh.vertex_colors is not None
+        materials = [self._material(mesh.materials[i], colored) for i in np.unique(look)]
+        primitives = self._primitives(mesh, look, materials, y_up, smooth)
+        named = {} if name is None else {"name": name}
+        return self.append("meshes", {"primitives": primitives, **named})
 
-class _Builder(GlbTree):
-    def __init__(self) -> None:
-        super().__init__()
-        self.tree |= {"nodes": [{"mesh": 0}]}
-        self.tree |= {k: [] for k in ("meshes", "accessors", "bufferViews", "materials")}
-        self._images: dict[int | ImageFile, int] = {}
-
-    def rows(self, values: Array, kind: str, component: int, **more: Any) -> int:
+    def _rows(self, values: Array, kind: str, component: int, **more: Any) -> int:
         target = 34963 if kind == "SCALAR" else 34962
         view = self.view(np.ascontiguousarray(values).tobytes(), target=target)
         return self.accessor(values, kind, component, view, **more)
 
-    def material(self, material: Material, colored: bool) -> None:
+    def _material(self, material: Material, colored: bool) -> int:
         color = np.array(material.base_color, np.float64) / 255.0
         alpha = float(color[3])
         factor = [1.0, 1.0, 1.0, alpha] if colored else [*to_linear(color[:3]).tolist(), alpha]
@@ -164,21 +169,22 @@ class _Builder(GlbTree):
         if alpha < 1.0:
             entry["alphaMode"] = "BLEND"
         if material.texture is not None:
-            surface["baseColorTexture"] = {"index": self.texture(material.texture)}
+            surface["baseColorTexture"] = {"index": self._texture(material.texture)}
             if alpha == 1.0 and _has_holes(material.texture):
                 entry["alphaMode"] = "MASK"
-        self.maps(entry, material.maps)
-        self.tree["materials"].append(entry)
+        self._maps(entry, material.maps)
+        made = self.tree["materials"]
+        return made.index(entry) if entry in made else self.append("materials", entry)
 
-    def maps(self, entry: dict[str, Any], maps: SurfaceMaps) -> None:
+    def _maps(self, entry: dict[str, Any], maps: SurfaceMaps) -> None:
         if maps.normal is not None:
-            slot = {"index": self.texture(maps.normal), "scale": maps.normal_scale}
+            slot = {"index": self._texture(maps.normal), "scale": maps.normal_scale}
             entry["normalTexture"] = slot
         if maps.occlusion is not None:
-            at, strength = self.texture(maps.occlusion), maps.occlusion_strength
+            at, strength = self._texture(maps.occlusion), maps.occlusion_strength
             entry["occlusionTexture"] = {"index": at, "strength": strength}
         if maps.emissive is not None:
-            entry["emissiveTexture"] = {"index": self.texture(maps.emissive)}
+            entry["emissiveTexture"] = {"index": self._texture(maps.emissive)}
         if any(maps.emission):
             strength = max(1.0, *maps.emission)
             entry["emissiveFactor"] = [c / strength for c in maps.emission]
@@ -186,22 +192,20 @@ class _Builder(GlbTree):
                 entry["extensions"] = {BRIGHTER: {"emissiveStrength": strength}}
                 self.tree["extensionsUsed"] = [BRIGHTER]
 
-    def texture(self, image: Image.Image | ImageFile) -> int:
-        key = image if isinstance(image, ImageFile) else id(image)
-        if key not in self._images:
-            if isinstance(image, ImageFile):
-                data, suffix = image.data, image.suffix
-            else:
-                data, suffix = encode(image)
-            picture = {"bufferView": self.view(data), "mimeType": _MIME[suffix]}
+    def _texture(self, image: Image.Image | ImageFile) -> int:
+        file = image if isinstance(image, ImageFile) else ImageFile(*encode(image))
+        if file.data not in self._pictures:
+            picture = {"bufferView": self.view(file.data), "mimeType": _MIME[file.suffix]}
             source = self.append("images", picture)
-            self._images[key] = self.append("textures", {"source": source})
-        return self._images[key]
+            self._pictures[file.data] = self.append("textures", {"source": source})
+        return self._pictures[file.data]
 
-    def geometry(self, mesh: Mesh, look: Array, y_up: bool, smooth: bool) -> None:
+    def _primitives(
+        self, mesh: Mesh, look: Array, materials: list[int], y_up: bool, smooth: bool
+    ) -> list[dict[str, Any]]:
         group, normals = corner_normals(mesh) if smooth else (None, None)
         primitives = []
-        for i in np.unique(look):
+        for i, material in zip(np.unique(look), materials, strict=True):
             rows = np.flatnonzero(look == i)
             corners = mesh.faces[rows].reshape(-1).astype(np.int64)
             if group is not None and normals is not None:
@@ -213,34 +217,32 @@ class _Builder(GlbTree):
             attributes = self._attributes(mesh, vertex, normal, y_up, int(i))
             index = index.reshape(-1)
             small = len(vertex) < 65535
-            at = self.rows(
+            at = self._rows(
                 index.astype("<u2" if small else "<u4"), "SCALAR", 5123 if small else 5125
             )
-            primitives.append(
-                {"attributes": attributes, "indices": at, "material": len(primitives)}
-            )
-        self.tree["meshes"] = [{"primitives": primitives}]
+            primitives.append({"attributes": attributes, "indices": at, "material": material})
+        return primitives
 
     def _attributes(
         self, mesh: Mesh, vertex: Array, normal: Array | None, y_up: bool, material: int
     ) -> dict[str, int]:
         points = _turned(mesh.vertices[vertex], y_up).astype("<f4")
         out = {
-            "POSITION": self.rows(
+            "POSITION": self._rows(
                 points, "VEC3", 5126, min=points.min(0).tolist(), max=points.max(0).tolist()
             )
         }
         if normal is not None:
-            out["NORMAL"] = self.rows(_turned(normal, y_up).astype("<f4"), "VEC3", 5126)
+            out["NORMAL"] = self._rows(_turned(normal, y_up).astype("<f4"), "VEC3", 5126)
         if mesh.uv is not None and mesh.materials[material].pictured:
             uv = mesh.uv[vertex]
             st = np.column_stack([uv[:, 0], 1.0 - uv[:, 1]]).astype("<f4")
-            out["TEXCOORD_0"] = self.rows(st, "VEC2", 5126)
+            out["TEXCOORD_0"] = self._rows(st, "VEC2", 5126)
         if mesh.vertex_colors is not None:
             rgba = mesh.vertex_colors[vertex] / 255.0
             rgba[:, :3] = to_linear(rgba[:, :3])
             short = np.rint(rgba * 65535).astype("<u2")
-            out["COLOR_0"] = self.rows(short, "VEC4", 5123, normalized=True)
+            out["COLOR_0"] = self._rows(short, "VEC4", 5123, normalized=True)
         return out
 
 

@@ -67,7 +67,7 @@ CLOSE = 0.03
 ALONG = (0.0, 0.5 * REACHED, REACHED)
 """Shares of the range at which the hand must be free."""
 EXACTLY = tuple(np.linspace(0.0, REACHED, 7).tolist())
-"""Those at which it must be free of the shapes themselves, not of their samples."""
+"""Shares at which it must be free of the shapes themselves, not of their samples."""
 STRIDE = 6
 """Every so many spheres of a hand are tested first: most hands meet something there."""
 FREE_TURN = np.pi
@@ -297,7 +297,7 @@ class _Search:
                 return
 
     def _free_at_rest(self, poses: _Poses, found: list[_Poses]) -> Iterator[_Poses]:
-        """Those of each batch whose hand is free of all samples at rest; also kept in ``found``."""
+        """Poses of each batch whose hand is free of all samples at rest; also kept in ``found``."""
         for batch in poses.batches(BATCH):
             found.append(self._clear(batch, ALONG[:1]))
             yield found[-1]
@@ -446,7 +446,7 @@ class _Search:
     # Clearance
 
     def _clear(self, poses: _Poses, shares: Sequence[float], exact: bool = False) -> _Poses:
-        """Those whose hand is free at rest, on its way there, and at shares of the motion.
+        """Poses whose hand is free at rest, on its way there, and at shares of the motion.
 
         Args:
             exact: of all shapes, which takes longer; else of their samples.
@@ -457,7 +457,7 @@ class _Search:
         return poses.take(self._reached(poses))
 
     def _free_along(self, poses: _Poses, shares: Sequence[float]) -> _Poses:
-        """Those whose fingers and palm are free at shares of the motion."""
+        """Poses whose fingers and palm are free at shares of the motion."""
         for share in shares:
             poses = poses.take(self._fingers_free(poses, ROWS[1:], share))
             poses = poses.take(self._palm_free(poses, share))

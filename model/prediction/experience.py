@@ -89,14 +89,12 @@ class Motions:
     Attributes:
         name: of the part, as people write it.
         axes, arms: (K, 3) as in :class:`JointExample`. turns: (K,) bool.
-        odds: (K,) log-odds of each by the predictor.
     """
 
     name: str | None
     axes: Array
     arms: Array
     turns: npt.NDArray[np.bool_]
-    odds: Array
 
     def agree(self, example: JointExample, turn: Array) -> npt.NDArray[np.bool_]:
         """(K,) which have the motion of an example whose object is turned by ``turn`` (3, 3)."""
@@ -116,14 +114,12 @@ class Recalled:
     Attributes:
         objects: accepted objects that have a part of this name.
         agreeing: (K,) of them, those whose joint has each candidate's motion.
-        total: (K,) log-probability of each candidate by predictor and experience together.
         types: shares of the joint types. parents: shares of the parents' names.
         limits: (N, 5) axis (3), lower and upper of joints, this object's working frame.
     """
 
     objects: int
     agreeing: Array
-    total: Array
     types: Mapping[str, float]
     parents: Mapping[str, float]
     limits: Array
@@ -195,7 +191,7 @@ class Experience:
             for key, found in fitting.items():
                 share = np.mean([parts[key].agree(j, turn) for j in found], axis=0)
                 votes[key].append((share, found, turn))
-        return {key: _recalled(parts[key], found) for key, found in votes.items() if found}
+        return {key: _recalled(found) for key, found in votes.items() if found}
 
 
 def _quarter_turns() -> tuple[Array, ...]:
@@ -216,10 +212,8 @@ def _fit(
     )
 
 
-def _recalled(part: Motions, votes: Sequence[tuple[Array, list[JointExample], Array]]) -> Recalled:
+def _recalled(votes: Sequence[tuple[Array, list[JointExample], Array]]) -> Recalled:
     agreeing = np.sum([share for share, _, _ in votes], axis=0)
-    likely = -np.logaddexp(0.0, -part.odds)
-    total = likely + np.log((agreeing + UNSEEN) / (len(votes) + 1.0))
     types: dict[str, float] = defaultdict(float)
     parents: dict[str, float] = defaultdict(float)
     limits = []
@@ -229,7 +223,7 @@ def _recalled(part: Motions, votes: Sequence[tuple[Array, list[JointExample], Ar
             parents[joint.parent] += 1 / len(found) / len(votes)
             if joint.type in ("revolute", "prismatic"):
                 limits.append([*(turn @ np.asarray(joint.axis)), joint.lower, joint.upper])
-    return Recalled(len(votes), agreeing, total, types, parents, np.array(limits).reshape(-1, 5))
+    return Recalled(len(votes), agreeing, types, parents, np.array(limits).reshape(-1, 5))
 
 
 def part_name(name: str | None) -> str:

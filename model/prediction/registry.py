@@ -50,6 +50,7 @@ PREDICTORS = Registry[Predictor](
         "hybrid": "model.prediction.arti4urdf.predictor:hybrid",
         "arti4urdf": "model.prediction.arti4urdf.predictor:network_alone",
         "learned": "model.prediction.arti4urdf.predictor:learned",
+        "without": "model.prediction.ablation:WithoutMechanism",
         "qwen3": "model.prediction.arti4urdf.full_predictor:with_local_engine",
         "qwen3-vllm": "model.prediction.arti4urdf.full_predictor:with_vllm",
     },

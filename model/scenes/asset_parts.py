@@ -19,22 +19,19 @@ from model.core.articulated_object import Inertial, Part, SegmentedObject, remar
 from model.core.asset import Asset
 from model.core.errors import ArtiworldError, InputFileError, PromptError
 from model.core.files import file_sha256
-from model.core.geometry import PointCloud, affine
+from model.core.geometry import affine, merged, merged_clouds
 from model.core.names import MOST_NAMED
 from model.core.shapes import Shape, moved_shape
 from model.core.tree import KinematicTree
-from model.data.datasets import GroundTruth
-from model.data.folders import UrdfFolders, read_partnet_mobility
 from model.geometry.cleaning import outlier_points
 from model.geometry.splitting import split
 from model.geometry.topology import connected_shells
 from model.io.assets.reader import declared_links
 from model.io.geometry_files import FOLDER_SUFFIXES
+from model.io.merging import read_rigid
 from model.io.model_files import is_part_folder
 from model.io.open_asset import open_asset, read_part_files
 from model.io.urdf.files import MOBILITY, URDF_SUFFIX
-from model.io.urdf.meshes import merged, merged_clouds, moved_mesh
-from model.io.urdf.reader import read_urdf_model
 from model.scenes.scene import Anchor, FloatArray, SceneObject
 from model.segmentation.prompts import Click, Prompts, Region
 from model.segmentation.registry import load_segmenter
@@ -188,10 +185,9 @@ def known_parts(path: Path) -> AssetParts:
     """
     if path.is_dir():
         if (path / MOBILITY).is_file():
-            return _of_urdf(read_partnet_mobility(path, shapes=True), path / MOBILITY)
+            return _of_urdf(path / MOBILITY)
         if (path / "object.urdf").is_file():
-            truth = UrdfFolders(path.parent).load(path.name, shapes=True)
-            return _of_urdf(truth, path / "object.urdf")
+            return _of_urdf(path / "object.urdf")
         if is_part_folder(path, FOLDER_SUFFIXES):
             return _at_least_two(read_part_files(path).parts, "its part files")
     asset = read_unshifted(path)
@@ -213,7 +209,7 @@ def whole(path: Path) -> Part:
         InputFileError: where it can't be read.
     """
     if path.is_dir() and not (path / MOBILITY).is_file() and (path / "object.urdf").is_file():
-        parts = UrdfFolders(path.parent).load(path.name).object.parts
+        parts = read_rigid(path / "object.urdf", root=path.parent)[0].parts
         meshes = [p.mesh for p in parts if p.mesh is not None]
         clouds = [p.cloud for p in parts if p.cloud is not None]
         return Part(
@@ -229,42 +225,7 @@ def whole(path: Path) -> Part:
 
 def scaled(parts: tuple[Part, ...], factors: FloatArray) -> tuple[Part, ...]:
     """Parts stretched, and mirrored by negative factors (3,), about the asset's origin."""
-    target = np.diag([*factors, 1.0])
-    return tuple(
-        replace(
-            p,
-            mesh=None if p.mesh is None else moved_mesh(p.mesh, target),
-            cloud=None if p.cloud is None else _stretched(p.cloud, factors),
-        )
-        for p in parts
-    )
-
-
-def scaled_tree(tree: KinematicTree, factors: FloatArray) -> KinematicTree:
-    """Joints stretched as :func:`scaled` does the parts.
-
-    A turn about an axis is none any more where the factors differ; its axis goes along. In a mirror
-    it turns the other way round.
-    """
-    handed = float(np.sign(factors).prod())
-    joints = []
-    for joint in tree.joints:
-        along = np.asarray(joint.axis) * factors
-        length = float(np.linalg.norm(along))
-        slide = length if joint.slides else 1.0
-        way = 1.0 if joint.slides else handed
-        x, y, z = (way * along / length + 0.0).tolist() if length > 0 else joint.axis
-        ox, oy, oz = (np.asarray(joint.origin) * factors).tolist()
-        joints.append(
-            replace(
-                joint,
-                axis=(x, y, z),
-                origin=(ox, oy, oz),
-                lower=None if joint.lower is None else joint.lower * slide,
-                upper=None if joint.upper is None else joint.upper * slide,
-            )
-        )
-    return KinematicTree(tree.links, tuple(joints))
+    return tuple(p.moved(affine(np.diag(factors))) for p in parts)
 
 
 def masses_at(known: AssetParts, factors: FloatArray) -> Mapping[str, Inertial]:
@@ -305,26 +266,17 @@ def size_factors(obj: SceneObject, parts: tuple[Part, ...]) -> FloatArray:
     return obj.scale if obj.fit is None else obj.placed(bounds_of(parts)).scale
 
 
-def _stretched(cloud: PointCloud, factors: FloatArray) -> PointCloud:
-    normals = cloud.normals
-    if normals is not None:
-        normals = normals / factors
-        normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-        normals = normals.astype(np.float32)
-    points = (cloud.points * factors).astype(np.float32)
-    return replace(cloud, points=points, normals=normals)
-
-
 def _at_least_two(parts: tuple[Part, ...], how: str) -> AssetParts:
     if len(parts) < 2:
         raise LeftForAnnotator(f"{how} are a single part; cut it by clicks")
     return AssetParts(parts, how)
 
 
-def _of_urdf(truth: GroundTruth, path: Path) -> AssetParts:
-    found = _at_least_two(truth.object.parts, "links of its URDF")
-    # Not those on merged links: that fixed links are one part is no change.
-    model, obj = read_urdf_model(path), truth.object
+def _of_urdf(path: Path) -> AssetParts:
+    root = None if path.name == MOBILITY else path.parent.parent
+    obj, model, _ = read_rigid(path, root=root, shapes=True)
+    # Not the remarks on merged links: that fixed links are one part is no change.
+    found = _at_least_two(obj.parts, "links of its URDF")
     weighed, shaped = (declared_links(path.parent, what) for what in ("masses", "collision"))
 
     def its_own(link: str, listed: list[str] | None) -> bool:
@@ -358,10 +310,7 @@ def _unshifted(asset: Asset) -> Asset:
     if not shift.any():
         return asset
     back = affine(shift=shift)
-    mesh = None if asset.mesh is None else moved_mesh(asset.mesh, back)
-    cloud = asset.cloud
-    if cloud is not None:
-        cloud = replace(cloud, points=(cloud.points + shift).astype(np.float32))
+    mesh, cloud = (None if g is None else g.moved(back) for g in (asset.mesh, asset.cloud))
     return replace(asset, mesh=mesh, cloud=cloud)
 
 

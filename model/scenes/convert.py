@@ -31,8 +31,8 @@ import numpy.typing as npt
 
 from model.core.errors import ArtiworldError, ConfigurationError
 from model.core.files import write_json
+from model.core.pool import robust_map
 from model.core.progress import Progress, no_progress
-from model.evaluation.pool import robust_map
 from model.io.urdf.files import MOBILITY
 from model.io.urdf.reader import read_urdf_model
 from model.prediction.registry import DEFAULT

@@ -23,8 +23,8 @@ from typing import Any, TypeVar
 
 from model.core.errors import ArtiworldError, ConfigurationError
 from model.core.packages import require
+from model.core.pool import kill_pool
 from model.core.progress import Progress
-from model.evaluation.pool import kill_pool
 from model.scenes.articulable_finders import FinderOptions
 from model.scenes.language_finder import SCHEMA, Answer, FinderUnavailableError, LanguageFinder
 

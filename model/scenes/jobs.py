@@ -15,13 +15,16 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
+
 from model.core.articulated_object import ArticulatedObject, SegmentedObject, remarks_of
 from model.core.errors import ArtiworldError, ConfigurationError
 from model.core.files import write_json
+from model.core.geometry import affine
 from model.core.packages import require
+from model.core.pool import OutOfTimeError, time_limit
 from model.core.tree import KinematicTree
 from model.evaluation.joint_metrics import score_object
-from model.evaluation.pool import OutOfTimeError, time_limit
 from model.io.assets.asset_folder import write_asset
 from model.io.export.mjcf import MjcfExporter
 from model.io.export.sdf import SdfExporter
@@ -40,7 +43,6 @@ from model.scenes.asset_parts import (
     masses_at,
     scaled,
     scaled_shapes,
-    scaled_tree,
     whole,
 )
 from model.scenes.scene import FloatArray, SceneObject
@@ -211,13 +213,11 @@ def usability(
         return None
     if state != PREDICTED:
         return False
-    truth = ArticulatedObject(obj.name, obj.parts, scaled_tree(found.truth, factors))
+    truth = ArticulatedObject(obj.name, obj.parts, found.truth.moved(affine(np.diag(factors))))
     return score_object(truth, obj.tree).usable
 
 
 def _holder(job: AssetJob) -> SceneObject:
-    import numpy as np
-
     if job.clicked is None:
         return SceneObject(job.key, job.key, np.eye(4), np.asarray(job.scale), fit=job.fit)
     return SceneObject(

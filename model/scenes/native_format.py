@@ -36,6 +36,7 @@ from model.scenes.scene import (
     upright,
 )
 from model.scenes.values import (
+    JsonReader,
     Place,
     collect,
     maybe_text,
@@ -44,6 +45,7 @@ from model.scenes.values import (
     read_json,
     rotation_from_quaternion,
     shown,
+    table,
     text,
 )
 
@@ -64,15 +66,12 @@ _KNOWN_OF_OBJECT = frozenset({
 })  # fmt: skip
 
 
-class OwnReader:
+class OwnReader(JsonReader):
     """``{"artiworld_scene": 1, "objects": […]}``, metres, +z up."""
 
     name = "artiworld"
     description = "ArtiWorld's own scene.json"
-
-    def recognises(self, path: Path, head: bytes) -> bool:
-        """See :class:`~model.scenes.scene.SceneReader`."""
-        return path.suffix.lower() == ".json" and f'"{MARK}"'.encode() in head
+    marks = (f'"{MARK}"'.encode(),)
 
     def read(self, path: Path) -> Scene:
         """See :class:`~model.scenes.scene.SceneReader`."""
@@ -103,8 +102,7 @@ def _unknown(path: Path, data: dict[str, Any]) -> list[SceneProblem]:
 
 
 def _object(place: Place, entry: Any) -> SceneObject:
-    if not isinstance(entry, dict):
-        raise SceneObjectError(f"is {shown(entry)}; an object with id and pose is needed")
+    entry = table(entry, "id and pose")
     w, x, y, z = numbers(entry.get("quaternion_wxyz"), 4, "quaternion_wxyz")
     turn = rotation_from_quaternion(np.array([x, y, z, w]))
     scale = numbers(entry.get("scale"), 3, "scale")

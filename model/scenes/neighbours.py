@@ -19,18 +19,17 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from model.core.articulated_object import ArticulatedObject, Part
-from model.core.geometry import Mesh
+from model.core.geometry import Mesh, merged
 from model.core.joint import Joint
 from model.core.shapes import Hull, Primitive, hull_of, hull_of_shape
 from model.io.assets.reader import load_object
 from model.io.export.mjcf import COLLISION_GROUP
-from model.io.urdf.meshes import merged, moved_mesh
+from model.io.robot_xml import parse
 from model.kinematics.penetration import inverse
 from model.kinematics.surface import surface_of
 from model.kinematics.sweep import free_until, joint_poses, surfaces_of, sweep_tolerance
 from model.physics.collision.narrow_phase import overlaps
 from model.scenes.jobs import ASSETS, MJCF
-from model.scenes.readers.lisdf import parse_xml
 from model.scenes.scene import FloatArray
 from model.scenes.scene_xml import Pass, Stand
 from model.scenes.values import pose, rotation_from_quaternion
@@ -174,7 +173,7 @@ def _near_part(
     mesh = _box_mesh(other.bounds) if other.folder is None else _mesh(other.folder)
     if mesh is None:
         return None
-    mesh = moved_mesh(mesh, asset_from_world @ other.world_from_asset)
+    mesh = mesh.moved(asset_from_world @ other.world_from_asset)
     corners = mesh.triangles
     inside = (corners.min(1) <= reach[1]).all(1) & (corners.max(1) >= reach[0]).all(1)
     return Part("neighbour", mesh.take_faces(inside)) if inside.any() else None
@@ -288,7 +287,7 @@ def _found(stands: Sequence[Stand], bodies: Sequence[_Body]) -> list[tuple[_Body
 
 def _shapes(path: Path) -> list[tuple[str, list[Hull], bool]]:
     """Link, collision shapes in the object's frame, and whether a joint moves it."""
-    root = parse_xml(path)
+    root = parse(path)
     compiler = root.find("compiler")
     folder = path.parent / ("." if compiler is None else compiler.get("meshdir", "."))
     files = {m.get("name", ""): folder / m.get("file", "") for m in root.iterfind("asset/mesh")}

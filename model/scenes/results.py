@@ -10,29 +10,27 @@ import json
 import math
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from model.core.articulated_object import Inertial
 from model.core.files import draft_of, write_json
 from model.core.geometry import quaternion_wxyz
-from model.core.joint import JOINT_KINDS, JOINT_TYPES, Joint, JointType, Mimic
-from model.core.tree import KinematicTree
+from model.core.joint import Joint, JointType
 from model.io.assets.reader import URDF
 from model.io.export.manifest import ABOUT, write_scene_about
-from model.io.export.mjcf import FILE
+from model.io.robot_xml import parse
+from model.io.urdf.reader import read_urdf_model
 from model.io.urdf.writer import number, xml_name
 from model.physics.simulation_values import resisting
-from model.scenes.jobs import ASSETS, MISSING, MJCF, MOVING
+from model.scenes.jobs import ASSETS, MISSING, MOVING
 from model.scenes.native_format import scene_to_json
 from model.scenes.neighbours import at_rest
 from model.scenes.readers.gltf_usd import articulation_layer, with_articulation
 from model.scenes.readers.layouts import find_design
-from model.scenes.readers.lisdf import parse_xml
 from model.scenes.scene import Decision, FloatArray, Scene, SceneObject
 from model.scenes.scene_usd import write_scene_usd
 from model.scenes.scene_xml import Stand, pose_text, write_scene_mjcf, write_scene_sdf
@@ -78,8 +76,7 @@ def frictions(
     """Joint → N or N m of friction with which it holds itself as it stands.
 
     Args:
-        asset: MJCF of the asset, by :class:`~model.io.export.mjcf.MjcfExporter`, whose friction is
-            that of the upright asset.
+        asset: folder of the asset, whose friction is that of the upright one.
         world_from_asset: (4, 4) how it stands.
         limits: joint → (lower, upper) where they were shortened.
 
@@ -89,66 +86,17 @@ def frictions(
     up = world_from_asset[2, :3]
     if np.linalg.norm(up - (0.0, 0.0, 1.0)) < UPRIGHT:
         return {}
-    tree, inertials = _moving(parse_xml(asset), limits)
+    model = read_urdf_model(asset / URDF)
+    joints = (_within(j, limits.get(j.name)) for j in model.tree.joints)
+    tree, inertials = replace(model.tree, joints=tuple(joints)), model.declared.inertials
     return {j.name: resisting(tree, inertials, j, up=up).friction for j in tree.joints if j.moves}
 
 
-def _moving(
-    root: ET.Element, limits: Mapping[str, Sequence[float]]
-) -> tuple[KinematicTree, dict[str, Inertial]]:
-    """Tree and masses of an asset; its bodies all have the asset's axes."""
-    mimics = {
-        e.get("joint1", ""): Mimic(e.get("joint2", ""), slope, offset)
-        for e in root.findall("equality/joint")
-        for offset, slope in [_numbers(e.get("polycoef"), (0.0, 1.0))[:2]]
-    }
-    links: list[str] = []
-    joints: list[Joint] = []
-    inertials: dict[str, Inertial] = {}
-
-    def take(body: ET.Element, parent: str | None, at: FloatArray) -> None:
-        link = body.get("name", "")
-        links.append(link)
-        at = at + _numbers(body.get("pos"), (0.0, 0.0, 0.0))
-        weighed = body.find("inertial")
-        if weighed is not None:
-            center = at + _numbers(weighed.get("pos"), (0.0, 0.0, 0.0))
-            inertials[link] = Inertial(float(weighed.get("mass", 0.0)), center, np.zeros((3, 3)))
-        if parent is not None:
-            joints.append(_joint(body.find("joint"), parent, link, at, limits, mimics))
-        for child in body.findall("body"):
-            take(child, link, at)
-
-    for body in root.findall("worldbody/body"):
-        take(body, None, np.zeros(3))
-    return KinematicTree(tuple(links), tuple(joints)), inertials
-
-
-def _joint(
-    made: ET.Element | None,
-    parent: str,
-    link: str,
-    at: FloatArray,
-    limits: Mapping[str, Sequence[float]],
-    mimics: Mapping[str, Mimic],
-) -> Joint:
-    if made is None:
-        return Joint(f"fixed_{link}", "fixed", parent, link)
-    name = made.get("name", "")
-    axis = tuple(_numbers(made.get("axis"), (0.0, 0.0, 1.0)))
-    ends = limits.get(name)
-    if ends is None and made.get("range") is not None:
-        ends = _numbers(made.get("range"), (0.0, 0.0))
-    tag = made.get("type", "hinge")
-    kind: JointType = next(k for k in JOINT_TYPES if JOINT_KINDS[k].mjcf == tag)
-    if ends is None and JOINT_KINDS[kind].rotates:
-        return Joint(name, "continuous", parent, link, axis, tuple(at), mimic=mimics.get(name))
-    low, high = (0.0, 0.0) if ends is None else (float(v) for v in ends)
-    return Joint(name, kind, parent, link, axis, tuple(at), low, high, mimics.get(name))
-
-
-def _numbers(text: str | None, otherwise: Sequence[float]) -> FloatArray:
-    return np.array(otherwise if text is None else [float(v) for v in text.split()], np.float64)
+def _within(joint: Joint, limits: Sequence[float] | None) -> Joint:
+    if limits is None:
+        return joint
+    kind: JointType = "revolute" if joint.rotates else joint.type
+    return replace(joint, type=kind, lower=float(limits[0]), upper=float(limits[1]))
 
 
 SCENE_JSON, SCENE_MJCF, SUMMARY = "scene.json", "scene.xml", "summary.json"
@@ -219,7 +167,7 @@ def standing_urdf(o: Outcome, index: int, out: Path, friction: Mapping[str, floa
     folder = f"{ASSETS}/{o.key}"
     if not (o.changes or friction):
         return f"{folder}/{URDF}"
-    root = parse_xml(out / folder / URDF)
+    root = parse(out / folder / URDF)
     if not (_resist(root, friction) or o.changes):
         return f"{folder}/{URDF}"
     changes = {xml_name(c["joint"]): c["limits"] for c in o.changes}
@@ -311,7 +259,7 @@ def _stands(outcomes: Sequence[Outcome], free_bases: bool, out: Path) -> list[St
             limits = {c["joint"]: c["limits"] for c in o.changes}
             friction = {}
             if o.state in MOVING and o.key is not None:
-                friction = frictions(out / ASSETS / o.key / MJCF / FILE, world, limits)
+                friction = frictions(out / ASSETS / o.key, world, limits)
             free = free_bases and base_of(o) == "free"
             stands.append(Stand(o.obj.id, o.key, world, free, limits, friction))
     return stands
@@ -379,7 +327,7 @@ def _write_bytes(path: Path, data: bytes) -> None:
 
 
 def _write_lisdf(scene: Scene, urdf_of: dict[str, str], path: Path) -> None:
-    root = parse_xml(scene.path)
+    root = parse(scene.path)
     world = root.find("world")
     assert world is not None
     for obj in scene.objects:

@@ -17,9 +17,9 @@ import numpy as np
 from model.core.files import draft_of
 from model.core.geometry import quaternion_wxyz
 from model.io.export.sdf import FILE, VERSION
+from model.io.robot_xml import parse
 from model.io.urdf.writer import number, rpy_from_rotation, vector, xml_name
 from model.scenes.jobs import ASSETS, MJCF
-from model.scenes.readers.lisdf import parse_xml
 from model.scenes.scene import FloatArray
 
 _BODY_NAMES = ("name", "body1", "body2", "joint1", "joint2")
@@ -111,7 +111,7 @@ def write_scene_mjcf(name: str, stands: Sequence[Stand], out: Path, file: str) -
 
 def _read(out: Path, key: str, assets: ET.Element) -> ET.Element:
     """The asset's MJCF; its meshes and materials go into ``assets``."""
-    root = parse_xml(out / ASSETS / key / MJCF / "object.xml")
+    root = parse(out / ASSETS / key / MJCF / "object.xml")
     compiler = root.find("compiler")
     below = "meshes" if compiler is None else compiler.get("meshdir", ".")
     for element in root.findall("asset/*"):
@@ -184,7 +184,7 @@ def write_scene_sdf(name: str, stands: Sequence[Stand], out: Path, file: str) ->
             world.append(_sdf_box(stand))
             continue
         if stand.key not in read:
-            model = parse_xml(out / ASSETS / stand.key / "sdf" / FILE).find("model")
+            model = parse(out / ASSETS / stand.key / "sdf" / FILE).find("model")
             assert model is not None
             for uri in model.iter("uri"):
                 uri.text = f"{ASSETS}/{stand.key}/sdf/{uri.text}"

@@ -114,6 +114,31 @@ def _writable(value: str) -> str:
     return _UNWRITABLE.sub("\ufffd", " ".join(value.splitlines()).replace("\t", " "))
 
 
+class JsonReader:
+    """Base of the readers of JSON files.
+
+    Attributes:
+        marks: texts in the beginning of a file, one of which it has.
+    """
+
+    marks: tuple[bytes, ...] = ()
+
+    def recognises(self, path: Path, head: bytes) -> bool:
+        """See :class:`~model.scenes.scene.SceneReader`."""
+        return path.suffix.lower() == ".json" and any(mark in head for mark in self.marks)
+
+
+def table(value: Any, needed: str) -> dict[str, Any]:
+    """A JSON object.
+
+    Raises:
+        SceneObjectError: where it is none; ``needed`` names its entries.
+    """
+    if not isinstance(value, dict):
+        raise SceneObjectError(f"is {shown(value)}; an object with {needed} is needed")
+    return value
+
+
 def collect(
     entries: Iterable[tuple[Place, Any]],
     make: Callable[[Place, Any], SceneObject],

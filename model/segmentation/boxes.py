@@ -150,7 +150,7 @@ class RankedBoxes:
         return np.sort(first)[:most]
 
     def alike(self, low: Int16, high: Int16, least: float) -> Int64:
-        """Those whose volume overlaps with a box (1, 3) by ``least``, the likeliest first."""
+        """Boxes whose volume overlaps with a box (1, 3) by ``least``, the likeliest first."""
         overlap = volume_overlap(low, high, self.low.T, self.high.T)[0]
         return np.nonzero(overlap >= least)[0]
 

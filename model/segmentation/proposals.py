@@ -174,7 +174,7 @@ class Proposals:
         return cls(masks, np.full(len(masks), number, np.int8), zero, zero.copy())
 
     def take(self, index: npt.NDArray) -> Proposals:
-        """Those at ``index``."""
+        """Proposals at ``index``."""
         return Proposals(
             self.masks[index], self.source[index], self.height[index], self.life[index]
         )

@@ -163,15 +163,17 @@ class Penalties:
 
     @classmethod
     def for_object(cls, *, of_mesh: bool) -> Penalties:
-        """Those of objects; on meshes whole shells come and go, however near to their border a
-        click is.
+        """Penalties for objects.
+
+        Args:
+            of_mesh: whole shells come and go, however near to their border a click is.
         """
         far, large = (0.0, LARGE) if of_mesh else (cls.far, 0.0)
         return cls(far=far, large=large, large_beside=LARGE, detail=1.0)
 
     @classmethod
     def for_room(cls) -> Penalties:
-        """Those of rooms, whose objects are many regions: a click for each is normal."""
+        """Penalties for rooms, whose objects are many regions: a click for each is normal."""
         return cls(streak=0.0, demand_near=1.0)
 
     def of_first(

@@ -132,7 +132,7 @@ class ScoredProposals:
 
     @classmethod
     def of(cls, groups: list[ScoredProposals]) -> ScoredProposals:
-        """Those of several groups, in order."""
+        """Join several groups in order."""
         return cls(
             concatenated([g.proposals for g in groups]),
             np.concatenate([g.features for g in groups]),
@@ -140,7 +140,7 @@ class ScoredProposals:
         )
 
     def take(self, index: npt.NDArray) -> ScoredProposals:
-        """Those at ``index``."""
+        """Proposals at ``index``, with their scores."""
         return ScoredProposals(self.proposals.take(index), self.features[index], self.scores[index])
 
     @property

@@ -15,9 +15,9 @@ from typing import NoReturn
 from model.core.articulated_object import ArticulatedObject, Prediction, SegmentedObject
 from model.core.errors import ArtiworldError, ConfigurationError
 from model.core.files import draft_of, write_json, written_to
+from model.core.pool import robust_map
 from model.core.progress import Progress, no_progress
 from model.evaluation.joint_metrics import ObjectScore, score_object
-from model.evaluation.pool import robust_map
 from model.evaluation.summary import calibrate
 from model.io.assets.reader import load_object
 from model.prediction.arti4urdf.predictor import learned_hybrid

@@ -24,9 +24,9 @@ from model.core.articulated_object import ArticulatedObject
 from model.core.errors import ArtiworldError
 from model.core.files import static_assets
 from model.core.geometry import uniform_scale
+from model.core.pool import robust_map
 from model.data.registry import DatasetOptions, open_dataset
 from model.data.simulated.depth_camera import ReconstructionSettings, reconstruct_scan
-from model.evaluation.pool import robust_map
 from model.geometry.cleaning import SUPPORT
 from model.geometry.levelling import BARE_FEATURES, FEATURES, bare_features, candidates_of, sampled
 from model.geometry.sampling import sample_surface

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from model.core.articulated_object import ArticulatedObject, Inertial
+from model.core.geometry import affine, x_onto
 from model.core.joint import Joint
 from model.core.shapes import hull_of_shape
 from model.io.urdf.writer import link_origins
@@ -100,9 +101,7 @@ class Sapien:
         made.cmass_local_pose = self._pose(np.asarray(inertial.center) - origin, axes)
 
     def _pose(self, place: FloatArray, rotation: FloatArray) -> Any:
-        matrix = np.eye(4)
-        matrix[:3, :3], matrix[:3, 3] = rotation, place
-        return self._sapien.Pose(matrix)
+        return self._sapien.Pose(affine(rotation, place))
 
     def _connect(self, made: Any, joint: Joint | None) -> None:
         """PhysX's joints turn about x, or slide along it."""
@@ -115,7 +114,7 @@ class Sapien:
         made.joint.name = joint.name
         # Its own "continuous" has no degree of freedom (3.0.3).
         made.joint.type = "revolute_unwrapped" if joint.rotates else "prismatic"
-        turned = _from_x(np.asarray(joint.axis))
+        turned = x_onto(np.asarray(joint.axis))
         at = self.origins[joint.child] - self.origins[joint.parent]
         made.joint.pose_in_parent = self._pose(at, turned)
         made.joint.pose_in_child = self._pose(np.zeros(3), turned)
@@ -188,11 +187,3 @@ class Sapien:
                 x, y, z = map(float, point.position)
                 out.append(Touch(a, b, float(point.separation), (x, y, z)))
         return out
-
-
-def _from_x(axis: FloatArray) -> FloatArray:
-    """(3, 3) rotation that takes x to a unit ``axis``."""
-    helper = np.eye(3)[np.abs(axis).argmin()]
-    y = np.asarray(np.cross(axis, helper), np.float64)
-    y /= np.linalg.norm(y)
-    return np.stack([axis, y, np.cross(axis, y)], axis=1)

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import ctypes
 import os
+import re
 import resource
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -185,6 +187,16 @@ def shapes_without_end_of_rocks(paths: Sequence[Path], *more: Any, progress: Pro
     return scene_tasks.shapes(paths, *more, progress=hang)
 
 
+def click_slowly(*asked: Any, found: Any, progress: Progress) -> Any:
+    """Answer a click; the labels take half a second longer than the prompt."""
+
+    def tell(prompt: Any) -> None:
+        found(prompt)
+        time.sleep(0.5)
+
+    return segmenting_tasks.click(*asked, found=tell, progress=progress)
+
+
 def read_badly(path: Path, is_scene: bool) -> int:
     """What a broken reader does, by the file's content."""
     match path.read_bytes():
@@ -203,17 +215,28 @@ ROOT = Path(__file__).parents[2]
 class PathTrace:
     """A profile function: the files on the stack whenever a function of some files is called.
 
+    What other threads do beside it, such as the gallery's and those that run every second, doesn't
+    count.
+
+    Args:
+        threads: pattern of the names of the threads that count.
+
     Attributes:
         counting: whether calls count now.
         files: those of ours, from the top of the repository.
     """
 
-    def __init__(self, stations: Sequence[str], counting: bool = False) -> None:
+    def __init__(
+        self, stations: Sequence[str], counting: bool = False, threads: str = ".*"
+    ) -> None:
+        self._threads = re.compile(threads)
         self._stations = {str(ROOT / station) for station in stations}
         self.counting, self.files = counting, set[str]()
 
     def __call__(self, frame: Any, event: str, _: Any) -> None:
         if event != "call" or not self.counting or frame.f_code.co_filename not in self._stations:
+            return
+        if not self._threads.fullmatch(threading.current_thread().name):
             return
         while frame is not None:
             path = frame.f_code.co_filename.removeprefix(f"{ROOT}/")

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryFile
+from typing import Any
 from unittest import mock
 
 import trimesh
@@ -25,6 +26,13 @@ def artiworld(*words: object) -> subprocess.CompletedProcess[str]:
     with _redirected(1, "stdout") as out, _redirected(2, "stderr") as err:
         code = main(arguments := [str(word) for word in words])
     return subprocess.CompletedProcess(arguments, code, "".join(out), "".join(err))
+
+
+def answer(*words: object) -> Any:
+    """Run a command that must succeed, and return what it prints as JSON."""
+    done = artiworld(*words, "--json")
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
 
 
 def artiworld_process(*words: object) -> subprocess.CompletedProcess[str]:

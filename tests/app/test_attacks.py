@@ -81,6 +81,8 @@ def test_decisions_and_results_of_jobs_are_no_commands_of_a_script(
 ) -> None:
     mia = token_client(server, "mia", "read", "annotate", "review", "manage")
     assert refused(mia, "POST", "/objects/1/commands", {"command": {"kind": kind}}) == 422
+    click = {"kind": "add_click", "click": {"position": [0, 0, 0], "part": 1}, "answer": None}
+    assert refused(mia, "POST", "/objects/1/commands", {"command": click}) == 422
 
 
 def test_a_token_that_reads_changes_nothing(server: Server) -> None:

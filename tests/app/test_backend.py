@@ -357,6 +357,4 @@ def test_serve_takes_a_backend_and_says_where_it_is_away(capsys, url, monkeypatc
 )
 def test_options_that_cant_work_are_named(words, told, monkeypatch):
     monkeypatch.delenv(TOKEN_VARIABLE, raising=False)
-    command, _ = parse(["backend", *words])
-    with pytest.raises(ConfigurationError, match=re.escape(told)):
-        command.run()
+    assert_users_mistake(artiworld("backend", *words), told)

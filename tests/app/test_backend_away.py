@@ -31,7 +31,7 @@ def test_a_backend_that_is_away_is_told_and_this_machine_predicts(app_state):
     wait_until(lambda: obj.document.segmentation is not None and obj.document.segmentation_current)
     assert not obj.backend_away
     obj.predict("ada")
-    wait_until(lambda: not obj.predicting)
+    wait_until(lambda: "predict" not in obj.jobs)
     assert obj.backend_away and obj.document.tree is None
     text = " ".join(f"{title} {body}" for title, body, _ in told)
     assert "can't be reached" in text and "Predict on this machine" in text

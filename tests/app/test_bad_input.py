@@ -22,14 +22,14 @@ from tests.app.run_cli import (
     cupboard,
     write_prompts,
 )
+from tests.builders import ply_head
 
 CLICK = [{"position": [0.0, 0.0, 0.0], "part": 1}]
 
 
 def ply(path: Path, points: np.ndarray) -> Path:
     """A binary cloud with whatever numbers are in ``points``."""
-    header = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(points)}\n"
-    header += "property float x\nproperty float y\nproperty float z\nend_header\n"
+    header = ply_head(len(points), style="binary_little_endian")
     path.write_bytes(header.encode() + points.astype("<f4").tobytes())
     return path
 

@@ -13,7 +13,7 @@ from app.cli.benchmarks.shapes import chest
 from app.cli.main import main
 from model import write_asset
 from model.prediction.registry import load_predictor
-from tests.app.run_cli import artiworld, assert_users_mistake
+from tests.app.run_cli import answer, artiworld, assert_users_mistake
 from tests.model.validation.cabinets import cabinet
 
 
@@ -34,8 +34,7 @@ def test_the_chest_has_drawers_that_slide_out_of_it(drawers):
 def test_bench_predict_prints_a_row_for_each_size(monkeypatch, capfd):
     monkeypatch.setattr(bench_predict, "PART_COUNTS", (2, 4))
     monkeypatch.setattr(bench_predict, "REPEATS", 1)
-    assert main(["bench", "predict", "--json"]) == 0
-    rows = json.loads(capfd.readouterr().out)["rows"]
+    rows = answer("bench", "predict")["rows"]
     assert [row["parts"] for row in rows] == [2, 4]
     assert all(row["Arti4URDF"] > 0 and row["yardstick"] > 0 for row in rows)
     assert all(row["passes"] < row["token by token passes"] < row["text tokens"] for row in rows)
@@ -49,9 +48,8 @@ def test_bench_joints_takes_each_source_with_names_and_without(monkeypatch, tmp_
     folder = tmp_path / "infinigen" / "box"
     folder.mkdir(parents=True)
     write_asset(cabinet(), folder, provenance={})
-    words = ["bench", "joints", "--data", str(tmp_path), "--half", "all", "--limit", "1", "--json"]
-    assert main(words) == 0
-    report = json.loads(capfd.readouterr().out)
+    words = ("bench", "joints", "--data", tmp_path, "--half", "all", "--limit", 1)
+    report = answer(*words)
     rows = {row["objects"]: row for row in report["table"]}
     held = "procedural, held-out families"
     assert list(rows) == [f"{s}, {n}" for s in ("Infinigen", held) for n in ("names", "no names")]
@@ -59,8 +57,7 @@ def test_bench_joints_takes_each_source_with_names_and_without(monkeypatch, tmp_
     assert rows[f"{held}, names"]["number"] == 1
     earlier = tmp_path / "earlier.json"
     earlier.write_text(json.dumps(report))
-    assert main([*words[:-1], "--before", str(earlier)]) == 0
-    assert "100 (100)" in capfd.readouterr().out
+    assert "100 (100)" in artiworld(*words, "--before", earlier).stdout
 
 
 @pytest.mark.parametrize(
@@ -84,9 +81,7 @@ def test_mistakes_are_named(words, message, capfd):
 
 def test_bench_ui_measures_a_small_cloud():
     words = ("bench", "ui", "--points", 5000, "--faces", 0, "--clicks", 3)
-    done = artiworld(*words, "--segmenter", "nearest", "--json")
-    assert done.returncode == 0, done.stderr
-    (figures,) = json.loads(done.stdout)
+    (figures,) = answer(*words, "--segmenter", "nearest")
     assert figures["elements"] == 5000
     assert 0 < figures["click_p50_ms"] <= figures["click_p95_ms"]
     assert figures["bytes_a_click"] > 0 and figures["ticks_a_second"] > 0
@@ -94,11 +89,7 @@ def test_bench_ui_measures_a_small_cloud():
 
 def test_evaluate_scores_real_objects(shared_data, tmp_path):
     root = shared_data / "partnet_mobility"
-    done = artiworld(
-        "evaluate", "--root", root, "--limit", 2, "--jobs", 1, "--out", tmp_path, "--json"
-    )
-    assert done.returncode == 0, done.stderr
-    report = json.loads(done.stdout)
+    report = answer("evaluate", "--root", root, "--limit", 2, "--jobs", 1, "--out", tmp_path)
     assert report["predictor"] == "hybrid" and report["summary"]
     assert (tmp_path / "report.md").exists()
     assert_users_mistake(

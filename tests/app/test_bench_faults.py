@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import random
 import time
 from pathlib import Path
@@ -19,6 +18,7 @@ from model.core.errors import InputFileError
 from model.io.geometry_files import SUFFIXES
 from model.io.open_asset import open_asset
 from tests.app import job_functions as functions
+from tests.app.run_cli import answer
 
 
 def test_every_sample_can_be_read_and_the_formats_are_all_there(tmp_path: Path) -> None:
@@ -43,8 +43,7 @@ def test_a_seed_says_what_is_damaged() -> None:
 
 
 def test_some_of_every_format(capfd) -> None:
-    assert main(["bench", "faults", "--limit", "62", "--seed", "7", "--json"]) == 0
-    report = json.loads(capfd.readouterr().out)
+    report = answer("bench", "faults", "--limit", "62", "--seed", "7")
     assert sum(row["files"] for row in report["rows"]) == 62 and not report["bad"]
     assert all(row["read"] + row["refused"] == row["files"] for row in report["rows"])
 
@@ -65,8 +64,7 @@ def test_bad_readings_are_told_apart_with_their_seed(kind, capfd, monkeypatch) -
 
 @pytest.mark.slow
 def test_killed_servers_lose_nothing_and_leave_nothing(capfd) -> None:
-    assert main(["bench", "faults", "--limit", "0", "--kills", "2", "--json"]) == 0
-    kills = json.loads(capfd.readouterr().out)["kills"]
+    kills = answer("bench", "faults", "--limit", "0", "--kills", "2")["kills"]
     assert kills["kills"] == 2 and kills["uploaded"] > 0
     assert not kills["lost"] and not kills["left over"]
 
@@ -101,8 +99,7 @@ def test_clicks_are_measured_beside_files_that_open_and_files_that_are_refused(
     monkeypatch.setattr(faults, "POINTS", 20_000)
     monkeypatch.setattr(faults, "PAUSE", (0.05, 0.1))
     monkeypatch.setattr(faults, "write_worst", two_files)
-    assert main(["bench", "faults", "--limit", "0", "--clients", "4", "--json"]) == 0
-    alone, beside = json.loads(capfd.readouterr().out)["clients"]
+    alone, beside = answer("bench", "faults", "--limit", "0", "--clients", "4")["clients"]
     assert alone["with"] == "nobody else" and not alone["opened"] and alone["p95 ratio"] == 1.0
     assert beside["opened"] >= 1 <= beside["refused"]
     for row in (alone, beside):

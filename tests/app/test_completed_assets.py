@@ -13,13 +13,14 @@ from app.server.display_tasks import open_asset
 from app.server.export_tasks import ExportTask, export_one
 from app.server.part_tasks import PartSource, articulated_object, prepare_asset
 from app.server.tasks import ReadOptions
+from model.core.geometry import merged_clouds
 from model.core.memory import LruCache
 from model.geometry.completion import OPENING, SURFACE, THICKNESS, TRAY
 from model.io.assets.asset_folder import publish, write_draft
 from model.io.assets.reader import load_object, read_provenance, reload_check
 from model.io.write import write_cloud
 from model.physics.simulation_values import PhysicsSettings, physics_of
-from tests.scanned_cabinet import cabinet, joined
+from tests.scanned_cabinet import cabinet
 
 SCAN = cabinet(600)
 TREE = SCAN.tree
@@ -29,7 +30,7 @@ TREE = SCAN.tree
 def source(tmp_path_factory: pytest.TempPathFactory) -> PartSource:
     folder = tmp_path_factory.mktemp("cabinet")
     clouds = [p.cloud for p in SCAN.parts if p.cloud is not None]
-    write_cloud(joined(*clouds), folder / "cabinet.ply")
+    write_cloud(merged_clouds(clouds), folder / "cabinet.ply")
     workspace = folder / "workspace"
     opened = open_asset(folder / "cabinet.ply", workspace, ReadOptions())
     labels = np.repeat(np.arange(3, dtype=np.int16), [len(c) for c in clouds])

@@ -9,7 +9,7 @@ import numpy as np
 
 from app.server.scene_tasks import Shape
 from app.viewer.picture.ghosts import Ghosts, before
-from app.viewer.picture.scene_nodes import Placement, Scans
+from app.viewer.picture.scene_nodes import Group, Placement, Scans
 from tests.builders import wait_until
 
 STAND = Placement(
@@ -50,8 +50,8 @@ def test_they_follow_the_camera_and_leave_out_what_is_worked_on() -> None:
     eye = np.array([2.0, -4.0, 0.5])
     cloud = np.array([[2, -2, 0.5], [2, 2, 0.5], [8, 0, 0]], np.float32)
     shape = Shape(np.array([cloud.min(0), cloud.max(0)]), cloud, None, np.zeros((3, 3), np.uint8))
-    room = Scans(client, "room", ("room", "mine"), shape, [Placement(np.eye(4), np.ones(3)), STAND],
-                 None, "")  # fmt: skip
+    placements = [Placement(np.eye(4), np.ones(3)), STAND]
+    room = Scans(client, "room", Group(("room", "mine"), shape, placements))
     around = Ghosts(client, "ghosts", lambda: eye)
     at = Shape(BOX, cloud, None), STAND
     try:

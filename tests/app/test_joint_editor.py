@@ -10,7 +10,7 @@ from unittest.mock import MagicMock
 
 import pytest
 
-from app.server import picking_tasks
+from app.server import part_tasks
 from app.viewer.panels.joint_editor import JointEditor
 from app.viewer.words.joints import AXIS
 from model.core.articulated_object import Prediction
@@ -57,7 +57,7 @@ def editor() -> Any:
 
 def test_a_door_made_a_drawer_takes_axis_and_range_from_the_geometry(editor: Any) -> None:
     editor.set_type("prismatic")
-    assert editor.asked == [(picking_tasks.change_type, DOOR, "link_1", "prismatic")]
+    assert editor.asked == [(part_tasks.change_type, DOOR, "link_1", "prismatic")]
     assert editor.selection.joint == DRAWER
 
 

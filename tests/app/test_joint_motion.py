@@ -17,7 +17,8 @@ from model.core.composite_joints import Composite
 from model.core.joint import Joint, Mimic
 from model.core.tree import KinematicTree
 from sessions.commands import RecordPrediction, RecordSegmentation, SetComposite, SetJoint
-from sessions.state import Context, SessionState, apply, prompts_key
+from sessions.document import prompts_key
+from sessions.state import Context, SessionState, apply
 
 CAP = Joint("cap", "continuous", "link_0", "link_1", (0, 0, 1))
 GEAR = Joint("gear", "continuous", "link_0", "link_2", (0, 0, 1), (0.1, 0, 0))

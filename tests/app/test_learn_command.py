@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import pytest
@@ -12,7 +11,7 @@ pytest.importorskip("torch", reason="torch is not installed")
 from model.prediction.experience import in_use, load_experience
 from sessions.store import Store
 from tests.accepted import accept, cupboard
-from tests.app.run_cli import artiworld, assert_users_mistake
+from tests.app.run_cli import answer, artiworld, assert_users_mistake
 
 
 def accepted(tmp_path: Path, count: int) -> Path:
@@ -26,9 +25,7 @@ def accepted(tmp_path: Path, count: int) -> Path:
 
 def test_a_workspace_learns_goes_back_and_leaves_objects_out(tmp_path: Path) -> None:
     workspace = accepted(tmp_path, 4)
-    done = artiworld("train", "--workspace", workspace, "--without", "oven_3", "--json")
-    assert done.returncode == 0, done.stderr
-    record = json.loads(done.stdout)
+    record = answer("train", "--workspace", workspace, "--without", "oven_3")
     assert record["taken"] and record["left_out"] == ["oven_3"] and len(record["assets"]) == 3
     assert (record["before"]["usable"], record["after"]["usable"]) == (0, 3)
     folder = in_use(workspace)

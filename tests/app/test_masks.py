@@ -116,7 +116,7 @@ def test_segment_starts_from_masks_and_takes_clicks_on_top(scan, masks, tmp_path
 
 def test_neither_prompts_nor_masks_is_one_line(scan, tmp_path: Path, capsys) -> None:
     assert main(["segment", str(scan), "--out", str(tmp_path / "out")]) == 2
-    assert "required: --prompts" in capsys.readouterr().err
+    assert "give --prompts or --masks" in capsys.readouterr().err
 
 
 def test_the_python_api(scan, masks) -> None:

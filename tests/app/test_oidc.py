@@ -109,7 +109,7 @@ def test_a_client_without_a_secret_comes_in(issuer, tmp_path, monkeypatch) -> No
 
 
 def test_strangers_and_owners_of_passwords_stay_out(server: Server) -> None:
-    for subject, said in (("3", b"zoe isn&#x27;t invited"), ("2", b"ann isn&#x27;t invited"),
+    for subject, said in (("3", b"zoe isn&#39;t invited"), ("2", b"ann isn&#39;t invited"),
                           ("4", b"says no preferred_username")):  # fmt: skip
         browser = Browser(server)
         status, page = browser.ask("GET", authorized(there(browser), subject))

@@ -16,7 +16,7 @@ import pytest
 import trimesh
 
 from app.server import app_state as workbench
-from app.server import display_tasks, picking_tasks, segmenting_tasks
+from app.server import display_tasks, segmenting_tasks
 from app.server.acceptances import AssetDrafts
 from app.server.app_state import AppState
 from app.server.config import ServeConfig
@@ -28,7 +28,12 @@ from model.segmentation.prompts import Click
 from sessions import commands as cmd
 from sessions.live import LiveSession
 from sessions.store import Store
-from tests.app.job_functions import killed_while_opening, reads_for_ever, segment_and_die_of_two
+from tests.app.job_functions import (
+    click_slowly,
+    killed_while_opening,
+    reads_for_ever,
+    segment_and_die_of_two,
+)
 from tests.builders import wait_until
 
 GOOD = trimesh.creation.box((1, 0.5, 0.7))
@@ -270,6 +275,51 @@ def test_a_click_whose_worker_is_killed_is_answered_by_the_next_one(
     wait_until(lambda: obj.document.segmentation_current, "both clicks")
 
 
+DOWN = (0.1, 0.1, 5.0), (0.0, 0.0, -1.0), None
+
+
+def test_a_click_is_one_job_and_one_command(begin_app, tmp_path: Path) -> None:
+    GOOD.export(tmp_path / "box.ply")
+    app_state = begin_app(tmp_path / "box.ply")
+    obj = settled(app_state, app_state.queue.records()[0].id)
+    beside = (9.0, 9.0, 5.0), *DOWN[1:]
+    assert obj.segmenting.click(beside, 1, True, "ann").result(60) is None
+    wait_until(lambda: not obj.jobs, "it hit nothing")
+    prompt = obj.segmenting.click(DOWN, 1, True, "ann").result(60)
+    assert prompt is not None and prompt.position[2] > 0.3
+    wait_until(lambda: obj.document.segmentation_current and not obj.jobs, "labels")
+    (entry,) = app_state.store.history(obj.record.id)
+    assert entry.who == "ann" and entry.command.click == prompt
+    assert entry.command.answer.labels == obj.document.segmentation.labels
+    assert obj.labels is not None and (obj.labels == 1).any()
+    wait_until(lambda: [r.prompts for r in app_state.queue.records()] == [1], "the queue knows")
+    assert app_state.store.load(obj.record.id) == obj.state
+    obj.do(cmd.Undo(), "ann")
+    assert obj.labels is None and not obj.document.prompts
+
+
+def test_a_prompt_shows_at_once_and_is_stored_before_what_follows_it(
+    begin_app, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    GOOD.export(tmp_path / "box.ply")
+    app_state = begin_app(tmp_path / "box.ply")
+    obj = settled(app_state, app_state.queue.records()[0].id)
+    kinds = lambda: [e.command.kind for e in app_state.store.history(obj.record.id)]  # noqa: E731
+    monkeypatch.setattr(segmenting_tasks, "click", click_slowly)
+    first = obj.segmenting.click(DOWN, 1, True, "ann").result(60)
+    assert obj.document.prompts == (first,) and not kinds()
+    obj.do(cmd.NamePart(1, "lid"), "ann")
+    assert kinds() == ["add_click", "name_part"]
+    second = obj.segmenting.click(DOWN, 2, True, "ann").result(60)
+    wait_until(lambda: obj.document.segmentation_current and not obj.jobs, "labels for both")
+    assert obj.document.prompts == (first, second)
+    assert set(obj.labels.tolist()) >= {2}
+    obj.do(cmd.ClearPrompts(), "ann")
+    obj.segmenting.click(DOWN, 1, True, "ann").result(60)
+    app_state.hub.store_announced()  # the server ends
+    assert kinds()[-1] == "add_click"
+
+
 def test_prompts_being_answered_are_not_asked_for_again(
     begin_app, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -305,7 +355,7 @@ def test_a_read_without_end_holds_nobody_up_and_can_be_ended(
     workers, asset = app_state.workers, clicked.asset
     assert asset is not None
     ray = (asset.folder, (0.1, 0.1, 5.0), (0.0, 0.0, -1.0))
-    assert workers.geometry.submit(picking_tasks.pick, *ray).result(60) is not None
+    assert workers.geometry.submit(segmenting_tasks.pick, *ray).result(60) is not None
     assert "open" in obj.jobs and workers.reading.pid != workers.geometry.pid
     if by == "a button":
         obj.jobs.cancel("open")

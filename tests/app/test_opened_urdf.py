@@ -14,7 +14,6 @@ import pytest
 import trimesh
 
 from app.cli.commands import ServeCommand
-from app.cli.predict import predict
 from app.cli.serve import scene_to_open
 from app.server.accepting import accept
 from app.server.app_state import AppState
@@ -30,6 +29,7 @@ from model.io.open_asset import open_asset
 from model.physics.simulation_values import PhysicsSettings, physics_of
 from sessions import commands as cmd
 from sessions.store import Store
+from tests.app.run_cli import answer
 from tests.builders import wait_until
 from tests.model.io.test_named_meshes import glb
 
@@ -213,6 +213,10 @@ def test_a_glb_whose_meshes_are_called_after_parts_opens_with_them(opened, tmp_p
     assert obj.document.part_names == {0: "body", 1: "door"} and obj.document.tree is None
     obj.do(cmd.Undo(), "tester")
     assert not obj.document.prompts
+
+
+def predict(path: Path, out: Path) -> dict[str, Any]:
+    return answer("predict", path, "--out", out)
 
 
 def test_predict_keeps_the_masses_that_a_file_tells(urdf: Path, tmp_path: Path) -> None:

@@ -17,9 +17,8 @@ from model.core.errors import CommandError
 from model.core.progress import Cancelled
 from model.segmentation.prompts import Click
 from sessions.commands import AddClick, AddPart, NamePart, SetFrame
-from sessions.describe import describe
+from sessions.document import FaceCut
 from sessions.state import Context, SessionState, apply
-from sessions.tool_commands import FaceCut
 from tests.builders import wait_until
 
 REF = "a" * 64
@@ -81,7 +80,7 @@ def test_what_a_tool_found_is_not_mixed_with_what_others_did_meanwhile(meanwhile
         obj.lane.segmentation.submit().before = lambda obj=obj: obj.do(meanwhile)
         with pytest.raises(CommandError, match="meanwhile"):
             segmenting.use_tool(ToolRequest(tool, 2), "tester")
-        assert obj.document.label == describe(meanwhile)
+        assert obj.document.label == meanwhile.describe()
 
 
 def test_a_tool_at_work_is_seen_and_can_be_stopped_while_its_tab_waits() -> None:

@@ -19,7 +19,7 @@ from tests.app.segmenter_answers import answer
 
 
 def shares(asset: Any, labels: np.ndarray) -> dict[int, float]:
-    obj: Any = SimpleNamespace(asset=asset, do=lambda c, who: None)
+    obj: Any = SimpleNamespace(asset=asset, need_asset=lambda: asset, do=lambda c, who: None)
     segmenting = Segmenting(obj)
     answer(segmenting, obj, Document(prompts=(Click((0.0, 0.0, 0.0), 1),)), labels)
     return segmenting.shares

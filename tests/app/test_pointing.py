@@ -19,6 +19,7 @@ from app.viewer.input.queries import PointerQueries
 from app.viewer.tab import Selection
 from model.core.joint import Joint
 from model.core.tree import KinematicTree
+from model.segmentation.prompts import Click
 from sessions.store import Store
 
 
@@ -75,8 +76,13 @@ class Person:
     def _object(self, name: str) -> Any:
         asset = SimpleNamespace(element_kind="point", folder=Path(name))
         document = SimpleNamespace(segmentation=None, prompts=(), tree=None)
-        do = lambda command, who: self.done.append((name, command))  # noqa: E731
-        return SimpleNamespace(asset=asset, need_asset=lambda: asset, document=document, do=do)
+        obj = SimpleNamespace(asset=asset, need_asset=lambda: asset, document=document)
+        obj.segmenting = SimpleNamespace(click=lambda *asked: self._clicked(name, *asked))
+        return obj
+
+    def _clicked(self, name: str, aim: Any, part: int, positive: bool, who: str) -> Job[Any]:
+        self.done.append((name, aim, part, positive, who))
+        return self.worker.submit(None)
 
     def answer(self, number: int, value: Any) -> None:
         self.worker.jobs[number].end("done", value)
@@ -87,18 +93,21 @@ def test_a_click_that_waits_for_the_workers_counts_for_what_was_selected(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     person = Person(monkeypatch, tmp_path)
-    hit = SimpleNamespace(position=np.zeros(3), element=7)
     for part in (1, 2):
         person.tab.selection.part = part
         person.pointing.click(*RAY, True)
     person.tab.selection.part = 3
     person.tab.selection.object = person.second
-    assert not person.done
-    person.answer(0, hit)
-    person.answer(1, hit)
-    assert [(name, c.click.part, c.click.element) for name, c in person.done] == [
-        ("first", 1, 7), ("first", 2, 7),
-    ]  # fmt: skip
+    for number in (0, 1):
+        person.answer(number, Click((0.0, 0.0, 0.0), number + 1, True, 7))
+    aim = (*RAY, None)
+    assert person.done == [("first", aim, part, True, "ann") for part in (1, 2)]
+    assert not person.tab.asked  # the clicks count, wherever the person is by now
+    person.tab.selection.object = person.first
+    person.pointing.click(*RAY, True)
+    person.tab.selection.object = person.second
+    person.answer(2, None)
+    assert person.tab.asked[-1][0] == "Not counted"
 
 
 def test_a_late_answer_to_a_tool_that_is_gone_is_told(

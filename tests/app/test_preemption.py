@@ -20,8 +20,8 @@ from model.core.files import static_assets
 from model.core.memory import LruCache
 from model.segmentation.prompts import Click
 from sessions import commands as cmd
+from sessions.document import SOURCE_FRAME
 from sessions.store import Store
-from sessions.tool_commands import SOURCE_FRAME
 from tests.app.test_open_objects import settled
 from tests.builders import cabinet_cloud, wait_until
 

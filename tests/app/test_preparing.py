@@ -13,19 +13,17 @@ from app.server.app_state import AppState
 from app.server.config import ServeConfig
 from app.server.open_object import OpenObject
 from app.server.prepare_tasks import Marks
-from model.core.asset import Source
 from model.core.files import static_assets
 from model.geometry.cleaning import CLUTTER, OUTLIER, SUPPORT
 from model.geometry.units import unusual_height
 from model.io.open_asset import open_asset
 from model.segmentation.prompts import Click
 from sessions.commands import AddClick, LeaveOut, Prepare, Redo, Undo
-from sessions.document import Document
-from sessions.edits import amend, edit
+from sessions.document import SOURCE_FRAME, Document, ObjectFrame
 from sessions.provenance import provenance
 from sessions.state import Context, SessionState, replay
 from sessions.store import Store
-from sessions.tool_commands import SOURCE_FRAME, ObjectFrame, Placed
+from sessions.tool_commands import Placed
 from tests.builders import wait_until
 from tests.raw_scans import raw_scan, saved_along_another_axis
 
@@ -83,7 +81,7 @@ def test_provenance_leads_from_the_file_to_the_asset_and_back(opened, tmp_path: 
     obj.preparing.turn(np.diag([2.0, 2.0, 2.0, 1.0]), "twice as large", "ann")
     wait_until(lambda: obj.asset and "open" not in obj.jobs, "it is read again")
     asset = obj.need_asset()
-    source = Source(asset.path, asset.sha256, asset.up_axis, asset.unit_scale, asset.shift)
+    source = asset.source
     record = provenance(obj.state, obj.services.store.history(obj.record.id), source)
     object_from_source = np.array(record["object_from_source"])
     numbers = open_asset(tmp_path / "oven.ply", up_axis="z").element_centers
@@ -97,11 +95,11 @@ def test_provenance_leads_from_the_file_to_the_asset_and_back(opened, tmp_path: 
 
 def test_an_extracted_object_leads_back_to_its_scan() -> None:
     who = Context("ann", "now")
-    doc = amend(Document(), Placed("room.ply", "e" * 64, "a" * 64, (1.0, 2.0, 0.5)), who)
+    doc = Placed("room.ply", "e" * 64, "a" * 64, (1.0, 2.0, 0.5)).edit(Document(), who)
     turned = SOURCE_FRAME.then(
         ObjectFrame((0.1, 0.0, 0.3), (0.6, 0.0, 0.8, 0.0), 2.0).object_from_read
     )
-    doc = edit(doc, Prepare(1.0, turned, LeaveOut(None), "level"), who)
+    doc = Prepare(1.0, turned, LeaveOut(None), "level").edit(doc, who)
     record = provenance(SessionState(doc), [], None)
     out = np.array(record["scan_from_object"]) @ np.array(record["object_from_source"])
     expected = np.eye(4)

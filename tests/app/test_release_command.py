@@ -9,7 +9,7 @@ import pytest
 
 from sessions.store import Store
 from tests.accepted import accept, cupboard
-from tests.app.run_cli import artiworld, assert_users_mistake
+from tests.app.run_cli import answer, artiworld, assert_users_mistake
 
 
 @pytest.fixture
@@ -21,9 +21,7 @@ def workspace(tmp_path: Path) -> Path:
 
 
 def test_releases_are_numbered_compared_and_imported(workspace: Path, tmp_path: Path) -> None:
-    first = artiworld("release", workspace, "--name", "kitchen", "--license", "MIT", "--json")
-    assert first.returncode == 0, first.stderr
-    said = json.loads(first.stdout)
+    said = answer("release", workspace, "--name", "kitchen", "--license", "MIT")
     assert (said["version"], said["license"], len(said["assets"])) == ("1", "MIT", 1)
     store = Store(workspace)
     accept(store, tmp_path / "fridge.ply", cupboard("Refrigerator"))

@@ -23,6 +23,7 @@ from model.io.urdf.writer import read_urdf
 from model.io.write import write_cloud, write_mesh
 from model.scenes.asset_parts import asset_digest
 from model.scenes.registry import read_scene
+from tests.app.run_cli import answer
 from tests.builders import wait_until
 from tests.model.scenes import scenes_made as made
 
@@ -372,8 +373,7 @@ def test_a_scan_stands_on_the_floor_and_not_on_its_outliers(tmp_path: Path) -> N
 
 def test_inspect(assets: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     scene = made.write_scene(tmp_path / "layout.json", table_scene())
-    assert main(["scene", "inspect", str(scene), "--assets", str(assets), "--json"]) == 0
-    report = json.loads(capsys.readouterr().out)
+    report = answer("scene", "inspect", str(scene), "--assets", str(assets))
     assert [o["articulable"] for o in report["objects"]] == [True, True, True, False, True]
     assert report["missing_assets"] == ["nowhere"]
     assert main(["scene", "inspect", str(scene)]) == 0

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 import trimesh
 
 from app.server.scene_tasks import Shape
-from app.viewer.picture.scene_nodes import Node, Placement, first_under
+from app.viewer.picture.scene_nodes import Group, Node, Placement, first_under
 from model.geometry.picking import DEFAULT_PIXEL_ANGLE
 
 
@@ -15,6 +17,7 @@ from model.geometry.picking import DEFAULT_PIXEL_ANGLE
 def nodes() -> dict[str, Node]:
     """A thin lamp post, and a crate a metre beside it, both drawn at half their size."""
     out: dict[str, Node] = {}
+    client: Any = None
     sizes = {"post": (0.01, 0.01, 2.0), "crate": (0.8, 0.8, 0.8)}
     for at, (name, size) in enumerate(sizes.items()):
         box = trimesh.creation.box(size)
@@ -22,7 +25,7 @@ def nodes() -> dict[str, Node]:
                       box.faces.astype(np.uint32))  # fmt: skip
         world = np.eye(4)
         world[0, 3] = at
-        out[name] = Node((name,), shape, [Placement(world, np.full(3, 0.5))], None, "")
+        out[name] = Node(client, name, Group((name,), shape, [Placement(world, np.full(3, 0.5))]))
     return out
 
 

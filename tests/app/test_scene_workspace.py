@@ -22,11 +22,10 @@ from app.server.accepting import accept
 from app.server.app_state import AppState
 from app.server.config import ServeConfig
 from app.server.job import Job
-from app.server.scene_state import Row, decided_text
+from app.server.scene_state import Row, decided_text, order
 from app.server.scene_workspace import SceneWorkspace
 from app.viewer.panels.joint_tree import joint_lines
-from app.viewer.panels.scene_card import count_text
-from app.viewer.panels.scene_list import order, page_buttons
+from app.viewer.panels.scene_panels import count_text, page_buttons
 from model.core.articulated_object import Prediction
 from model.core.errors import CommandError
 from model.core.joint import Joint

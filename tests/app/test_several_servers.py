@@ -18,7 +18,7 @@ from typing import Any
 import pytest
 
 from app.cli.commands import ServeCommand
-from app.cli.main import make_parser
+from app.cli.main import parse
 from app.client import ApiError, Client
 from sessions.store import Store
 from tests.app.api_server import upload_at_once
@@ -228,10 +228,13 @@ def test_the_compose_file_gives_options_that_there_are() -> None:
     texts = (DEPLOY / "nginx.conf").read_text()
     for name in ("artiworld-1", "artiworld-2"):
         command = services[name]["command"]
-        asked = make_parser().parse_args(command)
-        assert asked.command is ServeCommand
+        asked, _ = parse(command)
+        assert isinstance(asked, ServeCommand)
         assert (asked.port, asked.host, str(asked.workspace)) == (8080, "0.0.0.0", "/workspace")
-        assert asked.database.startswith("postgresql+pg8000://") and asked.storage[:5] == "s3://"
+        assert (
+            str(asked.database).startswith("postgresql+pg8000://")
+            and str(asked.storage)[:5] == "s3://"
+        )
         assert f"server {name}:{asked.port};" in texts
     s3 = json.loads((DEPLOY / "s3.json").read_text())
     assert s3["identities"][0]["credentials"]

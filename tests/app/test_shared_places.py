@@ -153,7 +153,7 @@ def an_asset(given: Path, workspace: Path) -> Path:
 def a_part_cut_out(given: Path, workspace: Path) -> Path:
     source = _half_a_box(given, workspace)
     return prepare_tasks.cut_out(
-        source.folder, workspace, source.labels, 1, None, "door"
+        workspace, None, source.folder, source.labels, 1, "door"
     ).path.parent
 
 
@@ -194,7 +194,7 @@ def an_asset_on_the_storage(given: Path, workspace: Path) -> Path:
 PLACES = (
     a_zip, a_file, an_array, a_cached_asset, a_light, a_thumbnail, a_scene_objects_copy,
     an_asset, a_part_cut_out, a_drawn_shape, collision_shapes, the_objects_inside_a_scene,
-    an_asset_on_the_storage,
+    an_asset_on_the_storage, pytest.param(a_draft, marks=pytest.mark.slow),
 )  # fmt: skip
 
 
@@ -212,14 +212,8 @@ def _write_in(
     return place(given, workspace)
 
 
-@pytest.mark.parametrize(
-    ("place", "kind"),
-    [
-        *((place, kind) for place in PLACES for kind in (threads, processes)),
-        # Workers write one draft at a time: what they remember isn't made for threads.
-        pytest.param(a_draft, processes, marks=pytest.mark.slow),
-    ],
-)
+@pytest.mark.parametrize("kind", [threads, processes])
+@pytest.mark.parametrize("place", PLACES)
 def test_ten_at_once_write_it_complete(
     place: Callable[[Path, Path], Path], kind: Callable[[], Executor], given: Path, tmp_path: Path
 ) -> None:

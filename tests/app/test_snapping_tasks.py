@@ -8,7 +8,7 @@ from typing import Any, cast
 import pytest
 import trimesh
 
-from app.server import picking_tasks
+from app.server import part_tasks
 from model.core.joint import Joint
 from model.core.tree import KinematicTree
 from tests.builders import part
@@ -26,10 +26,10 @@ def test_contact_lands_in_the_middle_of_the_barrels(
     panel = trimesh.creation.box((0.5, 0.02, 0.8)).apply_translation((0.25, -0.011, 0.4))
     wall = trimesh.creation.box((0.02, 0.4, 0.8)).apply_translation((0.01, 0.2, 0.4))
     parts = (part("link_0", wall), part("link_1", panel, *knuckles))
-    monkeypatch.setattr(picking_tasks, "parts_of", lambda _: parts)
+    monkeypatch.setattr(part_tasks, "parts_of", lambda _: parts)
     joint = Joint("j", "revolute", "link_0", "link_1", (0, 0, 1), (*guess, 0.4), 0.0, 1.5)
     tree = KinematicTree(("link_0", "link_1"), (joint,))
-    snapped = picking_tasks.snap_joint(cast(Any, None), tree, "link_1", "Contact")
+    snapped = part_tasks.snap_joint(cast(Any, None), tree, "link_1", "Contact")
     assert snapped.origin[:2] == pytest.approx((0.003, -0.026), abs=1e-6)
     assert snapped.axis == joint.axis
 
@@ -39,13 +39,13 @@ def test_each_joint_of_a_part_snaps_to_that_part(monkeypatch: pytest.MonkeyPatch
     foot = trimesh.creation.box((0.1, 0.1, 0.4)).apply_translation((0, 0, 0.2))
     seat = trimesh.creation.box((0.5, 0.4, 0.1)).apply_translation((0.02, 0, 0.45))
     parts = (part("link_0", foot), part("link_1", seat))
-    monkeypatch.setattr(picking_tasks, "parts_of", lambda _: parts)
+    monkeypatch.setattr(part_tasks, "parts_of", lambda _: parts)
     rises = Joint("rises", "prismatic", "link_0", "helper_1", (1, 0, 0), (0, 0, 0), 0.0, 0.1)
     turns = Joint("turns", "continuous", "helper_1", "link_1", (1, 0, 0))
     tree = KinematicTree(("link_0", "helper_1", "link_1"), (rises, turns))
 
     def snapped(child: str, to: str) -> Joint:
-        return picking_tasks.snap_joint(cast(Any, SimpleNamespace(title="chair")), tree, child, to)
+        return part_tasks.snap_joint(cast(Any, SimpleNamespace(title="chair")), tree, child, to)
 
     for joint in (rises, turns):
         assert snapped(joint.child, "axis Short").axis == pytest.approx((0, 0, 1), abs=1e-6)

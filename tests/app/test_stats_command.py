@@ -11,7 +11,7 @@ import pytest
 from model.segmentation.prompts import Click
 from sessions import commands as cmd
 from sessions.store import Store
-from tests.app.run_cli import artiworld, assert_users_mistake
+from tests.app.run_cli import answer, artiworld, assert_users_mistake
 
 
 @pytest.fixture
@@ -27,9 +27,7 @@ def workspace(tmp_path: Path) -> Path:
 
 def test_rows_by_person_cost_and_csv(workspace: Path, tmp_path: Path) -> None:
     table = tmp_path / "rows.csv"
-    done = artiworld("stats", workspace, "--rate", "36", "--csv", table, "--json")
-    assert done.returncode == 0, done.stderr
-    anna, ben = json.loads(done.stdout)
+    anna, ben = answer("stats", workspace, "--rate", "36", "--csv", table)
     assert (anna["person"], anna["active"], anna["clicks"], anna["cost"]) == ("anna", 10.0, 2, 0.1)
     assert (ben["person"], ben["active"], ben["accepted_per_hour"]) == ("ben", 0.0, None)
     with table.open(newline="") as file:

@@ -267,7 +267,7 @@ def test_an_object_leaves_the_room_and_knows_its_place(tmp_path):
     every = np.concatenate([floor, wall, box])
     trimesh.PointCloud(every).export(tmp_path / "room.ply")
     room = open_asset(tmp_path / "room.ply", tmp_path, tasks.ReadOptions())
-    removal = prepare_tasks.floor_and_walls(room.folder, tmp_path, None)
+    removal = prepare_tasks.floor_and_walls(tmp_path, None, room.folder)
     inside = open_asset(
         tmp_path / "room.ply", tmp_path, tasks.ReadOptions(left_out=removal.elements)
     )
@@ -276,19 +276,17 @@ def test_an_object_leaves_the_room_and_knows_its_place(tmp_path):
     assert abs(inside.element_count - 8000) < 400
     arrays = tasks.arrays_of(tmp_path)
     labels = arrays.put((kept[:, 2] > 0.3).astype(np.int16))
-    crop = prepare_tasks.cut_out(
-        inside.folder, tmp_path, labels, 1, removal.elements, "big box", lambda *_: None
-    )
+    crop = prepare_tasks.cut_out(tmp_path, removal.elements, inside.folder, labels, 1, "big box")
     assert crop.name == "big_box" and crop.path.suffix == ".ply"
     alone = open_asset(crop.path, tmp_path, tasks.ReadOptions())
     assert abs(alone.bounds[0][2]) < 1e-6
     source = points_of(room)[arrays.get(crop.elements)]
     np.testing.assert_allclose(points_of(alone) + crop.position, source, atol=1e-6)
     # Leaving out the rest too: both are gone, in the numbers of the whole source.
-    rest = prepare_tasks.leave_out_part(inside.folder, tmp_path, labels, 0, removal.elements)
+    rest = prepare_tasks.leave_out_part(tmp_path, removal.elements, inside.folder, labels, 0)
     assert rest.count == len(every) - crop.count
     with pytest.raises(CommandError, match="single object"):
-        prepare_tasks.floor_and_walls(alone.folder, tmp_path, None)
+        prepare_tasks.floor_and_walls(tmp_path, None, alone.folder)
 
 
 def test_a_cut_splits_large_faces_and_the_parts_keep_theirs(tmp_path):

@@ -288,7 +288,7 @@ def test_bodies_are_made_while_joints_are_predicted(
     build.prepare_bodies(parts_of(obj.source()), app_state.workspace / "collision")
     obj.jobs.cancel("predict")
     held.cancel()
-    wait_until(lambda: not obj.predicting, "it is cancelled")
+    wait_until(lambda: "predict" not in obj.jobs, "it is cancelled")
 
 
 def test_what_was_said_while_the_joints_were_being_judged_is_kept(
@@ -332,7 +332,7 @@ def test_what_the_gate_holds_back_after_a_person_went_on_waits_for_another_look(
     record = app_state.store.object(obj.record.id)
     assert (
         told
-        and app_state.is_validating(record.id)
+        and obj.validation.acceptance_waits
         and app_state.is_accepting(record.id)
         and obj.in_use
     )

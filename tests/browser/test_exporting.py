@@ -113,6 +113,6 @@ def test_many_are_accepted_above_a_confidence(cupboard: Path, start: Any, open_t
     wait_until(lambda: states()["cupboard"] == "accepted", "the sure one is accepted", 120)
     assert states()["wardrobe"] != "accepted", "the other one waits for a person"
     session = server.app_state.hub.session(records["cupboard"])
-    assert session.document.saved is not None
+    wait_until(lambda: session.document.saved is not None, "its asset is known")
     asset = Path(session.document.saved.folder)
     assert [j.type for j in load_object(asset).tree.joints] == ["revolute"]

@@ -151,7 +151,7 @@ def check_it_is_reopened_where_one_looks(tab: Tab) -> None:
     wait_until(lambda: tab.field("Type").is_disabled(), "the type can't be changed")
     tab.key("p")
     tab.page.get_by_text("reopen it before you change it").wait_for()
-    assert not tab.object.predicting
+    assert "predict" not in tab.object.jobs
     tab.button("Reopen to edit").click()
     wait_until(lambda: tab.document.review.state == "in_progress", "reopened")
     wait_until(lambda: tab.field("Type").is_enabled(), "the type can be changed")
@@ -187,7 +187,7 @@ def test_y_shows_what_wants_a_look_before_it_accepts(
     held = server.app_state.workers.saving.submit(time.sleep, 600.0, priority=9)
     tab.key("y")
     wait_until(lambda: tab.object is other, "the next object")
-    assert obj.document.review.state == "predicted" and server.app_state.is_saving(obj.record.id)
+    assert obj.document.review.state == "predicted" and "save" in obj.jobs
     tab.page.get_by_title("cupboard: saving").wait_for()
     tab.page.screenshot(path=str(tmp_path / "saving.png"))
     held.cancel()

@@ -16,7 +16,7 @@ from tests.browser.browsing import Tab, wait_until
 
 pytestmark = pytest.mark.browser
 THINKING = 2.0
-"""Seconds before each act: short enough for a test, long enough for two in a hundred."""
+"""Seconds before each act."""
 
 
 def counted(gaps: Iterable[float]) -> float:
@@ -38,6 +38,7 @@ def test_the_log_agrees_with_the_scripts_own_clock(
         what()
 
     act(lambda: tab.prompt(points["door"]))
+    first_was_slow = time.time() - moments[0]
     tab.key("2")
     wait_until(lambda: tab.selection.part == 2, "key 2 chooses part 2")
     act(lambda: tab.prompt(points["drawer"]))
@@ -55,13 +56,15 @@ def test_the_log_agrees_with_the_scripts_own_clock(
     tab.app.motion.stop()
     act(lambda: tab.key("f"))
     wait_until(lambda: tab.document.edited_joints, "a joint is flipped")
+    last_was_slow = time.time() - moments[-1]
 
     log = read_work(Path(server.config.workspace), server.config.database)
     acts = acts_of(log)
     first = next(i for i, a in enumerate(acts) if a.kind == "add_click")
     found = figures_of(a for a in acts[first + 1 :])
-    own = itertools.pairwise(sorted([*moments, answered]))
-    assert found.active == pytest.approx(counted(b - a for a, b in own), rel=0.02)
+    own = counted(b - a for a, b in itertools.pairwise(sorted([*moments, answered])))
+    # An act is logged between the press of the key and what the screen then shows.
+    assert own - first_was_slow < found.active < own + last_was_slow
     everything = figures_of(acts)
     assert (everything.clicks, everything.corrections) == (3, 2), "the undo and the flipped joint"
     opened = max(j.at for j in log.jobs if j.kind == "open")

@@ -277,5 +277,5 @@ def test_an_obj_with_its_texture_is_uploaded_in_one_go(
     wait_until(lambda: tab.object.record.name == "tri", "the new object is open")
     asset = wait_until(lambda: tab.object.asset, "it is read")
     assert not asset.warnings
-    kept = asset.path.parent
+    kept = asset.source.path.parent
     assert {p.name for p in kept.iterdir()} == {"oak.png", "tri.mtl", "tri.obj"}

@@ -31,8 +31,8 @@ from model.core.articulated_object import ArticulatedObject
 from model.core.asset import Asset
 from model.core.files import static_assets
 from model.core.geometry import Material, Mesh, PointCloud
-from model.data.datasets import Dataset
 from model.data.folders import Bundled, PartNetMobility
+from model.data.registry import Dataset
 from model.data.simulated.depth_camera import ReconstructionSettings, reconstruct_scan
 from model.evaluation.scans import joints_right, part_numbers
 from model.evaluation.segmentation_clicks import (

@@ -10,18 +10,7 @@ import pytest
 
 from model.core.asset import Source
 from model.segmentation.prompts import Click
-from sessions.commands import (
-    Accept,
-    AddClick,
-    AddRegion,
-    NamePart,
-    RecordPrediction,
-    RecordSegmentation,
-    Saved,
-    SetCategory,
-    SetJoint,
-    Undo,
-)
+from sessions import commands as cmd
 from sessions.live import LiveSession
 from sessions.provenance import provenance
 
@@ -32,23 +21,23 @@ SOURCE = Source(Path("scans/cabinet.ply"), "e" * 64, "y", 0.001)
 def live(store, labels_ref, prediction, cabinet):
     live = LiveSession(store, store.open_object(SOURCE.path, SOURCE.sha256, "cabinet").id)
     for part in (1, 2, 3, 4):
-        live.do(AddClick(Click((0.0, 0.0, float(part)), part)), "ann")
-    live.do(AddRegion(1, labels_ref, count=50), "ann")
-    live.do(Undo(), "ann")
-    live.do(NamePart(1, "door"), "ann")
-    live.do(SetCategory("cabinet"), "ann")
-    answer = RecordSegmentation(
+        live.do(cmd.AddClick(Click((0.0, 0.0, float(part)), part)), "ann")
+    live.do(cmd.AddRegion(1, labels_ref, count=50), "ann")
+    live.do(cmd.Undo(), "ann")
+    live.do(cmd.NamePart(1, "door"), "ann")
+    live.do(cmd.SetCategory("cabinet"), "ann")
+    answer = cmd.RecordSegmentation(
         live.document.key, labels_ref, "walk", 0.1, dict.fromkeys(range(5), 10)
     )
     live.do(answer, "ann")
-    live.do(SetCategory("kitchen cabinet"), "ann")
-    live.do(RecordPrediction(prediction, labels_ref), "ann")
+    live.do(cmd.SetCategory("kitchen cabinet"), "ann")
+    live.do(cmd.RecordPrediction(prediction, labels_ref), "ann")
     hinge = cabinet.joint_of["link_1"]
-    live.do(SetJoint(replace(hinge, upper=1.0)), "rob")
-    live.do(SetJoint(replace(hinge, upper=1.2)), "rob")
-    live.do(Undo(), "rob")
-    live.do(Accept("good"), "rob")
-    live.do(Saved("out"), "rob")
+    live.do(cmd.SetJoint(replace(hinge, upper=1.0)), "rob")
+    live.do(cmd.SetJoint(replace(hinge, upper=1.2)), "rob")
+    live.do(cmd.Undo(), "rob")
+    live.do(cmd.Accept("good"), "rob")
+    live.do(cmd.Saved("out"), "rob")
     return live
 
 
@@ -88,8 +77,8 @@ def test_edits_that_were_undone_are_not_told(live, store):
 
 
 def test_a_new_prediction_starts_the_list_of_edits_afresh(live, store, prediction, labels_ref):
-    live.do(Undo(), "rob")  # the acceptance
-    live.do(RecordPrediction(prediction, labels_ref), "ann")
+    live.do(cmd.Undo(), "rob")  # the acceptance
+    live.do(cmd.RecordPrediction(prediction, labels_ref), "ann")
     assert told(live, store)["edits"] == []
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from model.core.errors import CommandError
 from sessions.commands import Undo, from_json, to_json
-from sessions.document import DecisionRecord
+from sessions.document import DecisionRecord, Picked
 from sessions.scene_commands import DecideObjects, PickOut, SetArticulable
 from sessions.serialise import state_from_json, state_to_json
 from sessions.state import Context, SessionState, apply
@@ -64,7 +64,10 @@ def test_nonsense_is_refused(make, message):
 
 def test_what_is_picked_out_is_one_step_and_is_written():
     state = apply(SessionState(), PICK, HERE)
-    assert state.present.picked == (PICK,) and state.present.label == "pick oven out of room"
+    assert (
+        state.present.picked == (Picked(**vars(PICK)),)
+        and state.present.label == "pick oven out of room"
+    )
     assert from_json(json.loads(json.dumps(to_json(PICK)))) == PICK
     assert state_from_json(json.loads(json.dumps(state_to_json(state)))) == state
     assert apply(state, Undo(), HERE).present.picked == ()

@@ -16,44 +16,12 @@ from model.core.errors import CommandError
 from model.core.joint import Joint
 from model.core.tree import KinematicTree
 from model.segmentation.prompts import Click
-from sessions.commands import (
-    Accept,
-    AddClick,
-    AddPart,
-    AddRegion,
-    ApplyTool,
-    ClearPrompts,
-    Command,
-    CropOut,
-    DeletePart,
-    LeaveOut,
-    LockJoint,
-    NamePart,
-    Placed,
-    RecordPrediction,
-    RecordSegmentation,
-    Redo,
-    Reject,
-    RemovePrompt,
-    Reopen,
-    ResetJoint,
-    Saved,
-    SetCategory,
-    SetCompletion,
-    SetFrame,
-    SetJoint,
-    SetRoot,
-    Undo,
-    from_json,
-    to_json,
-)
+from sessions import commands as cmd
 from sessions.live import LiveSession
 from sessions.provenance import effective, provenance
-from sessions.scene_commands import DecideObjects, SetArticulable
 from sessions.serialise import state_from_json, state_to_json
-from sessions.state import Context, SessionState, apply, needed_jobs, replay
+from sessions.state import Context, SessionState, apply, replay
 from sessions.store import Store
-from sessions.tool_commands import ToolRegion
 
 parts = st.integers(0, 4)
 links = st.integers(0, 4).map("link_{}".format)
@@ -100,71 +68,75 @@ def predictions(draw) -> Prediction:
     return Prediction(tree, confidence=confidence, seconds=draw(st.floats(0, 9)))
 
 
-clicks = st.builds(AddClick, st.builds(Click, point, parts, st.booleans(), st.none() | parts))
+places = st.builds(Click, point, parts, st.booleans(), st.none() | parts)
+clicks = st.builds(cmd.AddClick, places)
 counts = st.just(dict.fromkeys(range(5), 10)) | st.fixed_dictionaries(
     {i: st.integers(0, 3) for i in range(-1, 5)}
 )
-answers = st.builds(RecordSegmentation, st.just("?"), refs, st.just("walk"), coordinate, counts)
-commands: st.SearchStrategy[Command] = st.one_of(
+answers = st.builds(cmd.RecordSegmentation, st.just("?"), refs, st.just("walk"), coordinate, counts)
+commands: st.SearchStrategy[cmd.Command] = st.one_of(
     clicks,
-    clicks,
+    st.builds(cmd.AddClick, places, answers),
     answers,
     answers,
-    st.builds(AddRegion, parts, refs, st.booleans(), parts),
+    st.builds(cmd.AddRegion, parts, refs, st.booleans(), parts),
     st.builds(
-        ApplyTool,
+        cmd.ApplyTool,
         st.just("cut"),
-        st.lists(st.builds(ToolRegion, parts, refs, st.booleans(), parts, texts), max_size=3).map(
-            tuple
-        ),
+        st.lists(
+            st.builds(cmd.ToolRegion, parts, refs, st.booleans(), parts, texts), max_size=3
+        ).map(tuple),
         st.integers(0, 2),
         st.sampled_from([(), (1,), (3,)]),
     ),
-    st.builds(LeaveOut, st.none() | refs, parts),
-    st.builds(CropOut, st.just("oven"), st.just("/w/oven.ply"), refs, parts, point),
-    st.builds(Placed, st.just("/w/room.ply"), st.just(""), refs, point),
-    st.builds(SetArticulable, texts.filter(bool), st.none() | st.booleans()),
+    st.builds(cmd.LeaveOut, st.none() | refs, parts),
+    st.builds(cmd.CropOut, st.just("oven"), st.just("/w/oven.ply"), refs, parts, point),
+    st.builds(cmd.Placed, st.just("/w/room.ply"), st.just(""), refs, point),
+    st.builds(cmd.SetArticulable, texts.filter(bool), st.none() | st.booleans()),
     st.builds(
-        DecideObjects, st.sampled_from(["accept", "reject"]), st.tuples(parts), st.none() | shares
+        cmd.DecideObjects,
+        st.sampled_from(["accept", "reject"]),
+        st.tuples(parts),
+        st.none() | shares,
     ),
-    st.builds(RemovePrompt, parts, st.integers(1, 3)),
-    st.builds(ClearPrompts, st.none() | parts),
-    st.builds(AddPart, parts, texts),
-    st.builds(NamePart, parts, texts),
-    st.builds(DeletePart, st.integers(1, 4)),
-    st.builds(SetCategory, texts),
-    st.builds(SetCompletion, st.booleans()),
-    st.builds(SetJoint, joints()),
-    st.builds(SetFrame, st.sampled_from(["y", "-z"]), st.sampled_from([1.0, 0.001])),
-    st.builds(RecordPrediction, predictions(), refs),
-    st.builds(RecordPrediction, predictions(), refs),
-    st.builds(SetJoint, joints()),
-    st.builds(SetJoint, joints()),
-    st.builds(SetRoot, links),
-    st.builds(ResetJoint, links),
-    st.builds(LockJoint, links, st.booleans()),
-    st.builds(Accept, comments, st.just(("close",))),
-    st.builds(Reject, st.just("axis"), comments),
-    st.builds(Reopen, comments),
-    st.builds(Saved, st.just("out")),
-    st.builds(Undo),
-    st.builds(Undo),
-    st.builds(Redo),
+    st.builds(cmd.RemovePrompt, parts, st.integers(1, 3)),
+    st.builds(cmd.ClearPrompts, st.none() | parts),
+    st.builds(cmd.AddPart, parts, texts),
+    st.builds(cmd.NamePart, parts, texts),
+    st.builds(cmd.DeletePart, st.integers(1, 4)),
+    st.builds(cmd.SetCategory, texts),
+    st.builds(cmd.SetCompletion, st.booleans()),
+    st.builds(cmd.SetJoint, joints()),
+    st.builds(cmd.SetFrame, st.sampled_from(["y", "-z"]), st.sampled_from([1.0, 0.001])),
+    st.builds(cmd.RecordPrediction, predictions(), refs),
+    st.builds(cmd.RecordPrediction, predictions(), refs),
+    st.builds(cmd.SetJoint, joints()),
+    st.builds(cmd.SetJoint, joints()),
+    st.builds(cmd.SetRoot, links),
+    st.builds(cmd.ResetJoint, links),
+    st.builds(cmd.LockJoint, links, st.booleans()),
+    st.builds(cmd.Accept, comments, st.just(("close",))),
+    st.builds(cmd.Reject, st.just("axis"), comments),
+    st.builds(cmd.Reopen, comments),
+    st.builds(cmd.Saved, st.just("out")),
+    st.builds(cmd.Undo),
+    st.builds(cmd.Undo),
+    st.builds(cmd.Redo),
 )
 start = st.tuples(
     clicks,
-    st.just(RecordSegmentation("?", "ab" * 32, "walk", 0.1, dict.fromkeys(range(5), 10))),
-    st.builds(RecordPrediction, predictions(), refs),
+    st.just(cmd.RecordSegmentation("?", "ab" * 32, "walk", 0.1, dict.fromkeys(range(5), 10))),
+    st.builds(cmd.RecordPrediction, predictions(), refs),
 ).map(list)
-beginnings = st.just([]) | start | start.map(lambda done: [*done, Accept("fine")])
+beginnings = st.just([]) | start | start.map(lambda done: [*done, cmd.Accept("fine")])
 
 
-def begun(rest: st.SearchStrategy[list[Command]]) -> st.SearchStrategy[list[Command]]:
+def begun(rest: st.SearchStrategy[list[cmd.Command]]) -> st.SearchStrategy[list[cmd.Command]]:
     """Left to chance alone, hardly any history would come as far as a tree."""
     return st.tuples(beginnings, rest).map(lambda both: [*both[0], *both[1]])
 
 
-_NOTED = (RecordSegmentation, Saved, Placed)  # answers and facts, no steps
+_NOTED = (cmd.RecordSegmentation, cmd.Saved, cmd.Placed)  # answers and facts, no steps
 sequences = begun(st.lists(commands, min_size=12, max_size=50))
 quick = settings(max_examples=35, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 
@@ -173,14 +145,17 @@ def contexts(index: int) -> Context:
     return Context(("ann", "rob")[index % 2], f"2030-01-01T00:{index // 60:02}:{index % 60:02}Z")
 
 
-def meant(command: Command, state: SessionState) -> Command:
+def meant(command: cmd.Command, state: SessionState) -> cmd.Command:
     """Most answers fit the prompts, as they do in life."""
-    if isinstance(command, RecordSegmentation) and needed_jobs(state):
-        return replace(command, prompts_key=needed_jobs(state)[0].prompts_key)
+    if isinstance(command, cmd.RecordSegmentation) and state.present.needs_labels:
+        return replace(command, prompts_key=state.present.key)
+    if isinstance(command, cmd.AddClick) and command.answer is not None:
+        clicked = cmd.AddClick(command.click).edit(state.present, contexts(0))
+        return replace(command, answer=replace(command.answer, prompts_key=clicked.key))
     return command
 
 
-def play(sequence) -> tuple[SessionState, list[tuple[int, Command, Context]]]:
+def play(sequence) -> tuple[SessionState, list[tuple[int, cmd.Command, Context]]]:
     state, log = SessionState(), []
     for i, raw in enumerate(sequence):
         command = meant(raw, state)
@@ -199,7 +174,7 @@ def play(sequence) -> tuple[SessionState, list[tuple[int, Command, Context]]]:
 def test_replay_of_the_written_log_equals_live(sequence):
     state, log = play(sequence)
     assert [seq for seq, _, _ in log] == list(range(1, len(log) + 1))
-    written = [(s, from_json(json.loads(json.dumps(to_json(c)))), x) for s, c, x in log]
+    written = [(s, cmd.from_json(json.loads(json.dumps(cmd.to_json(c)))), x) for s, c, x in log]
     assert replay(written) == state
 
 
@@ -211,11 +186,11 @@ def test_undo_inverts_every_step_and_redo_inverts_undo(sequence, last):
         after = apply(before, meant(last, before), contexts(0))
     except CommandError:
         return
-    if len(after.past) != len(before.past) + 1 or isinstance(last, Redo):
+    if len(after.past) != len(before.past) + 1 or isinstance(last, cmd.Redo):
         return
-    undone = apply(after, Undo(), contexts(1))
+    undone = apply(after, cmd.Undo(), contexts(1))
     assert (undone.present, undone.past) == (before.present, before.past)
-    redone = apply(undone, Redo(), contexts(2))
+    redone = apply(undone, cmd.Redo(), contexts(2))
     assert (redone.present, redone.past, redone.future) == (after.present, after.past, ())
 
 

@@ -13,22 +13,15 @@ import pytest
 
 from model.core.errors import CommandError, StoreError
 from model.segmentation.prompts import Click
-from sessions.commands import (
-    AddClick,
-    NamePart,
-    RecordPrediction,
-    RecordSegmentation,
-    Reject,
-    SetCategory,
-    Undo,
-)
+from sessions import commands as cmd
 from sessions.database import Database, sqlite_file
-from sessions.state import SessionState, prompts_key
+from sessions.document import prompts_key
+from sessions.state import SessionState
 from sessions.store import ConflictError, PendingAcceptance, Store, now
 
 
-def click(i: int) -> AddClick:
-    return AddClick(Click((0.01 * i, 0.0, 0.0), i % 5))
+def click(i: int) -> cmd.AddClick:
+    return cmd.AddClick(Click((0.01 * i, 0.0, 0.0), i % 5))
 
 
 def opened(store: Store, name: str = "oven") -> int:
@@ -87,7 +80,7 @@ def test_many_objects_are_opened_and_listed_fast(store):
 
 def test_appended_commands_are_the_state_and_the_history(store):
     object_id = opened(store)
-    given = [click(1), click(2), NamePart(2, "door"), Undo(), SetCategory("oven")]
+    given = [click(1), click(2), cmd.NamePart(2, "door"), cmd.Undo(), cmd.SetCategory("oven")]
     for seq, command in enumerate(given):
         assert store.append(object_id, command, "ann", seq) == seq + 1
     state = store.load(object_id)
@@ -107,8 +100,8 @@ def test_appended_commands_are_the_state_and_the_history(store):
 def test_a_refused_command_leaves_nothing(store):
     object_id = opened(store)
     with pytest.raises(CommandError, match="no part 9"):
-        store.append(object_id, NamePart(9, "x"), "ann", 0)
-    assert store.append(object_id, NamePart(0, None), "ann", 0) == 0, "it changes nothing"
+        store.append(object_id, cmd.NamePart(9, "x"), "ann", 0)
+    assert store.append(object_id, cmd.NamePart(0, None), "ann", 0) == 0, "it changes nothing"
     assert store.history(object_id) == []
     assert store.append(object_id, click(1), "ann", 0) == 1
 
@@ -134,7 +127,7 @@ def test_an_unknown_object_is_named(store):
 def test_a_rejected_object_waits_for_its_annotator(store, prediction):
     object_id = opened(store)
     seq = store.append(object_id, click(1), "ann", 0)
-    seq = store.append(object_id, Reject("parts", "the lid is missing"), "rob", seq)
+    seq = store.append(object_id, cmd.Reject("parts", "the lid is missing"), "rob", seq)
     record = store.object(object_id)
     assert (record.state, record.assigned_to, record.who) == ("rejected", "ann", "rob")
     store.append(object_id, click(2), "ann", seq)
@@ -167,11 +160,11 @@ def test_snapshots_shorten_the_replay_and_only_two_are_kept(store, monkeypatch):
 def test_labels_and_predictions_come_back(store, prediction, labels_ref):
     object_id = opened(store)
     for seq, part in enumerate((1, 2, 3, 4)):
-        store.append(object_id, AddClick(Click((0, 0, 0), part)), "ann", seq)
+        store.append(object_id, cmd.AddClick(Click((0, 0, 0), part)), "ann", seq)
     key = prompts_key(store.load(object_id).present)
-    answer = RecordSegmentation(key, labels_ref, "walk", 0.1, dict.fromkeys(range(5), 10))
+    answer = cmd.RecordSegmentation(key, labels_ref, "walk", 0.1, dict.fromkeys(range(5), 10))
     store.append(object_id, answer, "ann", 4)
-    store.append(object_id, RecordPrediction(prediction, labels_ref), "ann", 5)
+    store.append(object_id, cmd.RecordPrediction(prediction, labels_ref), "ann", 5)
     document = store.load(object_id).present
     assert document.tree == prediction.tree
     assert document.prediction == prediction

@@ -9,28 +9,10 @@ import pytest
 from model.core.errors import CommandError
 from model.geometry.splitting import Plane
 from model.segmentation.prompts import Click
-from sessions.commands import (
-    AddClick,
-    AddPart,
-    DeletePart,
-    NamePart,
-    SetFrame,
-    Undo,
-    from_json,
-    to_json,
-)
+from sessions import commands as cmd
 from sessions.document import Placement, RegionRef
 from sessions.serialise import state_from_json, state_to_json
 from sessions.state import Context, SessionState, apply
-from sessions.tool_commands import (
-    ApplyTool,
-    CropOut,
-    CutFaces,
-    FaceCut,
-    LeaveOut,
-    Placed,
-    ToolRegion,
-)
 
 A, B = "ab" * 32, "cd" * 32
 HERE = Context("ann", "2030-01-01T00:00:00Z")
@@ -44,11 +26,13 @@ def done(*commands) -> SessionState:
 
 
 def test_many_regions_are_one_step():
-    tool = ApplyTool("same shape", tuple(ToolRegion(i, A, True, 4, "knob") for i in (2, 3, 4)))
-    state = done(AddClick(Click((0, 0, 0), 1)), tool)
+    tool = cmd.ApplyTool(
+        "same shape", tuple(cmd.ToolRegion(i, A, True, 4, "knob") for i in (2, 3, 4))
+    )
+    state = done(cmd.AddClick(Click((0, 0, 0), 1)), tool)
     assert [p.name for p in state.present.parts] == [None, None, "knob", "knob", "knob"]
     assert state.present.label == "same shape, 3 parts"
-    undone = apply(state, Undo(), HERE).present
+    undone = apply(state, cmd.Undo(), HERE).present
     assert [p.id for p in undone.parts] == [0, 1] and len(undone.prompts) == 1
 
 
@@ -56,42 +40,47 @@ def names(state: SessionState) -> list[str | None]:
     return [p.name for p in state.present.parts]
 
 
-def alike(*parts: int, like: int = 1, tool: str = "same shape") -> ApplyTool:
-    return ApplyTool(tool, tuple(ToolRegion(i, A, True, 4, like=like) for i in parts))
+def alike(*parts: int, like: int = 1, tool: str = "same shape") -> cmd.ApplyTool:
+    return cmd.ApplyTool(tool, tuple(cmd.ToolRegion(i, A, True, 4, like=like) for i in parts))
 
 
 def test_one_name_is_for_all_that_were_found_alike():
-    found = done(AddClick(Click((0, 0, 0), 1)), alike(2, 3), AddClick(Click((1, 0, 0), 4)))
+    found = done(cmd.AddClick(Click((0, 0, 0), 1)), alike(2, 3), cmd.AddClick(Click((1, 0, 0), 4)))
     for said in (1, 3):
-        named = apply(found, NamePart(said, "knob"), HERE)
+        named = apply(found, cmd.NamePart(said, "knob"), HERE)
         assert names(named) == [None, "knob", "knob", "knob", None]
-        assert names(apply(named, Undo(), HERE)) == [None] * 5
+        assert names(apply(named, cmd.Undo(), HERE)) == [None] * 5
     # What has a name already keeps it, and another name is for one part alone.
-    own = done(AddClick(Click((0, 0, 0), 1)), alike(2, 3), NamePart(2, "knob"), NamePart(3, "dial"))
+    own = done(
+        cmd.AddClick(Click((0, 0, 0), 1)),
+        alike(2, 3),
+        cmd.NamePart(2, "knob"),
+        cmd.NamePart(3, "dial"),
+    )
     assert names(own) == [None, "knob", "knob", "dial"]
-    assert names(apply(own, NamePart(1, None), HERE)) == [None, None, "knob", "dial"]
+    assert names(apply(own, cmd.NamePart(1, None), HERE)) == [None, None, "knob", "dial"]
     assert state_from_json(state_to_json(own)) == own
 
 
 def test_parts_stay_alike_when_the_first_is_deleted():
-    state = done(AddClick(Click((0, 0, 0), 1)), alike(2, 3), DeletePart(1))
-    state = apply(state, AddClick(Click((1, 0, 0), 1)), HERE)
-    assert names(apply(state, NamePart(1, "door"), HERE)) == [None, "door", None, None]
-    assert names(apply(state, NamePart(3, "knob"), HERE)) == [None, None, "knob", "knob"]
+    state = done(cmd.AddClick(Click((0, 0, 0), 1)), alike(2, 3), cmd.DeletePart(1))
+    state = apply(state, cmd.AddClick(Click((1, 0, 0), 1)), HERE)
+    assert names(apply(state, cmd.NamePart(1, "door"), HERE)) == [None, "door", None, None]
+    assert names(apply(state, cmd.NamePart(3, "knob"), HERE)) == [None, None, "knob", "knob"]
 
 
 def test_a_part_that_is_no_number_is_like_none():
     with pytest.raises(CommandError):
-        ToolRegion(2, A, like=-3)
+        cmd.ToolRegion(2, A, like=-3)
 
 
 def test_merging_gives_the_elements_and_removes_the_part():
     first = done(
-        AddClick(Click((0, 0, 0), 1)),
-        AddClick(Click((1, 0, 0), 2)),
-        NamePart(1, "door"),
+        cmd.AddClick(Click((0, 0, 0), 1)),
+        cmd.AddClick(Click((1, 0, 0), 2)),
+        cmd.NamePart(1, "door"),
     )
-    merge = ApplyTool("merge", (ToolRegion(1, A, True, 7),), 0, (2,))
+    merge = cmd.ApplyTool("merge", (cmd.ToolRegion(1, A, True, 7),), 0, (2,))
     document = apply(first, merge, HERE).present
     assert [(p.id, p.name) for p in document.parts] == [(0, None), (1, "door")]
     assert document.prompts == (Click((0, 0, 0), 1), RegionRef(1, A, True, 7, "merge"))
@@ -99,32 +88,32 @@ def test_merging_gives_the_elements_and_removes_the_part():
 
 def test_another_mask_takes_the_place_of_the_last():
     state = done(
-        AddClick(Click((0, 0, 0), 1)),
-        ApplyTool("next mask", (ToolRegion(1, A, False, 3), ToolRegion(1, B, True, 5))),
-        ApplyTool("next mask", (ToolRegion(1, B, False, 2),), 2),
+        cmd.AddClick(Click((0, 0, 0), 1)),
+        cmd.ApplyTool("next mask", (cmd.ToolRegion(1, A, False, 3), cmd.ToolRegion(1, B, True, 5))),
+        cmd.ApplyTool("next mask", (cmd.ToolRegion(1, B, False, 2),), 2),
     )
     assert state.present.prompts[1:] == (RegionRef(1, B, False, 2, "next mask"),)
     with pytest.raises(CommandError, match="next mask"):
-        apply(state, ApplyTool("next mask", (), 5), HERE)
+        apply(state, cmd.ApplyTool("next mask", (), 5), HERE)
 
 
 def test_leaving_out_starts_afresh_and_undo_brings_everything_back():
-    state = done(AddClick(Click((0, 0, 0), 1)), AddPart(2, "door"))
+    state = done(cmd.AddClick(Click((0, 0, 0), 1)), cmd.AddPart(2, "door"))
     before = state.present.key
-    left = apply(state, LeaveOut(A, 100), HERE)
+    left = apply(state, cmd.LeaveOut(A, 100), HERE)
     assert left.present.prompts == () and left.present.left_out is not None
-    clicked = apply(left, AddClick(Click((0, 0, 0), 1)), HERE)
+    clicked = apply(left, cmd.AddClick(Click((0, 0, 0), 1)), HERE)
     assert clicked.present.key != before, "the same click means another element now"
-    assert apply(left, Undo(), HERE).present == state.present
-    assert apply(left, LeaveOut(None), HERE).present.left_out is None
-    assert apply(state, LeaveOut(None), HERE) is state
+    assert apply(left, cmd.Undo(), HERE).present == state.present
+    assert apply(left, cmd.LeaveOut(None), HERE).present.left_out is None
+    assert apply(state, cmd.LeaveOut(None), HERE) is state
 
 
 def test_a_crop_keeps_its_pose_on_both_sides():
     pose = ((1.0, 2.0, 0.5), (1.0, 0.0, 0.0, 0.0))
-    room = done(CropOut("fridge", "/w/fridge.ply", A, 9, *pose)).present
+    room = done(cmd.CropOut("fridge", "/w/fridge.ply", A, 9, *pose)).present
     assert room.crops[0].position == pose[0] and room.label == "cut out fridge"
-    fridge = done(Placed("/w/room.ply", "", A, *pose))
+    fridge = done(cmd.Placed("/w/room.ply", "", A, *pose))
     assert fridge.present.placement == Placement("/w/room.ply", "", A, *pose)
     assert not fridge.can_undo and fridge.present.review.state == "todo"
 
@@ -132,11 +121,11 @@ def test_a_crop_keeps_its_pose_on_both_sides():
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: ApplyTool("cut", (), 0, (0,)), "base"),
-        (lambda: ApplyTool("cut", (), -1), "replaces"),
-        (lambda: ToolRegion(1, "nonsense"), "reference"),
-        (lambda: CropOut("a", "/a", A, 1, (0.0, float("nan"), 0.0)), "finite"),
-        (lambda: Placed("/a", "", A, (0.0, 0.0, 0.0), (2.0, 0.0, 0.0, 0.0)), "unit"),
+        (lambda: cmd.ApplyTool("cut", (), 0, (0,)), "base"),
+        (lambda: cmd.ApplyTool("cut", (), -1), "replaces"),
+        (lambda: cmd.ToolRegion(1, "nonsense"), "reference"),
+        (lambda: cmd.CropOut("a", "/a", A, 1, (0.0, float("nan"), 0.0)), "finite"),
+        (lambda: cmd.Placed("/a", "", A, (0.0, 0.0, 0.0), (2.0, 0.0, 0.0, 0.0)), "unit"),
     ],
 )
 def test_nonsense_is_refused(make, message):
@@ -145,12 +134,12 @@ def test_nonsense_is_refused(make, message):
 
 
 def test_a_cut_through_faces_keeps_the_parts_by_their_new_numbers():
-    state = done(AddClick(Click((0, 0, 0), 1)), NamePart(1, "door"))
+    state = done(cmd.AddClick(Click((0, 0, 0), 1)), cmd.NamePart(1, "door"))
     before = state.present
-    cut = FaceCut(A, (Plane((0.5, 0, 0), (1, 0, 0)),))
-    regions = (ToolRegion(1, A, True, 7), ToolRegion(2, B, True, 9))
-    command = CutFaces("rectangle", cut, regions)
-    assert from_json(to_json(command)) == command
+    cut = cmd.FaceCut(A, (Plane((0.5, 0, 0), (1, 0, 0)),))
+    regions = (cmd.ToolRegion(1, A, True, 7), cmd.ToolRegion(2, B, True, 9))
+    command = cmd.CutFaces("rectangle", cut, regions)
+    assert cmd.from_json(cmd.to_json(command)) == command
     state = apply(state, command, HERE)
     after = state.present
     assert after.face_cuts == (cut,) and after.segmentation is None
@@ -164,13 +153,15 @@ def test_a_cut_through_faces_keeps_the_parts_by_their_new_numbers():
     # The same prompts without the cut are about other faces.
     assert replace(after, face_cuts=()).key != after.key
     # Read in another frame, the planes would lie elsewhere.
-    assert apply(state, SetFrame("y", 1.0), HERE).present.face_cuts == ()
-    undone = apply(state, Undo(), HERE).present
+    assert apply(state, cmd.SetFrame("y", 1.0), HERE).present.face_cuts == ()
+    undone = apply(state, cmd.Undo(), HERE).present
     assert (undone.prompts, undone.face_cuts, undone.key) == (before.prompts, (), before.key)
 
 
 def test_a_cut_without_planes_is_refused():
     with pytest.raises(CommandError, match="plane"):
-        FaceCut(A, ())
+        cmd.FaceCut(A, ())
     with pytest.raises(CommandError):
-        from_json({"kind": "cut_faces", "tool": "line", "regions": [], "cut": {"elements": "x"}})
+        cmd.from_json(
+            {"kind": "cut_faces", "tool": "line", "regions": [], "cut": {"elements": "x"}}
+        )

@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 
 from model.core.errors import KinematicsError
 from model.core.joint import Joint, Mimic
-from model.core.tree import KinematicTree
-from sessions.tree_edits import replace_joint, without_link
+from model.core.tree import KinematicTree, replace_joint, without_link
 
 unit = st.floats(-1, 1, allow_nan=False)
 

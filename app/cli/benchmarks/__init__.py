@@ -1,1 +1,1 @@
-"""Figures that are measured on this machine."""
+"""Benchmarks: each file measures for several subcommands of ``artiworld bench``."""

@@ -17,7 +17,6 @@ import threading
 import time
 from base64 import b64encode
 from collections import Counter
-from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
@@ -26,10 +25,18 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
+from app.cli.bench_commands import FaultsBench
 from app.cli.benchmarks.shapes import FaultSample, damaged, fault_samples
-from app.cli.benchmarks.ui import SimulatedBrowser, cabinet_cloud, drawer_ray, wait_for
+from app.cli.benchmarks.ui import (
+    MOST_PROMPTS,
+    PAUSE,
+    SimulatedBrowser,
+    cabinet_cloud,
+    drawer_ray,
+    wait_for,
+    waiting_times,
+)
 from app.cli.output import Result, console, print_records
-from app.cli.research_commands import BenchCommand
 from app.cli.serve import start_server
 from app.server.accepting import accept
 from app.server.app_state import AppState
@@ -54,10 +61,6 @@ PEOPLE, POINTS = 6, 50_000
 """Six scans of so many points stay encoded together."""
 QUIET = 0.25
 """Time without worst files, as a share of the time with them."""
-PAUSE = 0.5, 2.0
-"""Seconds between two clicks of a person."""
-MOST_PROMPTS = 6
-"""On an object; then they are taken back."""
 LOST, LOOK = 30.0, 20.0
 """Seconds after which a click is lost, and after which a person leaves what doesn't open."""
 _CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], "<f4")
@@ -122,16 +125,12 @@ def _phase(tabs: list[tuple[Any, Any]], seconds: float, seed: int, attack: Any) 
     files = Counter[str]() if attack is None else attack(end)
     for thread in threads:
         thread.join()
-    times = [1000 * t for t in taken if t < LOST] or [1000 * LOST]
-    p50, p95, most = (round(float(v)) for v in np.percentile(times, (50, 95, 100)))
     lost = sum(t >= LOST for t in taken)
     return {
         "with": "the worst files" if attack else "nobody else",
         "clicks": len(taken),
         "lost": lost,
-        "p50 ms": p50,
-        "p95 ms": p95,
-        "longest ms": most,
+        **waiting_times([t for t in taken if t < LOST] or [LOST]),
         **{what: files[what] for what in ("opened", "refused", "left")},
     }
 
@@ -236,7 +235,6 @@ MOST_DECISIONS = 9
 """Before a kill; three are an object."""
 LONGEST = 1.0
 """Seconds from a decision to a kill; the next one is there before."""
-START_SECONDS = 120.0
 _CABINET = """<mujoco model="cabinet"><worldbody><body name="case">
 <geom type="box" size="0.3 0.2 {height}" pos="0 0 0.5"/><body name="door" pos="-0.3 -0.22 0.5">
 <joint name="hinge" axis="0 0 -1" range="0 90"/><geom type="box" size="0.3 0.01 0.3" pos="0.3 0 0"/>
@@ -318,26 +316,15 @@ def work(workspace: str, name: str) -> None:
         object_id = state.add_upload(f"cabinet-{name}-{number}.xml", content)
         print("uploaded", object_id, flush=True)
         obj = state.object(object_id)
-        _wait_for(lambda obj=obj: obj.document.segmentation_current and obj.document.tree)
+        wait_for(lambda obj=obj: obj.document.segmentation_current and obj.document.tree, "joints")
         obj.do(NamePart(1, f"door {name} {number}"), "ann")
         print("named", object_id, f"door {name} {number}", flush=True)
-        report = _wait_for(lambda obj=obj: obj.validation.report)
+        report = wait_for(lambda obj=obj: obj.validation.report, "validation")
         accept(obj, "", "ann", "as it is", seen=report)
-        _wait_for(lambda obj=obj: obj.document.saved)
+        wait_for(lambda obj=obj: obj.document.saved, "the asset")
         print("accepted", object_id, flush=True)
 
 
-def _wait_for(condition: Callable[[], Any]) -> Any:
-    end = time.monotonic() + START_SECONDS
-    while not (value := condition()):
-        if time.monotonic() > end:
-            raise TimeoutError("the server doesn't go on")
-        time.sleep(0.01)
-    return value
-
-
-FILES = 2000
-"""By default."""
 SECONDS = 60.0
 """Longest reading of a file of some kilobytes; USD may take half of it by itself."""
 MEMORY = 4 << 30
@@ -348,9 +335,9 @@ BAD = ("crash", "hang", "blow-up", "our fault")
 SHOWN = 20
 
 
-def faults_bench(options: BenchCommand, progress: Progress) -> Result:
+def faults_bench(options: FaultsBench, progress: Progress) -> Result:
     """Measure with the options of the command."""
-    files = FILES if options.limit is None else options.limit
+    files = options.limit
     samples = fault_samples()
     counts: dict[str, Counter[str]] = {s.name: Counter() for s in samples}
     bad: list[dict[str, Any]] = []
@@ -379,7 +366,7 @@ def faults_bench(options: BenchCommand, progress: Progress) -> Result:
     kills = report.get("kills", {})
     lost = any(row["lost"] for row in report.get("clients", ()))
     report["failed"] = bool(bad or lost or kills.get("lost") or kills.get("left over"))
-    return report, lambda: _print(report)
+    return Result(report, lambda: _print(report), int(report["failed"]))
 
 
 def _sample_of(samples: list[FaultSample], seed: int) -> FaultSample:

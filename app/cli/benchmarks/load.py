@@ -13,16 +13,24 @@ import threading
 import time
 import urllib.request
 from collections import Counter
-from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from app.cli.bench_commands import SceneBench, TeamBench
 from app.cli.benchmarks.shapes import grid_box
-from app.cli.benchmarks.ui import LoopWatch, SimulatedBrowser, cabinet_cloud, drawer_ray, wait_for
-from app.cli.output import Result, console, print_records, table_of
-from app.cli.research_commands import BenchCommand
+from app.cli.benchmarks.ui import (
+    MOST_PROMPTS,
+    PAUSE,
+    LoopWatch,
+    SimulatedBrowser,
+    cabinet_cloud,
+    drawer_ray,
+    wait_for,
+    waiting_times,
+)
+from app.cli.output import Result, print_figures, print_records
 from app.cli.serve import start_server
 from app.client import ApiError, Client
 from app.server.config import ServeConfig
@@ -38,33 +46,7 @@ PICTURE_BYTES = 200_000
 """More than panels and backdrop take; further bytes belong to the scene."""
 
 
-@dataclass
-class SceneFigures:
-    """Figures of one opening; milliseconds from the start of the server's work.
-
-    Attributes:
-        opening: "first", or "again" with cached pictures.
-        first_ms: until any part of the scene was received.
-        first_cpu_ms: processor time of the server and its workers until then.
-        whole_ms: until every object was sent.
-        sent_mb: megabytes sent to the browser.
-        memory_mb: peak memory of the server and its worker together, MiB.
-        loop_held_ms: longest time that one callback blocked the event loop.
-        pick_ms: processor time to find the object under a click, the median of 20.
-    """
-
-    opening: str
-    objects: int
-    first_ms: float = 0.0
-    first_cpu_ms: float = 0.0
-    whole_ms: float = 0.0
-    sent_mb: float = 0.0
-    memory_mb: float = 0.0
-    loop_held_ms: float = 0.0
-    pick_ms: float = 0.0
-
-
-def scene_bench(options: BenchCommand, _: Progress) -> Result:
+def scene_bench(options: SceneBench, _: Progress) -> Result:
     """Measure a first and a second opening of a scene."""
     with tempfile.TemporaryDirectory(prefix="artiworld-bench-") as folder:
         root = Path(folder)
@@ -72,7 +54,7 @@ def scene_bench(options: BenchCommand, _: Progress) -> Result:
         figures = [
             _measure(scene, root, options.objects, opening) for opening in ("first", "again")
         ]
-    return [asdict(f) for f in figures], lambda: _print(figures)
+    return Result(figures, lambda: print_figures("A scene appears, on the server", figures))
 
 
 def make_scene(root: Path, objects: int) -> Path:
@@ -115,7 +97,13 @@ _CABINET = (
 )
 
 
-def _measure(scene: Path, root: Path, objects: int, opening: str) -> SceneFigures:
+def _measure(scene: Path, root: Path, objects: int, opening: str) -> dict[str, Any]:
+    """Figures of one opening, "again" with cached pictures; milliseconds from the server's start.
+
+    ``first`` is until any part of the scene was received, ``whole`` until every object was sent;
+    ``loop_held_ms`` the longest time that one callback blocked the event loop; ``pick_ms``
+    processor time to find the object under a click; memory in MiB, of server and worker together.
+    """
     start, used = time.perf_counter(), _cpu(os.getpid())
     config = ServeConfig(
         workspace=root / "workspace", port=0, user="bench", scene=scene, assets=(root / "assets",)
@@ -128,24 +116,23 @@ def _measure(scene: Path, root: Path, objects: int, opening: str) -> SceneFigure
         watch = LoopWatch(server.viser.get_event_loop())
         wait_for(lambda: server.apps, "the tab")
         app: Any = next(iter(server.apps.values()))
-        figures = SceneFigures(opening, objects)
         picture, least = app.scene.picture, min(PICTURE_BYTES, 10 * FACES * objects)
         wait_for(lambda: picture.nodes and browser.received > least, "the first object")
-        figures.first_ms = 1000 * (time.perf_counter() - start)
+        figures: dict[str, Any] = {"opening": opening, "objects": objects}
+        figures["first_ms"] = 1000 * (time.perf_counter() - start)
         worker = server.app_state.workers.geometry.pid
-        figures.first_cpu_ms = 1000 * (
-            _cpu(os.getpid()) - used + (0.0 if worker is None else _cpu(worker))
-        )
+        of_worker = 0.0 if worker is None else _cpu(worker)
+        figures["first_cpu_ms"] = 1000 * (_cpu(os.getpid()) - used + of_worker)
         wait_for(
             lambda: len({i for node in picture.nodes for i in node.ids}) == objects,
             "the whole scene",
         )
-        figures.sent_mb = browser.quiet() / 1e6
-        figures.whole_ms = 1000 * (browser.last - start)
-        figures.memory_mb = sum(_peak_memory(p) for p in (os.getpid(), worker) if p)
-        figures.loop_held_ms = 1000 * watch.worst
+        figures["sent_mb"] = browser.quiet() / 1e6
+        figures["whole_ms"] = 1000 * (browser.last - start)
+        figures["memory_mb"] = sum(_peak_memory(p) for p in (os.getpid(), worker) if p)
+        figures["loop_held_ms"] = 1000 * watch.worst
         watch.stop()
-        figures.pick_ms = _pick(app, objects)
+        figures["pick_ms"] = _pick(app)
         browser.close()
         return figures
     finally:
@@ -166,7 +153,7 @@ def _peak_memory(pid: int) -> float:
     return 0.0
 
 
-def _pick(app: Any, objects: int) -> float:
+def _pick(app: Any) -> float:
     picture, rng, taken = app.scene.picture, np.random.default_rng(1), []
     low, high = picture.bounds()
     for _ in range(20):
@@ -178,55 +165,22 @@ def _pick(app: Any, objects: int) -> float:
     return 1000 * float(np.median(taken))
 
 
-def _print(figures: list[SceneFigures]) -> None:
-    columns = (
-        "opening",
-        "objects",
-        "first picture",
-        "processor",
-        "whole scene",
-        "sent",
-        "memory",
-        "loop held",
-        "pick",
-    )
-    rows = [
-        (
-            f.opening,
-            str(f.objects),
-            f"{f.first_ms / 1000:.1f} s",
-            f"{f.first_cpu_ms / 1000:.1f} s",
-            f"{f.whole_ms / 1000:.1f} s",
-            f"{f.sent_mb:.1f} MB",
-            f"{f.memory_mb:.0f} MiB",
-            f"{f.loop_held_ms:.0f} ms",
-            f"{f.pick_ms:.0f} ms",
-        )
-        for f in figures
-    ]
-    title = "A scene appears, on the server"
-    console(140).print(table_of(title, columns, rows, columns[1:]))
-
-
 POINTS = 20_000
 """Points of each scan."""
 FRONT = np.array([-0.4, -0.272, 0.0])
 """A corner of the drawers' fronts, metres."""
-PAUSE = 0.5, 2.0
-"""Seconds between two clicks of a person."""
-MOST_PROMPTS = 6
-"""Prompts on an object before they are cleared."""
 
 
-def team_bench(options: BenchCommand, progress: Progress) -> Result:
+def team_bench(options: TeamBench, progress: Progress) -> Result:
     """Measure with the options of the command."""
     with tempfile.TemporaryDirectory(prefix="artiworld-team-") as folder:
         row = _measure_team(Path(folder), options, progress)
-    report = {"rows": [row], "failed": bool(row["errors"])}
-    return report, lambda: print_records(f"{options.people} people", report["rows"])
+    failed = bool(row["errors"])
+    report = {"rows": [row], "failed": failed}
+    return Result(report, lambda: print_records(f"{options.people} people", [row]), int(failed))
 
 
-def _measure_team(root: Path, options: BenchCommand, progress: Progress) -> dict[str, Any]:
+def _measure_team(root: Path, options: TeamBench, progress: Progress) -> dict[str, Any]:
     people, seed, database = options.people, options.seed, options.database
     rng = np.random.default_rng(seed)
     scans = [root / f"scan {k}.ply" for k in range(people)]
@@ -267,25 +221,17 @@ def _row(
     errors = sum((p.errors for p in [*first, *found]), Counter())
     taken = [t for p in found for t in p.taken]
     began = [p.taken[0] for p in first if p.taken]
-    p50, p95, most = (_percentile(taken, q, 1000) for q in (50, 95, 100))
     return {
         "people": people,
         "clicks": len(taken),
         "errors": sum(errors.values()),
-        "p50 ms": p50,
-        "p95 ms": p95,
-        "longest ms": most,
-        "first click p95 s": _percentile(began, 95),
+        **waiting_times(taken),
+        "first click p95 s": round(float(np.percentile(began, 95)), 1) if began else None,
         "idle MB": round(memory[0]),
         "all open MB": round(memory[1]),
         "after MB": round(memory[2]),
         **{f"status {status}": count for status, count in sorted(errors.items())},
     }
-
-
-def _percentile(seconds: list[float], q: float, scale: float = 1.0) -> float | None:
-    """Percentile ``q`` of times, multiplied by ``scale``; None without any."""
-    return round(float(np.percentile(seconds, q)) * scale, 1) if seconds else None
 
 
 class _Person(threading.Thread):

@@ -24,13 +24,14 @@ from typing import Any
 import numpy as np
 import torch
 from safetensors.torch import save_file
-from transformers.utils.logging import disable_progress_bar
 
-from app.cli.benchmarks.shapes import chest, joined
+from app.cli.bench_commands import NetworksBench
+from app.cli.benchmarks.shapes import chest
 from app.cli.output import Result, print_records
-from app.cli.research_commands import BenchCommand
 from model.core.asset import Asset
 from model.core.errors import ConfigurationError
+from model.core.geometry import merged
+from model.core.packages import require
 from model.core.progress import Progress, no_progress
 from model.geometry.sampling import sample_surface
 from model.prediction.arti4urdf.checkpoints import write_random_qwen3, write_random_ulip2
@@ -77,28 +78,28 @@ class NetworksConfig:
     training: FullConfig = field(default_factory=FullConfig)
 
 
-def networks_bench(options: BenchCommand, progress: Progress) -> Result:
+def networks_bench(options: NetworksBench, progress: Progress) -> Result:
     """Measure with the options of the command.
 
     Raises:
         ConfigurationError: for an unknown size.
     """
-    for name in options.sizes or ():
+    for name in options.sizes:
         if name not in QWEN3:
             raise ConfigurationError(f"no size {name!r}; there are {', '.join(QWEN3)}")
     sizes = {name: QWEN3[name] for name in options.sizes} if options.sizes else None
-    report = measure(NetworksConfig(sizes=sizes, train=options.train), progress)
+    report = measure(NetworksConfig(sizes=sizes, train=options.train or None), progress)
 
     def show() -> None:
         for title, rows in tables(report):
             print_records(title, rows)
 
-    return report, show
+    return Result(report, show)
 
 
 def measure(config: NetworksConfig, progress: Progress = no_progress) -> dict[str, Any]:
     """Seconds, tokens and gigabytes of each network, and the device."""
-    disable_progress_bar()
+    require("transformers.utils.logging", "network", "this benchmark").disable_progress_bar()
     gpu = torch.cuda.is_available()
     device = "cuda" if gpu else "cpu"
     sizes = config.sizes
@@ -327,7 +328,7 @@ def _point_sam(config: NetworksConfig, device: str) -> dict[str, Any]:
 
 
 def _cloud(points: int) -> Asset:
-    mesh = joined([part.mesh for part in chest(6).parts if part.mesh is not None])
+    mesh = merged([part.mesh for part in chest(6).parts if part.mesh is not None])
     cloud, _ = sample_surface(mesh, points, np.random.default_rng(0))
     return Asset("chest", cloud=cloud)
 

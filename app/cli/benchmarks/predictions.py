@@ -5,6 +5,7 @@ opens what is exported, and what simulators and validators accept.
 
 from __future__ import annotations
 
+import itertools
 import json
 import re
 import resource
@@ -18,23 +19,32 @@ from typing import Any, get_args
 import numpy as np
 from scipy.spatial import KDTree
 
+from app.cli.bench_commands import (
+    AssetsBench,
+    JointsBench,
+    PredictBench,
+    RivalsBench,
+    RobotBench,
+    ScansBench,
+    SegmentBench,
+    WeightsBench,
+)
 from app.cli.benchmarks.shapes import chest
-from app.cli.output import Result, check_output, print_records
-from app.cli.research_commands import BenchCommand
+from app.cli.output import Result, check_output, each_with_progress, print_records
 from model.core.articulated_object import SegmentedObject
 from model.core.errors import ConfigurationError
 from model.core.files import read_json
 from model.core.packages import require
-from model.core.progress import Progress, no_progress, scaled_progress
+from model.core.progress import Progress, no_progress
 from model.data.registry import DatasetOptions, recognised
-from model.evaluation.assets import beside, folder_runs
+from model.evaluation.assets import AssetsConfig, beside
 from model.evaluation.assets import run as run_assets
 from model.evaluation.assets import to_json as assets_json
+from model.evaluation.bench import folder_runs
 from model.evaluation.report import Report
 from model.evaluation.rivals import compare_rivals
 from model.evaluation.rivals import to_json as rivals_json
-from model.evaluation.robot import folder_runs as folders_of_robot
-from model.evaluation.robot import open_scene
+from model.evaluation.robot import RobotConfig, open_scene
 from model.evaluation.robot import run as run_robot
 from model.evaluation.robot import to_json as robot_json
 from model.evaluation.run import EvaluationConfig, evaluate
@@ -44,11 +54,12 @@ from model.evaluation.scans import to_json as scans_json
 from model.evaluation.segmentation import BenchConfig, DataSet
 from model.evaluation.segmentation import run as run_segment
 from model.evaluation.segmentation_ablation import ablate
+from model.prediction.ablation import SWITCHES
 from model.prediction.arti4urdf.decoding import decode
 from model.prediction.arti4urdf.network import load_weights
 from model.prediction.arti4urdf.predictor import Arti4UrdfPredictor, make_prompt
 from model.prediction.arti4urdf.structure import read_structure
-from model.prediction.registry import Predictor, load_predictor
+from model.prediction.registry import DEFAULT, Predictor, load_predictor
 from model.training.arti4urdf.small_trainer import (
     both,
     foreign_wholes,
@@ -63,6 +74,7 @@ from model.validation.engines import MUJOCO, require_engines
 FOLDERS = (
     ("PartNet-Mobility", "partnet-mobility", "partnet_mobility"),
     ("Infinigen", "urdf", "infinigen"),
+    ("simulators", "urdf", "simulator_objects"),
     ("ReplicaCAD", "urdf", "articulated_free/habitat"),
     ("LIBERO", "mjcf", "articulated_free/libero"),
 )
@@ -72,21 +84,27 @@ FAMILIES, SEED = 6, 4242
 SPLITS = {"choose": "train:0.5", "table": "test:0.5", "all": "all"}
 
 
-def joints_bench(options: BenchCommand, progress: Progress) -> Result:
-    """Measure with the options of the command."""
+def joints_bench(options: JointsBench, progress: Progress) -> Result:
+    """Score joints on every source, with names and without."""
     before = {} if options.before is None else read_json(options.before)
-    found = sources(options.data, SPLITS[options.half or "table"])
-    runs = [(title, data, names) for title, data in found.items() for names in (True, False)]
+    found = sources(options.data, SPLITS[options.half])
+    left_out = ["", *(SWITCHES if "all" in options.without else options.without)]
+    runs = list(itertools.product(found.items(), (True, False), left_out))
     rows = []
-    for k, (title, (data, split), names) in enumerate(runs):
+    for ((title, (data, split)), names, mechanism), part in each_with_progress(runs, progress):
         config = EvaluationConfig(
-            data, split, names=names, jobs=options.jobs, limit=options.limit or None
+            data,
+            split,
+            predictor=f"without:{mechanism}" if mechanism else DEFAULT,
+            names=names,
+            jobs=options.jobs,
+            limit=options.limit or None,
         )
-        span = scaled_progress(progress, k / len(runs), (k + 1) / len(runs))
         said = f"{title}, {'names' if names else 'no names'}"
-        rows.append(row(said, evaluate(config, progress=span)))
+        said += f", without {mechanism}" if mechanism else ""
+        rows.append(row(said, evaluate(config, progress=part)))
     title = "Predicted joints (earlier figures in brackets)" if before else "Predicted joints"
-    return {"table": rows}, lambda: print_records(title, beside(rows, before))
+    return Result({"table": rows}, lambda: print_records(title, beside(rows, before)))
 
 
 def sources(folder: Path | None, split: str) -> dict[str, tuple[DatasetOptions, str]]:
@@ -129,8 +147,8 @@ OBJECTS = 64
 """With half as many, two decisions that turn over can hide what a whole cloud is worth."""
 
 
-def weights_bench(options: BenchCommand, progress: Progress) -> Result:
-    """Measure with the options of the command."""
+def weights_bench(options: WeightsBench, progress: Progress) -> Result:
+    """Probe the weights with changed inputs."""
     samples = unseen_samples(OBJECTS if options.limit is None else options.limit, progress)
     model, version = load_weights()
     changes = {
@@ -153,18 +171,18 @@ def weights_bench(options: BenchCommand, progress: Progress) -> Result:
             }
         )
     report = {"weights": version, "objects": len(samples), "rows": rows}
-    return report, lambda: print_records(f"Right decisions of {version}", rows)
+    return Result(report, lambda: print_records(f"Right decisions of {version}", rows))
 
 
 PART_COUNTS = (2, 4, 9, 16, 32)
 REPEATS = 3
 
 
-def predict_bench(options: BenchCommand, progress: Progress) -> Result:
-    """Measure with the options of the command."""
+def predict_bench(options: PredictBench, progress: Progress) -> Result:
+    """Time the predictors by number of parts."""
     report = measure(progress)
     title = "Prediction, a chest of drawers (milliseconds, medians; forward passes)"
-    return report, lambda: print_records(title, transposed(report["rows"]))
+    return Result(report, lambda: print_records(title, transposed(report["rows"])))
 
 
 def measure(progress: Progress = no_progress) -> dict[str, Any]:
@@ -241,8 +259,8 @@ def _median_ms(function: Callable[[], object]) -> float:
     return statistics.median(times)
 
 
-def segment_bench(options: BenchCommand, progress: Progress) -> Result:
-    """Measure with the options of the command."""
+def segment_bench(options: SegmentBench, progress: Progress) -> Result:
+    """Measure the segmenters by simulated clicks."""
     return bench_segment(
         options.data,
         options.sets,
@@ -287,9 +305,9 @@ def bench_segment(
     config = BenchConfig(**{k: v for k, v in settings.items() if v is not None})
     if without:
         rows = ablate(config, without, progress)
-        return rows, lambda: print_records("Mechanisms left out, and what changes", rows)
+        return Result(rows, lambda: print_records("Mechanisms left out, and what changes", rows))
     report = run_segment(config, progress)
-    return json.loads(report.to_json()), report.print_table
+    return Result(json.loads(report.to_json()), report.print_table)
 
 
 def data_in(folder: Path) -> DatasetOptions:
@@ -299,24 +317,22 @@ def data_in(folder: Path) -> DatasetOptions:
     return DatasetOptions(recognised(folder).name, folder)
 
 
-def scans_bench(options: BenchCommand, progress: Progress) -> Result:
-    """Measure with the options of the command."""
+def scans_bench(options: ScansBench, progress: Progress) -> Result:
+    """Measure on reconstructed scans."""
     data = DatasetOptions("procedural", seed=1, n=2)
     if options.data is not None:
         data = data_in(options.data)
-    config = ScansConfig(
-        data, options.half or "table", 15 if options.limit is None else options.limit
-    )
+    config = ScansConfig(data, options.half, 15 if options.limit is None else options.limit)
     scores = run_scans(config, progress)
     rows = [
         {k: v if isinstance(v, str) else round(v, 3) for k, v in row.items()}
         for row in table(scores)
     ]
     title = f"Reconstructed scans of {data.name}, half {config.half!r}"
-    return json.loads(scans_json(scores)), lambda: print_records(title, rows)
+    return Result(json.loads(scans_json(scores)), lambda: print_records(title, rows))
 
 
-def rivals_bench(options: BenchCommand, progress: Progress) -> Result:
+def rivals_bench(options: RivalsBench, progress: Progress) -> Result:
     """Score with the options of the command, write the page, and print its table."""
     if options.root is None:
         raise ConfigurationError("--root: give the folder with a folder of URDFs a method in it")
@@ -330,33 +346,31 @@ def rivals_bench(options: BenchCommand, progress: Progress) -> Result:
     columns = ["method", *rivals[0].figures()]
     rows = [dict(zip(columns, r.cells(), strict=True)) for r in rivals]
     title = f"{len(rivals[0].report.scores)} objects of {data.name}; {options.root}/rivals.html"
-    return rivals_json(rivals), lambda: print_records(title, rows)
+    return Result(rivals_json(rivals), lambda: print_records(title, rows))
 
 
-def robot_bench(options: BenchCommand, progress: Progress) -> Result:
-    """Measure with the options of the command."""
+def robot_bench(options: RobotBench, progress: Progress) -> Result:
+    """Open exports with the gripper."""
     require("mujoco", "artiworld[physics]", "bench robot")
     if options.scene is not None:
         if options.video is not None or options.data is not None:
             raise ConfigurationError("--scene takes neither --data nor --video")
         score = open_scene(options.scene, 3 if options.limit is None else options.limit, progress)
         report = robot_json([(options.scene.name, [score])])
-        return report, lambda: _print(report)
+        return Result(report, lambda: _print(report))
     if options.video is not None:
         check_output(options.video, option="--video")
-    configs = folders_of_robot(
+    configs = folder_runs(
+        RobotConfig,
         None if options.data is None else data_in(options.data),
-        half=options.half or "table",
+        half=options.half,
         limit=options.limit or 0,
         jobs=options.jobs,
         pictures=options.video,
     )
-    runs = []
-    for k, config in enumerate(configs):
-        span = scaled_progress(progress, k / len(configs), (k + 1) / len(configs))
-        runs.append((config.label, run_robot(config, span)))
+    runs = [(c.label, run_robot(c, part)) for c, part in each_with_progress(configs, progress)]
     report = robot_json(runs)
-    return report, lambda: _print(report)
+    return Result(report, lambda: _print(report))
 
 
 def _print(report: Mapping[str, Any]) -> None:
@@ -372,21 +386,19 @@ def _text(value: Any) -> str:
     return "–" if value is None else value if isinstance(value, str) else f"{value:.3g}"
 
 
-def assets_bench(options: BenchCommand, progress: Progress) -> Result:
-    """Measure with the options of the command."""
+def assets_bench(options: AssetsBench, progress: Progress) -> Result:
+    """Open exports in engines and validators."""
     engines = require_engines(options.engine)
     before = {} if options.before is None else read_json(options.before)
     configs = folder_runs(
-        options.data,
-        half=options.half or "table",
+        AssetsConfig,
+        None if options.data is None else DatasetOptions("partnet-mobility", options.data),
+        half=options.half,
         limit=options.limit or 0,
         jobs=options.jobs,
         engines=engines,
     )
-    runs = []
-    for k, config in enumerate(configs):
-        span = scaled_progress(progress, k / len(configs), (k + 1) / len(configs))
-        runs.append((config, run_assets(config, span)))
+    runs = [(c, run_assets(c, part)) for c, part in each_with_progress(configs, progress)]
     report = assets_json(runs)
     title = "Accepted exports (earlier figures in brackets)" if before else "Accepted exports"
-    return report, lambda: print_records(title, beside(report["table"], before))
+    return Result(report, lambda: print_records(title, beside(report["table"], before)))

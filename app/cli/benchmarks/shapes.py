@@ -22,7 +22,7 @@ import numpy.typing as npt
 from PIL import Image
 
 from model.core.articulated_object import Part, SegmentedObject
-from model.core.geometry import Material, Mesh, PointCloud
+from model.core.geometry import Material, Mesh, PointCloud, merged
 from model.io.write import write_cloud, write_mesh
 
 Array = npt.NDArray[np.float64]
@@ -44,7 +44,7 @@ def chest(drawers: int) -> SegmentedObject:
         _box(low, (-wall, wide_all, 0.0), (deep, wide_all + wall, high_all)),
         _box(low, (-wall, 0.0, 0.0), (0.0, wide_all, high_all)),
     ]
-    parts = [Part("link_0", mesh=joined(walls))]
+    parts = [Part("link_0", mesh=merged(walls))]
     gap, thin = 0.004, 0.01
     x, y, z = deep - gap, wide - 2 * gap, high - 2 * gap
     for i in range(drawers):
@@ -57,7 +57,7 @@ def chest(drawers: int) -> SegmentedObject:
             _box(at, (x - thin, 0.0, 0.0), (x, y, z)),
             _box(at, (x, y / 2 - 0.06, z / 2 - 0.008), (x + 0.03, y / 2 + 0.06, z / 2 + 0.008)),
         ]
-        parts.append(Part(f"link_{i + 1}", mesh=joined(boxes), name="drawer"))
+        parts.append(Part(f"link_{i + 1}", mesh=merged(boxes), name="drawer"))
     return SegmentedObject("chest", tuple(parts), "cabinet")
 
 
@@ -67,13 +67,6 @@ def _box(at: np.ndarray, low: tuple[float, ...], high: tuple[float, ...]) -> Mes
     faces = [f for a, b, c, d in quads for f in ((a, b, c), (a, c, d))]
     vertices = at + np.asarray(low) + corner * np.subtract(high, low)
     return Mesh(vertices, np.array(faces, np.int32))
-
-
-def joined(meshes: list[Mesh]) -> Mesh:
-    """One mesh of several."""
-    counts = np.cumsum([0, *(len(m.vertices) for m in meshes)])
-    faces = [m.faces + start for m, start in zip(meshes, counts, strict=False)]
-    return Mesh(np.concatenate([m.vertices for m in meshes]), np.concatenate(faces))
 
 
 def grid_box(cells: int, center: Array, size: Array) -> Mesh:

@@ -11,7 +11,7 @@ import asyncio
 import tempfile
 import threading
 import time
-from dataclasses import asdict, dataclass
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -22,12 +22,12 @@ import zstandard
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
-from app.cli.benchmarks.shapes import Array, grid_box, joined
-from app.cli.output import Result, console, table_of
-from app.cli.research_commands import BenchCommand
+from app.cli.bench_commands import UiBench
+from app.cli.benchmarks.shapes import Array, grid_box
+from app.cli.output import Result, print_figures
 from app.cli.serve import start_server
 from app.server.config import ServeConfig
-from model.core.geometry import Mesh, PointCloud
+from model.core.geometry import Mesh, PointCloud, merged
 from model.core.joint import Joint
 from model.core.progress import Progress
 from model.core.tree import KinematicTree
@@ -36,23 +36,10 @@ from model.io.write import write_cloud, write_mesh
 WAIT_SECONDS = 300.0
 HEARTBEAT = 0.002
 """Seconds between two callbacks of :class:`LoopWatch`."""
-
-
-@dataclass
-class UiFigures:
-    """Figures of one object; times in milliseconds."""
-
-    name: str
-    elements: int
-    open_ms: float = 0.0
-    encode_ms: float = 0.0
-    click_p50_ms: float = 0.0
-    click_p95_ms: float = 0.0
-    bytes_a_click: int = 0
-    whole_bytes: int = 0
-    whole_ms: float = 0.0
-    loop_held_ms: float = 0.0
-    ticks_a_second: float = 0.0
+PAUSE = 0.5, 2.0
+"""Seconds between two clicks of a person."""
+MOST_PROMPTS = 6
+"""Prompts on an object before they are taken back."""
 
 
 class SimulatedBrowser:
@@ -141,7 +128,7 @@ class LoopWatch:
         self._on = False
 
 
-def ui_bench(options: BenchCommand, _: Progress) -> Result:
+def ui_bench(options: UiBench, _: Progress) -> Result:
     """Measure with the options of the command."""
     with tempfile.TemporaryDirectory(prefix="artiworld-bench-") as folder:
         root = Path(folder)
@@ -149,10 +136,11 @@ def ui_bench(options: BenchCommand, _: Progress) -> Result:
             _measure(path, root / f"workspace-{path.stem}", options)
             for path in _objects(options, root)
         ]
-    return [asdict(f) for f in figures], lambda: _print(figures)
+    title = "The browser's waiting times, on the server"
+    return Result(figures, lambda: print_figures(title, figures))
 
 
-def _objects(options: BenchCommand, root: Path) -> list[Path]:
+def _objects(options: UiBench, root: Path) -> list[Path]:
     rng = np.random.default_rng(0)
     out = []
     for count in options.points:
@@ -189,32 +177,32 @@ def cabinet_cloud(count: int, rng: np.random.Generator) -> PointCloud:
 
 def _cabinet_mesh(faces: int) -> Mesh:
     cells = max(2, int(np.sqrt(faces / (len(_panels()) * 6 * 2))))
-    return joined([grid_box(cells, center, size) for center, size in _panels()])
+    return merged([grid_box(cells, center, size) for center, size in _panels()])
 
 
-def wait_for(condition: Any, what: str) -> None:
-    """Poll until ``condition()`` is true.
+def wait_for(condition: Callable[[], Any], what: str) -> Any:
+    """Poll until ``condition()`` is true; return its value.
 
     Raises:
         TimeoutError: naming ``what`` did not happen.
     """
     end = time.perf_counter() + WAIT_SECONDS
-    while not condition():
+    while not (value := condition()):
         if time.perf_counter() > end:
             raise TimeoutError(f"waited {WAIT_SECONDS:.0f} s for: {what}")
         time.sleep(0.0005)
+    return value
 
 
-def _measure(path: Path, workspace: Path, options: BenchCommand) -> UiFigures:
-    server = start_server(
-        ServeConfig(
-            paths=(path,),
-            workspace=workspace,
-            port=0,
-            user="bench",
-            segmenter=(options.segmenter or ("default",))[0],
-        )
+def _measure(path: Path, workspace: Path, options: UiBench) -> dict[str, Any]:
+    """Figures of one object; bytes "a click" are the 95th percentile, "whole" ones the baseline's.
+
+    ``loop_held_ms`` is the longest time that one callback blocked the event loop.
+    """
+    config = ServeConfig(
+        paths=(path,), workspace=workspace, port=0, user="bench", segmenter=options.segmenter
     )
+    server = start_server(config)
     try:
         start = time.perf_counter()
         server.app_state.object(server.app_state.queue.records()[0].id)
@@ -225,21 +213,33 @@ def _measure(path: Path, workspace: Path, options: BenchCommand) -> UiFigures:
         wait_for(lambda: shown.object is not None and shown.object.asset is not None, "the object")
         wait_for(lambda: app.drawing.drawn, "the picture")
         drawn = time.perf_counter()
-        asset = shown.object.asset
-        figures = UiFigures(path.stem, asset.element_count, 1000 * (drawn - start))
+        figures = {
+            "name": path.stem,
+            "elements": shown.object.asset.element_count,
+            "open_ms": 1000 * (drawn - start),
+        }
         wait_for(lambda: not shown.object.busy, "the segmenter")
-        figures.encode_ms = 1000 * (time.perf_counter() - drawn)
+        figures["encode_ms"] = 1000 * (time.perf_counter() - drawn)
         browser.quiet()
         watch = LoopWatch(server.viser.get_event_loop())
-        _click(app, browser, figures, options.clicks)
-        figures.loop_held_ms = 1000 * watch.worst
+        figures |= _click(app, browser, options.clicks)
+        figures["loop_held_ms"] = 1000 * watch.worst
         watch.stop()
-        _baseline(app, browser, figures)
-        figures.ticks_a_second = _ticks(app)
+        figures |= _baseline(app, browser)
+        figures["ticks_a_second"] = _ticks(app)
         browser.close()
         return figures
     finally:
         server.close()
+
+
+def waiting_times(seconds: list[float]) -> dict[str, Any]:
+    """Median, 95th percentile and longest of some times, in ms; None without any."""
+    names = ("p50 ms", "p95 ms", "longest ms")
+    if not seconds:
+        return dict.fromkeys(names)
+    found = 1000 * np.percentile(seconds, (50, 95, 100))
+    return {name: round(float(value), 1) for name, value in zip(names, found, strict=True)}
 
 
 def drawer_ray(low: Array, drawer: int, rng: np.random.Generator) -> tuple[Any, Any]:
@@ -251,7 +251,7 @@ def drawer_ray(low: Array, drawer: int, rng: np.random.Generator) -> tuple[Any, 
     return tuple(map(float, origin)), tuple(map(float, direction))
 
 
-def _click(app: Any, browser: SimulatedBrowser, figures: UiFigures, clicks: int) -> None:
+def _click(app: Any, browser: SimulatedBrowser, clicks: int) -> dict[str, Any]:
     """Click on random visible points of three drawers, each for its own part."""
     rng = np.random.default_rng(1)
     shown = app.tab.selection
@@ -274,20 +274,19 @@ def _click(app: Any, browser: SimulatedBrowser, figures: UiFigures, clicks: int)
         )
         taken.append(time.perf_counter() - start)
         sent.append(browser.quiet(0.3) - before)
-    figures.click_p50_ms, figures.click_p95_ms = (
-        1000 * float(v) for v in np.percentile(taken, (50, 95))
-    )
-    figures.bytes_a_click = int(np.percentile(sent, 95))
+    p50, p95 = (1000 * float(v) for v in np.percentile(taken, (50, 95)))
+    sizes = {"bytes_a_click": int(np.percentile(sent, 95))}
+    return {"click_p50_ms": p50, "click_p95_ms": p95, **sizes}
 
 
-def _baseline(app: Any, browser: SimulatedBrowser, figures: UiFigures) -> None:
+def _baseline(app: Any, browser: SimulatedBrowser) -> dict[str, Any]:
     """Send the whole object again, as a viewer without differences does at each click."""
     asset = app.tab.selection.object.asset
     before, start = browser.quiet(), time.perf_counter()
     app.picture.show_asset(asset)
     wait_for(lambda: browser.last > start, "the whole object")
-    figures.whole_bytes = browser.quiet(1.0) - before
-    figures.whole_ms = 1000 * (browser.last - start)
+    size = browser.quiet(1.0) - before
+    return {"whole_bytes": size, "whole_ms": 1000 * (browser.last - start)}
 
 
 def _ticks(app: Any, links: int = 40, ticks: int = 100) -> float:
@@ -302,28 +301,3 @@ def _ticks(app: Any, links: int = 40, ticks: int = 100) -> float:
     for tick in range(ticks):
         app.picture.parts.pose(tree.pose({j.name: np.sin(0.1 * tick) for j in joints}))
     return ticks / (time.perf_counter() - start)
-
-
-def _print(figures: list[UiFigures]) -> None:
-    columns = (
-        "object", "elements", "open to picture", "then encode", "click p50", "click p95",
-        "bytes a click", "whole object", "bytes ratio", "loop held", "40-joint ticks/s",
-    )  # fmt: skip
-    rows = [
-        (
-            f.name,
-            f"{f.elements:,}",
-            f"{f.open_ms:.0f} ms",
-            f"{f.encode_ms:.0f} ms",
-            f"{f.click_p50_ms:.0f} ms",
-            f"{f.click_p95_ms:.0f} ms",
-            f"{f.bytes_a_click / 1e6:.3f} MB",
-            f"{f.whole_bytes / 1e6:.1f} MB, {f.whole_ms:.0f} ms",
-            f"1 / {f.whole_bytes / max(f.bytes_a_click, 1):.1f}",
-            f"{f.loop_held_ms:.0f} ms",
-            f"{f.ticks_a_second:.0f}",
-        )
-        for f in figures
-    ]
-    title = "The browser's waiting times, on the server (× against sending the whole object)"
-    console(180).print(table_of(title, columns, rows, columns[1:]))

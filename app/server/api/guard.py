@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 import logging
 from http.cookies import CookieError
@@ -20,6 +21,8 @@ from sessions.credentials import Scope as TokenScope
 log = logging.getLogger(__name__)
 BODY_SECONDS = 30.0
 """Longest pause in the middle of a request."""
+DISCARD_SECONDS = 1.0
+"""How long the body of a refused request is read, and thrown away."""
 JSON_BYTES = 1_000_000
 """Largest request but for an upload."""
 OWN_HEADER = "X-ArtiWorld"
@@ -74,8 +77,8 @@ class ApiGuard:
                     headers.setdefault(name, value)
             await send(message)
 
+        headers = Headers(scope=scope)
         try:
-            headers = Headers(scope=scope)
             person = await self._who(scope, headers)
             scope.setdefault("state", {})["person"] = person
             limit = self._upload_bytes if scope["path"] == self._upload_path else JSON_BYTES
@@ -83,6 +86,8 @@ class ApiGuard:
         except _Refused as refused:
             if begun:
                 raise
+            if "Expect" not in headers:  # it waits for the answer before it sends
+                await _discard(receive)
             body = json.dumps({"error": refused.text}).encode()
             kind = (b"content-type", b"application/json")
             start = {"type": "http.response.start", "status": refused.status, "headers": [kind]}
@@ -113,6 +118,14 @@ class ApiGuard:
         if changes and not kind and OWN_HEADER not in headers:
             raise _Refused(403, f"send the header {OWN_HEADER}: 1, or a token")
         return person
+
+
+async def _discard(receive: Receive) -> None:
+    """Take what is on its way: a client that is cut off while it sends never sees the answer."""
+    with contextlib.suppress(TimeoutError):
+        async with asyncio.timeout(DISCARD_SECONDS):
+            while (await receive()).get("more_body"):
+                pass
 
 
 def _limited(receive: Receive, limit: int, headers: Headers) -> Receive:

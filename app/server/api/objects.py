@@ -5,11 +5,9 @@ and the accepted ones as files.
 from __future__ import annotations
 
 import asyncio
-import io
 import secrets
 import shutil
 import time
-import zipfile
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
@@ -22,7 +20,7 @@ from starlette.concurrency import run_in_threadpool
 
 from app.server.api.guard import Annotator, Manager, Reader, State
 from app.server.app_state import AppState
-from app.server.export_tasks import ExportTask, export_one
+from app.server.export_tasks import ExportTask, export_one, zipped
 from app.server.open_object import OpenObject
 from model.core import codec
 from model.io.export.registry import exporter_names
@@ -32,7 +30,7 @@ from sessions.commands import Command
 from sessions.credentials import Person
 from sessions.database import ObjectRecord
 from sessions.document import Document
-from sessions.state import SessionState, needed_jobs
+from sessions.state import SessionState
 
 objects_router = APIRouter(tags=["objects"])
 MOST = 500
@@ -125,7 +123,7 @@ def decide(state: AppState, object_id: int, command: Command, person: Person) ->
     if live.state.seq == 0:
         opened(state, object_id)
     after = live.do(command, person.name, role=person.role)
-    if needed_jobs(after):
+    if after.present.needs_labels:
         state.object(object_id, KEEP_SECONDS)
     return document_json(after)
 
@@ -256,8 +254,6 @@ def _account(person: Person) -> Account:
 
 
 assets_router = APIRouter(tags=["assets"])
-DOWNLOAD_BYTES = 400_000_000
-"""Largest download: it passes through the memory of the server."""
 
 
 @assets_router.get("/assets")
@@ -309,14 +305,10 @@ def download(object_id: int, person: Reader, state: State, format: str = "asset"
 
 
 def _zipped(folder: Path, name: str) -> Response:
-    files = sorted(p for p in folder.rglob("*") if p.is_file())
-    if sum(p.stat().st_size for p in files) > DOWNLOAD_BYTES:
-        raise HTTPException(413, "the asset is too large to download; copy it from the server")
     plain = "".join(c if c.isalnum() or c in "._-" else "_" for c in name)[:80] or "asset"
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
-        for path in files:
-            archive.write(path, Path(plain) / path.relative_to(folder))
+    content = zipped(folder, plain)
+    if content is None:
+        raise HTTPException(413, "the asset is too large to download; copy it from the server")
     quoted = plain.encode("ascii", "replace").decode().replace("?", "_")
     headers = {"Content-Disposition": f'attachment; filename="{quoted}.zip"'}
-    return Response(buffer.getvalue(), media_type="application/zip", headers=headers)
+    return Response(content, media_type="application/zip", headers=headers)

@@ -37,7 +37,6 @@ from sessions.commands import (
     to_json,
 )
 from sessions.credentials import Person
-from sessions.describe import describe
 from sessions.live import LiveSession
 from sessions.review import RejectReason
 
@@ -75,7 +74,7 @@ def history(object_id: int, person: Reader, state: State, after: int = 0) -> lis
             "seq": e.seq,
             "at": e.at,
             "who": e.who,
-            "text": describe(e.command),
+            "text": e.command.describe(),
             "command": to_json(e.command),
         }
         for e in state.store.history(object_id, after=after)
@@ -100,6 +99,8 @@ def _give(
     kind = body.command.get("kind")
     if kind not in KINDS:
         raise HTTPException(422, f"command.kind: one of {', '.join(sorted(KINDS))}")
+    if "answer" in body.command:
+        raise HTTPException(422, "command.answer: labels come from the segmenter alone")
     _check_seq(state, object_id, body.expected_seq)
     after = decide(state, object_id, from_json(body.command), person)
     return state.session(object_id), after

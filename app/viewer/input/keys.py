@@ -11,6 +11,7 @@ from html import escape
 from typing import Any
 
 from app.server.page import ArtiworldShownMessage, set_page_state
+from app.viewer.panels.widgets import Dialog
 from app.viewer.tab import Tab
 from app.viewer.words import common as common_words
 from app.viewer.words import keys as words
@@ -52,34 +53,18 @@ def add_keys(
         command.on_trigger(lambda _, run=carry_out, action=binding.action: run(action))
 
 
-class KeySheet:
+class KeySheet(Dialog):
     """The sheet of keys, over the picture."""
-
-    def __init__(self, tab: Tab) -> None:
-        self._tab = tab
-        self._modal: Any = None
 
     def toggle(self) -> None:
         """Show the sheet, or close it."""
         if self.close():
             return
         gui = self._tab.client.gui
-        self._modal = gui.add_modal(words.TITLE)
-        with self._modal:
-            close = gui.add_button(words.CLOSE, color="gray")
+        with self._open(words.TITLE):
+            self._add_close(words.CLOSE)
             rows = "".join(f"<b>{escape(k)}</b><span>{escape(v)}</span>" for k, v in words.SHEET)
             gui.add_html(f'<div style="{_STYLE}">{rows}</div>')
-        close.on_click(lambda _: self._close_clicked())
-
-    def _close_clicked(self) -> None:
-        self.close()
-
-    def close(self) -> bool:
-        """Close the sheet; whether it was there."""
-        modal, self._modal = self._modal, None
-        if modal is not None:
-            modal.close()
-        return modal is not None
 
 
 LOOK_SECONDS = 0.4

@@ -17,6 +17,7 @@ from app.server.page import (
     ArtiworldToolMessage,
     set_page_state,
 )
+from app.server.segmenting_tasks import Shape
 from app.server.tool_tasks import ToolRequest
 from app.viewer.input.queries import Hover, Point, PointerQueries, Tools
 from app.viewer.input.views import Measuring
@@ -314,12 +315,15 @@ class Pointing:
             return
         now = self._situation()
         part = selection.part
-        self._queries.pick(
-            obj.asset,
-            origin,
-            direction,
-            lambda hit: self._hit(hit, now, part, direction, positive),
-        )
+        if selection.step == "Annotate" and self.armed not in (*_CUTS, "merge"):
+            self.hover.forget()
+            aim = self._queries.aim(origin, direction)
+            asked = obj.segmenting.click(aim, part, positive, self._tab.user)
+            self._queries.answer(asked, lambda click: self._prompted(click, now))
+        else:
+            self._queries.pick(
+                obj.asset, origin, direction, lambda hit: self._hit(hit, now, direction, positive)
+            )
 
     def _situation(self) -> tuple[Any, ...]:
         """Context of a click; its answer counts only while that stays the same."""
@@ -334,19 +338,21 @@ class Pointing:
         self._tab.notify(*words.CLICK_PASSED, "yellow")
         return False
 
-    def _hit(
-        self, hit: Any, situation: tuple[Any, ...], part: int, direction: Point, positive: bool
-    ) -> None:
+    def _prompted(self, click: Click | None, situation: tuple[Any, ...]) -> None:
+        """Say what became of a click. It counts for its object, wherever the person is by now."""
+        obj, asset, *_ = situation
+        if click is not None and obj.asset is asset:
+            if asset.element_kind == "face":
+                self._tell_of_shared_face(obj, click)
+        elif self._is_still(situation):
+            self._tab.say(words.NOTHING_THERE)
+
+    def _hit(self, hit: Any, situation: tuple[Any, ...], direction: Point, positive: bool) -> None:
         """Take what a click hit."""
-        obj, asset, step, armed = situation
-        is_prompt = step in AT_REST and step != "Prepare" and armed not in (*_CUTS, "merge")
-        if hit is not None and is_prompt and obj.asset is asset:
-            # It was meant for this part, wherever the person is by now.
-            position = tuple(float(v) for v in hit.position)
-            self._add_click(obj, Click(position, part, positive, int(hit.element)))  # type: ignore[arg-type]
-        elif not self._is_still(situation):
+        _, _, step, armed = situation
+        if not self._is_still(situation):
             return
-        elif hit is None:
+        if hit is None:
             self._tab.say(words.NOTHING_THERE)
         elif armed == "comment":
             self.disarm()
@@ -356,12 +362,6 @@ class Pointing:
             self._choose_joint_at(hit.element)
         else:
             self._use_at(hit, direction, positive)
-
-    def _add_click(self, obj: OpenObject, click: Click) -> None:
-        self.hover.forget()
-        if obj.need_asset().element_kind == "face":
-            self._tell_of_shared_face(obj, click)
-        obj.do(cmd.AddClick(click), self._tab.user)
 
     def _use_at(self, hit: Any, direction: Point, positive: bool) -> None:
         """Take a place that a tool waits for."""
@@ -470,43 +470,35 @@ class Pointing:
     # --- boxes and strokes
 
     def _box_drawn(self, low: Any, high: Any, camera: Camera, positive: bool) -> None:
-        """Add everything visible in a rectangle to the selected part, or remove it."""
-        selection = self._selection
-        obj = selection.need_object()
-        if obj.asset is None or selection.step not in AT_REST:
-            return
-        if selection.step == "Prepare" and not positive:
-            obj.preparing.restore(camera, (low, high), self._tab.user)
-            return
-        now, part = self._situation(), selection.part
-        self._queries.box(
-            obj.asset,
-            camera,
-            low,
-            high,
-            lambda ref, count: self._selected(now, part, ref, count, positive, "box"),
-            one_piece=positive and selection.picking,
-        )
+        one_piece = positive and self._selection.picking
+        self._drawn(camera, (low, high), positive, "box", one_piece=one_piece)
 
     def _stroked(self, message: ArtiworldStrokeMessage) -> None:
         camera = self._queries.camera()
         self._tab.act(lambda: self._stroke_drawn(message, camera))
 
     def _stroke_drawn(self, message: ArtiworldStrokeMessage, camera: Camera) -> None:
-        """Add everything visible in a lasso or under a brush to the selected part, or remove it."""
-        obj = self._selection.need_object()
-        if obj.asset is None or self._selection.step not in AT_REST:
-            return
         stroke = Stroke(message.tool, message.path, message.radius)  # type: ignore[arg-type]
-        if self._selection.step == "Prepare" and not message.positive:
-            obj.preparing.restore(camera, stroke, self._tab.user)
+        self._drawn(camera, stroke, message.positive, stroke.kind)
+
+    def _drawn(
+        self, camera: Camera, shape: Shape, positive: bool, tool: str, *, one_piece: bool = False
+    ) -> None:
+        """Add everything visible in a shape to the selected part, or remove it."""
+        selection = self._selection
+        obj = selection.need_object()
+        if obj.asset is None or selection.step not in AT_REST:
             return
-        now, part, positive = self._situation(), self._selection.part, message.positive
-        self._queries.stroke(
+        if selection.step == "Prepare" and not positive:
+            obj.preparing.restore(camera, shape, self._tab.user)
+            return
+        now, part = self._situation(), selection.part
+        self._queries.within(
             obj.asset,
             camera,
-            stroke,
-            lambda ref, count: self._selected(now, part, ref, count, positive, stroke.kind),
+            shape,
+            lambda ref, count: self._selected(now, part, ref, count, positive, tool),
+            one_piece=one_piece,
         )
 
     def _selected(

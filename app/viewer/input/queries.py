@@ -9,17 +9,18 @@ import math
 import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import Future
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
-from app.server import picking_tasks, tool_tasks
+from app.server import segmenting_tasks, tool_tasks
 from app.server.display_tasks import OpenedAsset
 from app.server.jobs import PREVIEWS, Job
 from app.server.open_object import OpenObject
 from app.server.page import ArtiworldHoverMessage
-from app.server.segmenting import stored_prompts
+from app.server.segmenting import POINTING, stored_prompts
 from app.server.tool_tasks import NEXT_MASK, ToolRequest
 from app.server.workers import Lane
 from app.viewer.picture import palette
@@ -28,19 +29,20 @@ from app.viewer.tab import Tab, percent
 from app.viewer.words import annotate as words
 from model.core.errors import ArtiworldError
 from model.core.progress import Cancelled
-from model.geometry.picking import Camera, Stroke
+from model.geometry.picking import Camera
 from model.segmentation.prompts import Click
 from sessions.command_log import PICK
 from sessions.document import Document, RegionRef
 
 Point = tuple[float, float, float]
+T = TypeVar("T")
 Selected = Callable[[str, int], None]
 """Gets the reference and the number of selected elements."""
 PATIENCE = 2.0
 """Seconds that a click holds up what its person does next; then it waits aside for its answer."""
 FRAME_SECONDS = 5.0
 PREVIEW_SECONDS = 10.0
-PICK_PRIORITY, FRAME_PRIORITY = 20, 15
+FRAME_PRIORITY = 15
 
 
 class PointerQueries:
@@ -74,26 +76,25 @@ class PointerQueries:
         self, asset: OpenedAsset, origin: Point, direction: Point, then: Callable[[Any], None]
     ) -> None:
         """Give ``then`` the first visible element on a ray, or None."""
+        aim = self.aim(origin, direction)
         job = self._lane.geometry.submit(
-            picking_tasks.pick,
-            asset.folder,
-            origin,
-            direction,
-            self._hidden(),
-            priority=PICK_PRIORITY,
-            repeated=True,
+            segmenting_tasks.pick, asset.folder, *aim, priority=POINTING, repeated=True
         )
-        self._answer(job, then)
+        self.answer(job, then)
 
-    def _answer(self, job: Job[Any], then: Callable[[Any], None]) -> None:
-        """Give a job's result to ``then``: now, or as an action of its own once it is there."""
+    def aim(self, origin: Point, direction: Point) -> segmenting_tasks.Aim:
+        """A ray and the parts that it passes through."""
+        return origin, direction, self._hidden()
+
+    def answer(self, asked: Job[T] | Future[T], then: Callable[[T], None]) -> None:
+        """Give a result to ``then``: now, or as an action of its own once it is there."""
         obj, begun = self._tab.selection.need_object(), time.time()
-        job.add_done_callback(lambda _: obj.record_job(PICK, begun, time.time() - begun))
+        asked.add_done_callback(lambda _: obj.record_job(PICK, begun, time.time() - begun))
         try:
-            found = job.result(PATIENCE)
+            found = asked.result(PATIENCE)
         except TimeoutError:
             self._tab.say(words.CLICK_WAITS)
-            job.add_done_callback(lambda done: self._tab.act(lambda: then(done.result(0))))
+            asked.add_done_callback(lambda done: self._tab.act(lambda: then(done.result(0))))
         else:
             then(found)
 
@@ -101,7 +102,7 @@ class PointerQueries:
         """The same under the pointer, at (x, y) of the picture; only the newest one is answered."""
         origin, direction = self.camera().ray(place)
         return self._lane.geometry.submit(
-            picking_tasks.pick,
+            segmenting_tasks.pick,
             asset.folder,
             tuple(origin),
             tuple(direction),
@@ -124,36 +125,21 @@ class PointerQueries:
             works_on=asset.folder,
         ).result(PREVIEW_SECONDS)
 
-    def box(
+    def within(
         self,
         asset: OpenedAsset,
         camera: Camera,
-        low: Any,
-        high: Any,
+        shape: segmenting_tasks.Shape,
         then: Selected,
         *,
         one_piece: bool,
     ) -> None:
-        """Give ``then`` the visible elements in a rectangle of the picture."""
+        """Give ``then`` the visible elements in a box, in a lasso or under a brush."""
+        seen = asset.folder, self._workspace, camera, shape, self._hidden()
         job = self._lane.geometry.submit(
-            picking_tasks.select_box, asset.folder, self._workspace, camera, low, high,
-            one_piece=one_piece, hidden=self._hidden(), priority=PICK_PRIORITY, repeated=True,
-        )  # fmt: skip
-        self._answer(job, lambda found: then(*found))
-
-    def stroke(self, asset: OpenedAsset, camera: Camera, stroke: Stroke, then: Selected) -> None:
-        """Give ``then`` the visible elements in a lasso or under a brush."""
-        job = self._lane.geometry.submit(
-            picking_tasks.select_stroke,
-            asset.folder,
-            self._workspace,
-            camera,
-            stroke,
-            self._hidden(),
-            priority=PICK_PRIORITY,
-            repeated=True,
+            segmenting_tasks.select, *seen, one_piece=one_piece, priority=POINTING, repeated=True
         )
-        self._answer(job, lambda found: then(*found))
+        self.answer(job, lambda found: then(*found))
 
     def rectangle_frame(self, asset: OpenedAsset, corner: Point, view: Point) -> Any:
         """Normal and first side of a rectangle to cut, or None while the workers are busy."""
@@ -169,13 +155,13 @@ class PointerQueries:
         except TimeoutError:
             return None
 
-    def _hidden(self) -> picking_tasks.Hidden | None:
+    def _hidden(self) -> segmenting_tasks.Hidden | None:
         """The parts that rays pass through; None where nothing is hidden."""
         selection = self._tab.selection
         labelled = selection.need_object().document.segmentation
         if labelled is None or not selection.hidden:
             return None
-        return picking_tasks.Hidden(
+        return segmenting_tasks.Hidden(
             self._workspace, labelled.labels, tuple(sorted(selection.hidden))
         )
 

@@ -22,7 +22,6 @@ from app.viewer.words import annotate as annotate_words
 from app.viewer.words import review as words
 from app.viewer.words.annotate import tool_label
 from sessions import commands as cmd
-from sessions.describe import describe
 from sessions.document import CommentRecord, Document
 from sessions.project_settings import Project
 from sessions.tool_commands import ApplyTool
@@ -57,12 +56,11 @@ class Instructions:
     def draw(self) -> None:
         """Bring them up to date; what the person hasn't read yet is marked."""
         text = self._project.settings.instructions
-        put(self._button, "visible", bool(text))
-        put(self._button, "color", "gray" if self._read == text else "blue")
-        put(self._text, "visible", bool(text) and self._open)
+        put(self._button, visible=bool(text), color="gray" if self._read == text else "blue")
+        put(self._text, visible=bool(text) and self._open)
         if self._open:
             html = f'<div class="aw-instructions">{markdown_html(text)}</div>'
-            put(self._text, "content", html)
+            put(self._text, content=html)
 
 
 SHOWN = 12
@@ -88,7 +86,7 @@ class History:
             f"{plain(what_happened(obj.document, e.command), 80)}"
             for e in reversed(entries)
         ]
-        put(self._lines, "content", "\n".join(lines) or words.HISTORY_EMPTY)
+        put(self._lines, content="\n".join(lines) or words.HISTORY_EMPTY)
 
 
 def what_happened(doc: Document, command: cmd.Command) -> str:
@@ -97,7 +95,7 @@ def what_happened(doc: Document, command: cmd.Command) -> str:
         return words.joint_changed(part_title(doc, command.joint.child))
     if isinstance(command, ApplyTool):
         command = replace(command, tool=tool_label(command.tool).lower())
-    return display_text(doc, describe(command))
+    return display_text(doc, command.describe())
 
 
 class Comments:
@@ -165,13 +163,13 @@ class Comments:
     def draw(self, obj: OpenObject) -> None:
         """Bring list and markers up to date."""
         doc = obj.document
-        put(self._list, "visible", bool(doc.comments))
+        put(self._list, visible=bool(doc.comments))
         rows = "".join(self._row(doc, c) for c in doc.comments)
         left = sum(not c.done for c in doc.comments)
         head = f"<b>{words.comments_left(left, len(doc.comments))}</b>"
         head += button("comment next", "", words.NEXT_COMMENT, style="aw-small")
         html = f'<div class="aw-comments"><header>{head}</header><ul>{rows}</ul></div>'
-        put(self._list, "content", html if doc.comments else "")
+        put(self._list, content=html if doc.comments else "")
         self._marks().show(self._wanted(doc))
 
     def _wanted(self, doc: Document) -> list[CommentMark]:

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import io
 import re
 import secrets
 import shutil
-import zipfile
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
 import viser
 
 from app.server.bulk import BulkWork
-from app.server.export_tasks import ExportTask
+from app.server.export_tasks import ExportTask, zipped
+from app.viewer.panels.widgets import Dialog
 from app.viewer.tab import Tab
 from app.viewer.words import queue as words
 from model.core.errors import CommandError
@@ -24,11 +23,8 @@ from model.physics.collision.build import CollisionSettings, Method
 from model.physics.simulation_values import PhysicsSettings
 from sessions.project_settings import Project
 
-DOWNLOAD_BYTES = 400_000_000
-"""Largest download: it passes through the memory of server and browser."""
 
-
-class Exporting:
+class Exporting(Dialog):
     """Asks how to export, and has it done.
 
     Args:
@@ -37,10 +33,9 @@ class Exporting:
     """
 
     def __init__(self, tab: Tab, bulk: BulkWork, workspace: Path, project: Project) -> None:
-        self._tab, self._bulk, self._project = tab, bulk, project
-        self._workspace = workspace
+        super().__init__(tab)
+        self._bulk, self._project, self._workspace = bulk, project, workspace
         self._exports, self._store = workspace / "exports", workspace / "collision"
-        self._modal: Any = None
 
     def ask(self, ids: Sequence[int]) -> None:
         """Show the dialog for objects."""
@@ -49,9 +44,7 @@ class Exporting:
         settings = self._project.settings
         author, license = settings.author or author, settings.license or license
         collision = next(k for k, v in words.COLLISIONS.items() if v == settings.collision)
-        self.close()
-        self._modal = gui.add_modal(words.title(len(ids)))
-        with self._modal:
+        with self._open(words.title(len(ids))):
             self._formats = {
                 name: gui.add_checkbox(
                     name, name in settings.formats, hint=load_exporter(name).description
@@ -69,20 +62,9 @@ class Exporting:
             )
             self._folder = gui.add_text(words.FOLDER, "", hint=words.FOLDER_HINT)
             begin = gui.add_button(words.BEGIN, icon=viser.Icon.DOWNLOAD, color="blue")
-            close = gui.add_button(words.CLOSE, color="gray")
+            self._add_close(words.CLOSE)
         tab.on_update(self._package, self._package_chosen)
         begin.on_click(lambda _: tab.act(lambda: self._begin(list(ids))))
-        close.on_click(lambda _: self._close_clicked())
-
-    def close(self) -> bool:
-        """Close the dialog; whether it was there."""
-        modal, self._modal = self._modal, None
-        if modal is not None:
-            modal.close()
-        return modal is not None
-
-    def _close_clicked(self) -> None:
-        self.close()
 
     def _package_chosen(self) -> None:
         self._author.visible = self._license.visible = self._package.value
@@ -146,11 +128,7 @@ def send_folder(tab: Tab, folder: Path, name: str) -> None:
     Raises:
         CommandError: where it is too large.
     """
-    files = sorted(p for p in folder.rglob("*") if p.is_file())
-    if sum(p.stat().st_size for p in files) > DOWNLOAD_BYTES:
+    content = zipped(folder, name)
+    if content is None:
         raise CommandError(words.too_large(str(folder)))
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
-        for path in files:
-            archive.write(path, Path(name) / path.relative_to(folder))
-    tab.client.send_file_download(f"{name}.zip", buffer.getvalue())
+    tab.client.send_file_download(f"{name}.zip", content)

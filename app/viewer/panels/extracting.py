@@ -9,8 +9,8 @@ from typing import Any
 
 import viser
 
-from app.server.cutting import cut_out, leave_out
 from app.server.open_object import OpenObject
+from app.server.preparing import cut_out, leave_out
 from app.viewer.panels.widgets import put
 from app.viewer.tab import Tab, plain
 from app.viewer.words import annotate as words
@@ -52,7 +52,7 @@ class SourcePanel:
         one = what == words.EXCLUDE_ACTIONS[1]
         if one and not part:
             raise CommandError(words.EXCLUDE_BASE)
-        leave_out(obj, "part" if one else "floor and walls", part, tab.user)
+        leave_out(obj, part if one else None, tab.user)
 
     def restore(self) -> None:
         """Restore the excluded geometry."""
@@ -78,8 +78,8 @@ class SourcePanel:
         if now == self._drawn:
             return
         self._drawn = now
-        put(self._room_note, "content", _room_note(obj, self._tab.in_scene))
-        put(self._back, "visible", doc.left_out is not None)
+        put(self._room_note, content=_room_note(obj, self._tab.in_scene))
+        put(self._back, visible=doc.left_out is not None)
 
 
 def _room_note(obj: OpenObject, in_scene: bool) -> str:
@@ -124,10 +124,10 @@ class PickPanel:
         """Bring it up to date."""
         picking, obj = self._tab.selection.picking, self._tab.selection.object
         for handle in (self._how, self._name, self._take):
-            put(handle, "visible", picking)
+            put(handle, visible=picking)
         if not picking:  # the next object has another name
-            put(self._name, "value", "")
+            put(self._name, value="")
         doc = None if obj is None else obj.document
-        put(self._back, "visible", picking and doc is not None and doc.left_out is not None)
+        put(self._back, visible=picking and doc is not None and doc.left_out is not None)
         ready = picking and doc is not None and doc.segmentation is not None
-        put(self._take, "disabled", not ready)
+        put(self._take, disabled=not ready)

@@ -11,7 +11,7 @@ from typing import Any
 
 import viser
 
-from app.server import picking_tasks
+from app.server import part_tasks
 from app.server.jobs import EDITS, WorkerProcess
 from app.server.names import joint_title, moved_part, part_title
 from app.server.open_object import OpenObject
@@ -21,14 +21,13 @@ from app.viewer.picture.motion import Motion
 from app.viewer.tab import Tab
 from app.viewer.words import joints as words
 from app.viewer.words.common import CHOSEN, NONE
-from model.core.composite_joints import Composite, composite_of
+from model.core.composite_joints import COMPOSITES, Composite, composite_of
 from model.core.errors import CommandError
 from model.core.joint import JOINT_TYPES, Joint, Mimic, same_motion
-from model.core.tree import KinematicTree
+from model.core.tree import KinematicTree, holds_part
 from model.io.file_names import FileNames
 from sessions import commands as cmd
 from sessions.document import Document
-from sessions.tree_edits import holds_part
 
 
 class JointMotion:
@@ -60,7 +59,7 @@ class JointMotion:
     def _set_kind(self) -> None:
         tree, joint = self._selected()
         kind = words.MOTIONS[self._kind.value]
-        pitch = self._pitch.value / 1000 if kind == "screw" else 0.0
+        pitch = self._pitch.value / 1000 if COMPOSITES[kind].pitched else 0.0
         self._tab.do(cmd.SetComposite(moved_part(tree, joint.child), Composite(kind, pitch)))  # type: ignore[arg-type]
 
     def _follow(self) -> None:
@@ -79,23 +78,22 @@ class JointMotion:
         doc = obj.document
         part = moved_part(tree, joint.child)
         now = composite_of(tree, part, holds_part)
-        titles = {kind: title for title, kind in words.MOTIONS.items()}
-        put(self._kind, "value", titles[now.kind])
-        put(self._pitch, "visible", now.kind == "screw")
-        if now.kind == "screw":
-            put(self._pitch, "value", round(now.pitch * 1000, 3))
+        put(self._kind, value=COMPOSITES[now.kind].title)
+        put(self._pitch, visible=now.pitch != 0)
+        if now.pitch:
+            put(self._pitch, value=round(now.pitch * 1000, 3))
         others = [j for j in tree.joints if j.moves and j.name != joint.name]
-        put(self._leader, "options", (NONE, *(joint_title(doc, j.child) for j in others)))
+        put(self._leader, options=(NONE, *(joint_title(doc, j.child) for j in others)))
         mimic = joint.mimic
         led = NONE if mimic is None else joint_title(doc, tree.by_name[mimic.joint].child)
-        put(self._leader, "value", led)
+        put(self._leader, value=led)
         if mimic is not None and abs(self._ratio.value - mimic.multiplier) > 5e-4:
-            put(self._ratio, "value", round(mimic.multiplier, 4))
+            put(self._ratio, value=round(mimic.multiplier, 4))
         accepted = doc.review.state == "accepted"
-        put(self._leader, "visible", joint.moves)
-        put(self._ratio, "visible", joint.moves and mimic is not None)
+        put(self._leader, visible=joint.moves)
+        put(self._ratio, visible=joint.moves and mimic is not None)
         for widget in (self._kind, self._pitch, self._leader, self._ratio):
-            put(widget, "disabled", accepted)
+            put(widget, disabled=accepted)
 
 
 SNAP_SECONDS = 30.0
@@ -226,7 +224,7 @@ class JointEditor:
             return
         assert doc.tree is not None
         job = self._worker.submit(
-            picking_tasks.change_type, obj.source(), doc.tree, joint.child, kind, priority=EDITS
+            part_tasks.change_type, obj.source(), doc.tree, joint.child, kind, priority=EDITS
         )
         self._set(job.result(SNAP_SECONDS))
 
@@ -268,7 +266,7 @@ class JointEditor:
         joint, tree = self._need_joint(), obj.document.tree
         assert tree is not None
         job = self._worker.submit(
-            picking_tasks.snap_joint, obj.source(), tree, joint.child, to, priority=EDITS
+            part_tasks.snap_joint, obj.source(), tree, joint.child, to, priority=EDITS
         )
         snapped = job.result(SNAP_SECONDS)
         if snapped == joint:
@@ -315,28 +313,27 @@ class JointEditor:
         """Bring it up to date."""
         doc = obj.document
         titles = tuple(joint_title(doc, j.child) for j in tree.joints) or (NONE,)
-        put(self._child, "options", titles)
+        put(self._child, options=titles)
         joint = self._tab.selection.joint
         if joint is None:
-            put(self._note, "content", words.NO_JOINT)
+            put(self._note, content=words.NO_JOINT)
             return
-        put(self._child, "value", joint_title(doc, joint.child))
+        put(self._child, value=joint_title(doc, joint.child))
         called = {p.link: p.name for p in doc.parts}
         names = {link: called.get(link) for link in tree.links if holds_part(link)}
         files = FileNames.of_tree(tree, names, doc.category)
-        put(self._name, "value", files.joints.get(joint.name, joint.name))
-        put(self._type, "value", joint.type)
+        put(self._name, value=files.joints.get(joint.name, joint.name))
+        put(self._type, value=joint.type)
         found = doc.likely_joints(joint)
-        put(self._likely, "visible", len(found) > 1 and doc.review.state != "accepted")
+        put(self._likely, visible=len(found) > 1 and doc.review.state != "accepted")
         if len(found) > 1:
             labels = (words.likely(k, j.type, axis_name(j)) for k, j in enumerate(found, 1))
             marks = (CHOSEN * _same(j, joint) for j in found)
-            put(self._likely, "options", tuple(map("".join, zip(marks, labels, strict=True))))
+            put(self._likely, options=tuple(map("".join, zip(marks, labels, strict=True))))
         self.several.draw(obj, tree, joint)
         below = tree.descendants(joint.child)
         above = tuple(part_title(doc, k) for k in tree.links if k not in below)
-        put(self._parent, "options", above)
-        put(self._parent, "value", part_title(doc, joint.parent))
+        put(self._parent, options=above, value=part_title(doc, joint.parent))
         _put_vector(self._axis, joint.axis, 5e-4)
         _put_vector(self._origin, tuple(v * 1000 for v in joint.origin), 0.05)
         unit = "°" if joint.rotates else "mm"
@@ -344,23 +341,22 @@ class JointEditor:
             (self._lower, "lower", joint.lower),
             (self._upper, "upper", joint.upper),
         ):
-            put(box, "label", words.limit(word, unit))
-            put(box, "visible", joint.limited)
+            put(box, label=words.limit(word, unit), visible=joint.limited)
             if value is not None:
-                put(box, "value", round(shown(joint, value), 1))
+                put(box, value=round(shown(joint, value), 1))
         accepted = doc.review.state == "accepted"
         for widget in (self._axis, self._origin, self._gizmo):
-            put(widget, "visible", joint.moves)
+            put(widget, visible=joint.moves)
         for row in (self._axis_to, self._axis_box, self._origin_to):  # they can't be disabled
-            put(row, "visible", joint.moves and not accepted)
+            put(row, visible=joint.moves and not accepted)
         for widget in self._edits:
-            put(widget, "disabled", accepted)
-        put(self._free, "visible", joint.limited and not accepted)
-        put(self._gizmo, "color", "pink" if self._motion.handles.on else "gray")
-        put(self._locked, "value", joint.child in doc.locked)
-        put(self._reset, "label", words.reset_to(doc.joints_file is not None))
-        put(self._reset, "visible", joint.child in doc.edited_joints)
-        put(self._note, "content", joint_note(joint, doc, obj.checks))
+            put(widget, disabled=accepted)
+        put(self._free, visible=joint.limited and not accepted)
+        put(self._gizmo, color="pink" if self._motion.handles.on else "gray")
+        put(self._locked, value=joint.child in doc.locked)
+        put(self._reset, label=words.reset_to(doc.joints_file is not None))
+        put(self._reset, visible=joint.child in doc.edited_joints)
+        put(self._note, content=joint_note(joint, doc, obj.checks))
 
 
 def _same(a: Joint, b: Joint) -> bool:

@@ -137,7 +137,7 @@ class JointRows:
             row.remove()
         self._rows = []
         lines = [] if doc is None else joint_lines(doc)
-        put(self._folder, "visible", bool(lines))
+        put(self._folder, visible=bool(lines))
         tab, gui = self._tab, self._tab.client.gui
         with self._folder:
             for name, line, color in [] if doc is None else least_confident(doc, lines):
@@ -223,11 +223,11 @@ class JointTree:
     def draw(self, doc: Document, checks: list[JointCollision]) -> None:
         """Bring the rows up to date; nothing is there without joints."""
         tree = doc.tree
-        put(self._rows, "visible", tree is not None)
+        put(self._rows, visible=tree is not None)
         if tree is not None:
             chosen = self._tab.selection.child
             html = tree_html(tree, doc, checks, chosen, asking=self._asking())
-            put(self._rows, "content", html)
+            put(self._rows, content=html)
 
 
 def tree_html(

@@ -156,8 +156,8 @@ class CategoryGuess:
         )
         self._shown = tuple(filter(self._project.settings.knows_category, self._shown))
         if self._shown:
-            put(self._row, "options", tuple(g + _MARK for g in self._shown))
-        put(self._row, "visible", bool(self._shown))
+            put(self._row, options=tuple(g + _MARK for g in self._shown))
+        put(self._row, visible=bool(self._shown))
 
     def take_first(self) -> str | None:
         """Take the likeliest category; None where none is suggested."""
@@ -212,10 +212,10 @@ class QuickNames:
         self._names = names[:SHOWN] or names_for(category)
         for k, row in zip(range(0, SHOWN, ROW), self._rows, strict=True):
             names = self._names[k : k + ROW]
-            put(row, "visible", visible and bool(names))
+            put(row, visible=visible and bool(names))
             if not names:
                 continue
-            put(row, "options", tuple(CHOSEN * (name == chosen) + name for name in names))
+            put(row, options=tuple(CHOSEN * (name == chosen) + name for name in names))
 
 
 PARTS_SHOWN = 200
@@ -242,7 +242,7 @@ class PartList:
         return self._tab.selection.need_object().document
 
     def _chosen_name(self) -> str | None:
-        return _part_name(self._document(), self._tab.selection.part)
+        return self._document().part_names.get(self._tab.selection.part)
 
     def rename(self, name: str | None) -> None:
         """Name the selected part; parts of the same shape get the name too."""
@@ -298,14 +298,14 @@ class PartList:
         selection = self._tab.selection
         rows = []
         for part in parts_listed((p.id for p in doc.parts), selection.part):
-            name = _part_name(doc, part)
+            name = doc.part_names.get(part)
             if name in (None, f"link_{part}"):  # as read from a folder of parts: no name at all
                 name = words.UNNAMED if part else words.BASE
             share = percent(shares[part]) if part in shares else ""
             rows.append(self._row(part, name, share))
         add = button("part add", "", words.ADD_PART, style="aw-small")
-        put(self._rows, "content", f'<div class="aw-parts">{"".join(rows)}{add}</div>')
-        name, picking = _part_name(doc, selection.part), selection.picking
+        put(self._rows, content=f'<div class="aw-parts">{"".join(rows)}{add}</div>')
+        name, picking = doc.part_names.get(selection.part), selection.picking
         settings = self._project.settings
         own = settings.part_names(doc.category)
         self._name.offer(offered(own, palette.PART_NAMES, settings.strict))
@@ -336,10 +336,6 @@ def parts_listed(parts: Iterable[int], chosen: int) -> list[int]:
     """The parts that have a button: the first ``PARTS_SHOWN``, always with the selected one."""
     ids = sorted({BASE, chosen, *parts})
     return ids if len(ids) <= PARTS_SHOWN else sorted({*ids[: PARTS_SHOWN - 1], chosen})
-
-
-def _part_name(doc: Document, part: int) -> str | None:
-    return next((p.name for p in doc.parts if p.id == part), None)
 
 
 PROMPTS_SHOWN = 12
@@ -402,7 +398,7 @@ class PromptList:
         entries = prompt_entries(doc.prompts, elements)
         mine = [entry for entry in entries if entry.part == tab.selection.part]
         note = words.prompt_count(len(mine), len(entries))
-        put(self._note, "content", note if doc.prompts else words.NO_PROMPTS)
+        put(self._note, content=note if doc.prompts else words.NO_PROMPTS)
         wanted = mine[-PROMPTS_SHOWN:]
         if [entry for _, entry in self._buttons] == wanted:
             return

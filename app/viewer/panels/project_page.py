@@ -16,7 +16,7 @@ import viser.uplot
 
 from app.server.app_state import AppState
 from app.server.job import Job
-from app.viewer.panels.widgets import Presses, button
+from app.viewer.panels.widgets import Dialog, Presses, button
 from app.viewer.tab import Tab, plain
 from app.viewer.words import common
 from app.viewer.words import project as words
@@ -29,7 +29,7 @@ from sessions.review import ROLES, NotPermittedError
 from sessions.statistics import Overview, csv_text, duration, read_overview
 
 
-class ProjectDialogs:
+class ProjectDialogs(Dialog):
     """Instructions and labels in one dialog, checks and export in the other.
 
     Args:
@@ -37,21 +37,18 @@ class ProjectDialogs:
     """
 
     def __init__(self, tab: Tab, project: Project, changed: Callable[[], None]) -> None:
-        self._tab, self._project, self._changed = tab, project, changed
-        self._modal: Any = None
+        super().__init__(tab)
+        self._project, self._changed = project, changed
 
     def show(self, which: str) -> None:
         """Show a dialog: "labels" or "checks"."""
-        self.close()
         gui, tab = self._tab.client.gui, self._tab
         fill = self._checks if which == "checks" else self._labels
-        self._modal = gui.add_modal({w: label for w, label, _ in words.DIALOGS}[which])
-        with self._modal:
+        with self._open({w: label for w, label, _ in words.DIALOGS}[which]):
             fields = fill(gui)
             save = gui.add_button(words.SAVE, icon=viser.Icon.CHECK, color="blue")
-            close = gui.add_button(words.CANCEL, color="gray")
+            self._add_close(words.CANCEL)
         save.on_click(lambda _: tab.act(lambda: self._save(fields())))
-        close.on_click(lambda _: self._close_clicked())
 
     def _labels(self, gui: Any) -> Callable[[], dict[str, Any]]:
         known = self._project.settings
@@ -102,16 +99,6 @@ class ProjectDialogs:
         self._tab.notify(words.TITLE, words.SAVED, "green", elsewhere=True)
         self._changed()
 
-    def _close_clicked(self) -> None:
-        self.close()
-
-    def close(self) -> bool:
-        """Close the dialog; whether it was there."""
-        modal, self._modal = self._modal, None
-        if modal is not None:
-            modal.close()
-        return modal is not None
-
 
 _SECONDS = 60.0
 """Longest reading of the log."""
@@ -119,7 +106,7 @@ _COLORS = ("#2f9e44", "#5b8def")
 """Colors of the plot's two lines; seen on light and dark ground alike."""
 
 
-class ProjectPage:
+class ProjectPage(Dialog):
     """Shows the page over the picture.
 
     Args:
@@ -129,12 +116,12 @@ class ProjectPage:
     def __init__(
         self, tab: Tab, app_state: AppState, presses: Presses, open_object: Callable[[int], None]
     ) -> None:
-        self._tab, self._app_state, self._open = tab, app_state, open_object
-        self._modal: Any = None
+        super().__init__(tab)
+        self._app_state, self._open_object = app_state, open_object
         self._found: Overview | None = None
         presses.on("project", lambda _: self.show())
         presses.on("project_object", self._chosen)
-        presses.on("project_close", lambda _: self._close_clicked(), at_once=True)
+        presses.on("project_close", self._close_clicked, at_once=True)
         presses.on("project_csv", lambda _: self._send())
         self.dialogs = ProjectDialogs(tab, app_state.store.project, app_state.queue.changed)
         presses.on("project_settings", self._change)
@@ -142,11 +129,9 @@ class ProjectPage:
 
     def show(self) -> None:
         """Show the page; a worker adds up the figures, as the log may be long."""
-        self.close()
         gui, config = self._tab.client.gui, self._app_state.config
         title = plain(self._app_state.store.project.settings.name) or words.TITLE
-        self._modal = modal = gui.add_modal(title)
-        with modal:
+        with self._open(title) as modal:
             said = gui.add_html(f'<p class="aw-project">{words.READING}</p>')
         job = self._app_state.workers.readers[-1].submit(
             read_overview,
@@ -228,18 +213,12 @@ class ProjectPage:
 
     def _chosen(self, id: str) -> None:
         self.close()
-        self._open(int(id))
-
-    def _close_clicked(self) -> None:
-        self.close()
+        self._open_object(int(id))
 
     def close(self) -> bool:
         """Close the page and its dialogs; whether any was there."""
         dialog = self.dialogs.close()
-        modal, self._modal = self._modal, None
-        if modal is not None:
-            modal.close()
-        return dialog or modal is not None
+        return super().close() or dialog
 
 
 def learned_text(record: Mapping[str, Any]) -> tuple[str, str]:

@@ -167,23 +167,23 @@ class QueuePanel:
         counts = Counter(r.state for r in records)
         today = datetime.now(UTC).date().isoformat()
         accepted = sum(r.state == "accepted" and r.updated[:10] == today for r in records)
-        put(self._summary, "content", words.progress(dict(counts), accepted))
-        put(self._bar, "value", round(100 * counts["accepted"] / max(len(records), 1), 1))
+        put(self._summary, content=words.progress(dict(counts), accepted))
+        put(self._bar, value=round(100 * counts["accepted"] / max(len(records), 1), 1))
         removed = app_state.queue.removed
-        put(self._restore, "visible", bool(removed))
+        put(self._restore, visible=bool(removed))
         if removed:
             name = app_state.store.object(removed[-1]).name
-            put(self._restore, "label", words.restore(clipped(name, NAME_LENGTH - 4)))
+            put(self._restore, label=words.restore(clipped(name, NAME_LENGTH - 4)))
         on_hold = [i for i, (state, _) in exceptions.items() if state == "on_hold" and i != current]
         self._draw_on_hold(on_hold, app_state.gallery.names())
         call_page(self._tab.client, "Queue.changed", current)
 
     def _draw_on_hold(self, ids: list[int], names: Mapping[int, str]) -> None:
         """Show the button that opens the first object on hold."""
-        put(self.on_hold, "visible", bool(ids))
+        put(self.on_hold, visible=bool(ids))
         if ids:
             name = clipped(names[ids[0]], NAME_LENGTH - 10)
-            put(self.on_hold, "label", words.on_hold(name, len(ids) - 1))
+            put(self.on_hold, label=words.on_hold(name, len(ids) - 1))
             self._on_hold = ids[0]
 
 

@@ -107,10 +107,9 @@ class RejectButtons:
     def draw(self, visible: bool) -> None:
         """Bring them up to date; ``visible`` where there is something to reject."""
         asking = visible and self._rejecting.asking
-        put(self._reject, "visible", visible)
-        put(self._reject, "label", words.CANCEL_REJECTION if asking else words.REJECT)
+        put(self._reject, visible=visible, label=words.CANCEL_REJECTION if asking else words.REJECT)
         for row in self._rows:
-            put(row, "visible", asking)
+            put(row, visible=asking)
 
 
 SHOWN = 8
@@ -209,8 +208,7 @@ class ValidationList:
             if wanted == obj.record.id:
                 self._tab.act(self.show_worst)
         line = headline(obj, doc, report)
-        put(self._headline, "content", line)
-        put(self._headline, "visible", bool(line))
+        put(self._headline, content=line, visible=bool(line))
         if self._shown is not None and self._shown[0] is not report:
             # The joints have changed, and what was shown with them.
             self._shown = None
@@ -223,7 +221,7 @@ class ValidationList:
             row.remove()
         self._rows = []
         found = _groups(doc, report)
-        put(self._folder, "visible", bool(found))
+        put(self._folder, visible=bool(found))
         with self._folder:
             for group in found[:SHOWN]:
                 self._add_row(doc, group)

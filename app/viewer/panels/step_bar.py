@@ -65,10 +65,10 @@ class ObjectHeader:
     def draw(self, obj: OpenObject) -> None:
         """Bring the header up to date."""
         broken = obj.problem is not None
-        put(self._status, "content", "\n\n".join(self._lines(obj)))
-        put(self._again, "visible", broken)
-        put(self._remove, "visible", broken and not self._tab.in_scene)
-        put(self._reopen, "visible", obj.document.review.state == "accepted")
+        put(self._status, content="\n\n".join(self._lines(obj)))
+        put(self._again, visible=broken)
+        put(self._remove, visible=broken and not self._tab.in_scene)
+        put(self._reopen, visible=obj.document.review.state == "accepted")
 
     def _lines(self, obj: OpenObject) -> list[str]:
         doc, asset, review = obj.document, obj.asset, obj.document.review
@@ -205,6 +205,21 @@ _ICONS: Final[dict[str, Any]] = {
 }
 
 
+_VIEWS: Final[dict[str, tuple[Any, str]]] = {
+    words.HISTORY_ACTIONS[0]: (viser.Icon.ARROW_BACK_UP, words.UNDO_TIP),
+    words.HISTORY_ACTIONS[1]: (viser.Icon.ARROW_FORWARD_UP, words.REDO_TIP),
+    words.PLAY: (viser.Icon.PLAYER_PLAY, ""),
+    words.RESET_POSE: (viser.Icon.REFRESH, ""),
+    tool_words.PREVIEW: (viser.Icon.EYE, tool_words.PREVIEW_HINT),
+    tool_words.TOUCH: (viser.Icon.HAND_FINGER, tool_words.TOUCH_HINT),
+    keys.MEASURE: (viser.Icon.RULER_2, keys.MEASURE_TIP),
+    keys.ISOLATE: (viser.Icon.FOCUS_2, keys.ISOLATE_TIP),
+    words.KEYS_BUTTON: (viser.Icon.KEYBOARD, ""),
+    TOUR: (viser.Icon.SCHOOL, TOUR_TIP),
+}
+"""Icon and tip of those that every step has; "" for the label."""
+
+
 @dataclass(frozen=True)
 class RailActions:
     """Callbacks of the icons that every step has."""
@@ -282,49 +297,21 @@ class ToolRail:
         if obj is None or obj.problem is not None:
             self._place.show("")
             return
-        step, moves = self._tab.selection.step, obj.document.tree is not None
-        groups = [
-            [
-                _view(words.HISTORY_ACTIONS[0], viser.Icon.ARROW_BACK_UP, words.UNDO_TIP),
-                _view(words.HISTORY_ACTIONS[1], viser.Icon.ARROW_FORWARD_UP, words.REDO_TIP),
-            ]
-        ]
-        if moves and step not in AT_REST:
-            groups.append(
-                [
-                    _view(words.PLAY, viser.Icon.PLAYER_PLAY),
-                    _view(words.RESET_POSE, viser.Icon.REFRESH),
-                ]
-            )
+        step, pointing = self._tab.selection.step, self._pointing
+        groups = [[_view(label) for label in words.HISTORY_ACTIONS]]
+        if obj.document.tree is not None and step not in AT_REST:
+            groups.append([_view(words.PLAY), _view(words.RESET_POSE)])
         if step == "Annotate":
             groups += [
                 [self._tool(label, tool) for tool, label in row.items()]
                 for row in tool_words.TOOL_ROWS
             ]
-            on = self._pointing.hover.on
-            groups.append(
-                [
-                    _view(tool_words.PREVIEW, viser.Icon.EYE, tool_words.PREVIEW_HINT, on),
-                    _view(
-                        tool_words.TOUCH, viser.Icon.HAND_FINGER, tool_words.TOUCH_HINT, self.touch
-                    ),
-                ]
-            )
+            preview = _view(tool_words.PREVIEW, pointing.hover.on)
+            groups.append([preview, _view(tool_words.TOUCH, self.touch)])
         if step != "Prepare":
-            alone = bool(self._tab.selection.hidden)
-            measuring = self._pointing.armed == "measure"
-            groups.append(
-                [
-                    _view(keys.MEASURE, viser.Icon.RULER_2, keys.MEASURE_TIP, measuring),
-                    _view(keys.ISOLATE, viser.Icon.FOCUS_2, keys.ISOLATE_TIP, alone),
-                ]
-            )
-        groups.append(
-            [
-                _view(words.KEYS_BUTTON, viser.Icon.KEYBOARD),
-                _view(TOUR, viser.Icon.SCHOOL, TOUR_TIP),
-            ]
-        )
+            measure = _view(keys.MEASURE, pointing.armed == "measure")
+            groups.append([measure, _view(keys.ISOLATE, bool(self._tab.selection.hidden))])
+        groups.append([_view(words.KEYS_BUTTON), _view(TOUR)])
         self._place.show("".join(f'<div class="aw-group">{"".join(g)}</div>' for g in groups))
 
     def _tool(self, label: str, tool: str) -> str:
@@ -339,7 +326,8 @@ class ToolRail:
         )
 
 
-def _view(label: str, picture: Any, tip: str = "", pressed: bool | None = None) -> str:
+def _view(label: str, pressed: bool | None = None) -> str:
+    picture, tip = _VIEWS[label]
     return button("view", label, label, content=icon(picture), tip=tip or label, pressed=pressed)
 
 

@@ -19,10 +19,27 @@ from app.viewer.words.common import NONE, OTHER
 from sessions import commands as cmd
 
 
-def put(handle: Any, name: str, value: Any) -> None:
-    """Assign a widget's property where it differs: nothing is sent twice."""
-    if getattr(handle, name) != value:
-        setattr(handle, name, value)
+def put(handle: Any, **values: Any) -> None:
+    """Assign the properties of a widget that differ: nothing is sent twice."""
+    for name, value in values.items():
+        if getattr(handle, name) != value:
+            setattr(handle, name, value)
+
+
+def push_button(tab: Tab, label: str, action: Callable[[], None], **look: Any) -> Any:
+    """Add a button that has the tab carry out ``action``; ``look`` as viser names it."""
+    handle = tab.client.gui.add_button(label, **look)
+    handle.on_click(lambda _: tab.act(action))
+    return handle
+
+
+def push_buttons(
+    tab: Tab, label: str, options: tuple[str, ...], chosen: Callable[[str], None], **look: Any
+) -> Any:
+    """Add a row of buttons; ``chosen`` gets the text of the one that was clicked."""
+    handle = tab.client.gui.add_button_group(label, options, **look)
+    handle.on_click(lambda event: tab.act(lambda: chosen(event.target.value)))
+    return handle
 
 
 def differs(a: tuple[float, ...], b: tuple[float, ...], tolerance: float = 1e-6) -> bool:
@@ -66,6 +83,33 @@ class Place:
         if html != self._shown:
             self._shown = html
             show_markup(self._tab.client, self._name, html)
+
+
+class Dialog:
+    """A dialog over the picture, which a button or a key closes."""
+
+    def __init__(self, tab: Tab) -> None:
+        self._tab = tab
+        self._modal: Any = None
+
+    def _open(self, title: str) -> Any:
+        """Begin another dialog; returns it, for its widgets."""
+        self.close()
+        self._modal = self._tab.client.gui.add_modal(title)
+        return self._modal
+
+    def _add_close(self, label: str) -> None:
+        self._tab.client.gui.add_button(label, color="gray").on_click(self._close_clicked)
+
+    def _close_clicked(self, _: Any) -> None:
+        self.close()
+
+    def close(self) -> bool:
+        """Close the dialog; whether it was there."""
+        modal, self._modal = self._modal, None
+        if modal is not None:
+            modal.close()
+        return modal is not None
 
 
 @lru_cache(maxsize=128)
@@ -159,10 +203,10 @@ class Choice:
         if self._list.value != option and not (value is None and self._list.value == OTHER):
             self._list.value = option
         other = option == OTHER
-        put(self._box, "visible", other and visible)
+        put(self._box, visible=other and visible)
         if other:
-            put(self._box, "value", value)
-        put(self._list, "visible", visible)
+            put(self._box, value=value)
+        put(self._list, visible=visible)
 
 
 def offered(own: tuple[str, ...], usual: tuple[str, ...], strict: bool) -> tuple[str, ...]:
@@ -187,13 +231,11 @@ class PredictButtons:
         """Show or hide the first button; an accepted object has to be reopened first."""
         obj = self._tab.selection.object
         accepted = obj is not None and obj.document.review.state == "accepted"
-        put(self._predict, "visible", visible)
-        put(self._predict, "disabled", accepted)
-        put(self._predict, "color", color)
+        put(self._predict, visible=visible, disabled=accepted, color=color)
 
     def show_here(self, visible: bool) -> None:
         """Show or hide the second one."""
-        put(self._here, "visible", visible)
+        put(self._here, visible=visible)
 
 
 def predict(tab: Tab, *, here: bool = False) -> None:
@@ -217,7 +259,7 @@ class UserName:
     def show(self) -> None:
         """Put the name that the browser remembered into its box."""
         if self._box is not None:
-            put(self._box, "value", self._tab.user)
+            put(self._box, value=self._tab.user)
 
     def _renamed(self) -> None:
         if self._box is None:

@@ -17,7 +17,7 @@ import viser
 
 from app.server.scene_tasks import Shape
 from app.viewer.picture import palette
-from app.viewer.picture.scene_nodes import Node, Placement, Scans
+from app.viewer.picture.scene_nodes import Node, Placement, Scans, through_box
 
 Array = npt.NDArray[np.float64]
 
@@ -140,7 +140,5 @@ def before(eye: Array, points: Array, bounds: Array, placement: Placement) -> np
     along = (points - placement.world[:3, 3]) @ turn - start
     low, high = np.sort(bounds, axis=0)
     reach = _MARGIN * float(np.linalg.norm(high - low))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        a, b = (low - reach - start) / along, (high + reach - start) / along
-    enter, leave = np.fmax.reduce(np.fmin(a, b), axis=1), np.fmin.reduce(np.fmax(a, b), axis=1)
+    enter, leave = through_box(start, along, low - reach, high + reach)
     return (leave >= enter) & (enter > 1.0)

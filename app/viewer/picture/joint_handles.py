@@ -16,6 +16,7 @@ import numpy.typing as npt
 from viser import transforms as vtf
 
 from app.viewer.picture import palette
+from app.viewer.picture.stage import add_ball
 from app.viewer.tab import Step, Tab
 from app.viewer.words.joints import limit_label
 from model.core.joint import Joint
@@ -121,9 +122,7 @@ def _axis_frame(joint: Joint, posed_from_rest: Pose) -> tuple[Any, Any]:
 def _frame_along(axis: tuple[float, float, float]) -> Any:
     """A rotation whose z is ``axis``; quaternion wxyz."""
     z = np.asarray(axis)
-    helper = np.eye(3)[int(np.argmin(np.abs(z)))]
-    x = np.cross(helper, z)
-    x /= np.linalg.norm(x)
+    x = _across(z)
     return vtf.SO3.from_matrix(np.column_stack([x, np.cross(z, x), z])).wxyz
 
 
@@ -365,15 +364,8 @@ class LimitHandles:
                 receive_shadow=False,
             )
         for side, q in zip(_SIDES, (low, high), strict=True):
-            grip = scene.add_icosphere(
-                f"{_ROOT}/{side}",
-                radius=_GRIP * diagonal,
-                color=palette.SELECTED,
-                subdivisions=2,
-                position=gauge.place(q),
-                cast_shadow=False,
-                receive_shadow=False,
-            )
+            place, radius = gauge.place(q), _GRIP * diagonal
+            grip = add_ball(scene, f"{_ROOT}/{side}", place, radius, palette.SELECTED)
             self._nodes[side] = grip
             below = side == "lower"  # the labels of a small range don't cover each other
             self._nodes[f"{side} label"] = scene.add_label(

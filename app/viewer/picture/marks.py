@@ -17,6 +17,7 @@ from viser import transforms as vtf
 from app.server.display_tasks import PartPayload
 from app.server.validating import JointCollision
 from app.viewer.picture import palette
+from app.viewer.picture.stage import add_ball
 from model.core.tree import KinematicTree
 
 _TOWARD_CAMERA = 0.006
@@ -87,18 +88,8 @@ class Overlays:
         self, name: str, places: Sequence[Any], color: palette.Rgb, diagonal: float
     ) -> list[Any]:
         """Draw a small ball at each place, (3,); returns the handles."""
-        return [
-            self._client.scene.add_icosphere(
-                f"{name}/{k}",
-                radius=_MARK * diagonal,
-                color=color,
-                subdivisions=2,
-                position=place,
-                cast_shadow=False,
-                receive_shadow=False,
-            )
-            for k, place in enumerate(places)
-        ]
+        scene, radius = self._client.scene, _MARK * diagonal
+        return [add_ball(scene, f"{name}/{k}", at, radius, color) for k, at in enumerate(places)]
 
     def show_measure(self, places: Sequence[npt.NDArray[np.float64]], text: str) -> None:
         """Mark one or two points, (3,) each, and the line between them with ``text``."""
@@ -171,15 +162,8 @@ class CommentMarks:
     def _draw(self, mark: CommentMark, diagonal: float) -> list[Any]:
         scene, radius = self._client.scene, _RADIUS * diagonal
         name = f"/comment/{mark.number}"
-        ball = scene.add_icosphere(
-            name,
-            radius=radius,
-            color=palette.SELECTED if mark.chosen else palette.COMMENT,
-            subdivisions=2,
-            position=mark.place,
-            cast_shadow=False,
-            receive_shadow=False,
-        )
+        color = palette.SELECTED if mark.chosen else palette.COMMENT
+        ball = add_ball(scene, name, mark.place, radius, color)
         label = scene.add_label(
             f"{name}/label", mark.text, position=(0.0, 0.0, 1.6 * radius), anchor="bottom-center"
         )
@@ -303,20 +287,6 @@ class JointMarks:
             )
             self._directions += [arrow, label]
 
-    def _ball(
-        self, name: str, at: tuple[float, float, float], radius: float, opacity: float
-    ) -> Any:
-        return self._client.scene.add_icosphere(
-            name,
-            radius=radius,
-            color=palette.CONTACT,
-            subdivisions=2,
-            opacity=opacity,
-            position=at,
-            cast_shadow=False,
-            receive_shadow=False,
-        )
-
     def show_contacts(self, checks: Sequence[JointCollision], tree: KinematicTree | None) -> None:
         """Mark where a sweep hits something; without a tree nothing is marked."""
         hits = [c for c in checks if tree is not None and c.joint in tree.by_name]
@@ -338,7 +308,7 @@ class JointMarks:
     ) -> _Contact:
         joint, then = tree.by_name[check.joint], tree.pose({check.joint: check.q})
         other = check.other if check.other in then else joint.parent
-        ball = self._ball(name, check.where, radius, 0.85)
+        ball = add_ball(self._client.scene, name, check.where, radius, palette.CONTACT, 0.85)
         ball.visible = False
         back = {k: np.asarray(np.linalg.inv(then[k]), np.float64) for k in (joint.child, other)}
         moved, held = (joint.child, back[joint.child]), (other, back[other])
@@ -376,7 +346,7 @@ class JointMarks:
         if where is None or self._diagonal is None:
             return
         radius = 0.016 * self._diagonal
-        ball = self._ball("/moment", where, radius, 0.9)
+        ball = add_ball(self._client.scene, "/moment", where, radius, palette.CONTACT, 0.9)
         # Labels are drawn over everything, the ball is inside of what meets there.
         cross = self._client.scene.add_label("/moment/cross", "✖", anchor="center-center")
         label = self._client.scene.add_label(
@@ -394,9 +364,7 @@ def axis_length(
     """The length of an arrow along ``axis`` that sticks out of a link's part at both ends."""
     part = link.removeprefix("link_")
     for payload in payloads or ():
-        if str(payload.part) == part:
-            points = payload.vertices if payload.vertices is not None else payload.points
-            if points is not None and len(points):
-                along = points @ np.asarray(axis, np.float32)
-                return float(np.clip(1.25 * np.ptp(along), 0.12 * diagonal, 1.1 * diagonal))
+        if str(payload.part) == part and len(payload.shape):
+            along = payload.shape @ np.asarray(axis, np.float32)
+            return float(np.clip(1.25 * np.ptp(along), 0.12 * diagonal, 1.1 * diagonal))
     return 0.3 * diagonal

@@ -312,7 +312,7 @@ class MovingParts:
         """(N, 3) vertices or points of a drawn part at rest, or None."""
         for payload in self._payloads or ():
             if payload.part == part:
-                return payload.points if payload.vertices is None else payload.vertices
+                return payload.shape
         return None
 
     def posed(
@@ -321,10 +321,9 @@ class MovingParts:
         """(V, 3) vertices or points of the parts where they are now, and (F, 3) faces or None."""
         out = []
         for payload in self._payloads or ():
-            shape = payload.points if payload.vertices is None else payload.vertices
-            if shape is not None and payload.part not in hidden:
+            if payload.part not in hidden:
                 pose = self._poses.get(f"link_{payload.part}", np.eye(4))
-                out.append((shape @ pose[:3, :3].T + pose[:3, 3], payload.faces))
+                out.append((payload.shape @ pose[:3, :3].T + pose[:3, 3], payload.faces))
         return out
 
     def pick(
@@ -351,16 +350,13 @@ class MovingParts:
         """The part with the smallest ``measure``, less than ``none``."""
         nearest, found = none, None
         for payload in self._payloads or ():
-            if payload.part in hidden:
-                continue
-            shape = payload.points if payload.vertices is None else payload.vertices
-            if shape is None or not len(shape):
+            if payload.part in hidden or not len(payload.shape):
                 continue
             rest = np.linalg.inv(self._poses.get(f"link_{payload.part}", np.eye(4)))
             start = rest[:3, :3] @ np.asarray(origin, np.float64) + rest[:3, 3]
             along = rest[:3, :3] @ np.asarray(direction, np.float64)
             faces = None if payload.faces is None else payload.faces.astype(np.uint32)
-            distance = measure(start, along, shape, faces)
+            distance = measure(start, along, payload.shape, faces)
             if distance < nearest:
                 nearest, found = distance, payload.part
         return found

@@ -12,16 +12,17 @@ from typing import Any, Final, Literal
 import numpy as np
 import numpy.typing as npt
 import viser
-from viser import transforms as vtf
 
 from app.server.display_tasks import OpenedAsset, PartPayload, front_direction
 from app.viewer.picture import palette
 from app.viewer.picture.marks import CommentMarks, JointMarks, Overlays
 from app.viewer.picture.object_nodes import LabelOverlay, MovingParts
+from app.viewer.picture.scene_nodes import wxyz_of
 from app.viewer.picture.stage import (
-    GRID,
     LIGHT_ROOT,
     SCENE_ROOT,
+    add_ball,
+    add_floor,
     aim,
     fitting_distance,
     may_be_a_room,
@@ -154,20 +155,8 @@ class ObjectPicture:
         asset_from_shown = np.linalg.inv(self._frame)
         middle = np.array([*((low + high) / 2)[:2], float(low[2]) - 1e-3 * diagonal, 1.0])
         span = float(max(high[0] - low[0], high[1] - low[1], 0.2 * diagonal))
-        cell = 10.0 ** np.floor(np.log10(span)) / 2
-        self._scene.add_grid(
-            "/ground",
-            width=4 * span,
-            height=4 * span,
-            position=(asset_from_shown @ middle)[:3],
-            wxyz=vtf.SO3.from_matrix(asset_from_shown[:3, :3]).wxyz,
-            cell_size=float(cell),
-            section_size=float(2 * cell),
-            cell_color=GRID[self.dark][0],
-            section_color=GRID[self.dark][1],
-            infinite_grid=True,
-            fade_distance=8 * span,
-        )
+        place, wxyz = (asset_from_shown @ middle)[:3], wxyz_of(asset_from_shown)
+        add_floor(self._scene, "/ground", span, place, wxyz, fade=8, dark=self.dark)
 
     def frame_camera(self, view: View | None = None) -> None:
         """Aim at the whole object: by default from the front, the side and above."""
@@ -253,16 +242,10 @@ class ObjectPicture:
         for index, click in wanted.items():
             if index in self._prompts:
                 continue
-            handle = self._scene.add_icosphere(
-                f"/prompt/{index}",
-                radius=radius if click.positive else 0.8 * radius,
-                color=palette.part_color(click.part) if click.positive else palette.NEGATIVE,
-                subdivisions=2,
-                position=click.position,
-                cast_shadow=False,
-                receive_shadow=False,
-            )
-            self._prompts[index] = (click, handle)
+            size = radius if click.positive else 0.8 * radius
+            color = palette.part_color(click.part) if click.positive else palette.NEGATIVE
+            ball = add_ball(self._scene, f"/prompt/{index}", click.position, size, color)
+            self._prompts[index] = (click, ball)
 
     def show_touch_pad(self, wanted: bool) -> Any:
         """An invisible box that a finger can tap, since scene clicks don't fire on touch."""

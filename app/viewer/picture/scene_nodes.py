@@ -4,7 +4,7 @@ cast on them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,7 +14,7 @@ import viser
 from viser import transforms as vtf
 
 from app.server.scene_state import Work
-from app.server.scene_tasks import Shape
+from app.server.scene_tasks import BOX, Shape
 from app.viewer.picture import palette
 from model.core.geometry import Material, Mesh
 from model.geometry.picking import DEFAULT_PIXEL_ANGLE, TOLERANCE, rings_around
@@ -81,10 +81,15 @@ def nearly_hit(
 
 def meets_boxes(origin: Array, direction: Array, boxes: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:
     """(N,) which of the (N, 2, 3) axis-parallel boxes a ray goes through."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        a, b = (boxes[:, 0] - origin) / direction, (boxes[:, 1] - origin) / direction
-    enter, leave = np.fmax.reduce(np.fmin(a, b), axis=1), np.fmin.reduce(np.fmax(a, b), axis=1)
+    enter, leave = through_box(origin, direction, boxes[:, 0], boxes[:, 1])
     return leave >= np.maximum(enter, 0.0)
+
+
+def through_box(origin: Array, direction: Array, low: Array, high: Array) -> tuple[Array, Array]:
+    """(N,) multiples of ``direction`` at which rays enter and leave axis-parallel boxes."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        a, b = (low - origin) / direction, (high - origin) / direction
+    return np.fmax.reduce(np.fmin(a, b), axis=1), np.fmin.reduce(np.fmax(a, b), axis=1)
 
 
 def within_tolerance(origin: Array, boxes: npt.NDArray[Any]) -> npt.NDArray[Any]:
@@ -123,9 +128,6 @@ def _cloud_hit(origin: Array, direction: Array, points: Array, reach: float) -> 
 GHOST_OPACITY = 0.14
 TINT = 0.6
 """Share of a state's color in the points of a scan."""
-Ids = tuple[str, ...]
-
-CORNERS = np.array([[i >> k & 1 for k in range(3)] for i in range(8)], np.float32) - 0.5
 
 
 @dataclass(eq=False)
@@ -134,6 +136,10 @@ class Placement:
 
     world: Array
     scale: Array
+
+    def of(self, points: npt.NDArray[np.floating[Any]]) -> Array:
+        """(N, 3) the object's points in the scene's frame."""
+        return np.asarray((points * self.scale) @ self.world[:3, :3].T + self.world[:3, 3])
 
 
 @dataclass(frozen=True)
@@ -160,19 +166,36 @@ class Look:
         return palette.part_color(int(number))
 
 
+@dataclass(frozen=True, eq=False)
+class Group:
+    """Objects that look alike.
+
+    Attributes:
+        ids: the objects.
+        shape: of each.
+        placements: of each, while nothing moves.
+        work, link: whose part it is; None and "" of a whole object.
+    """
+
+    ids: tuple[str, ...]
+    shape: Shape
+    placements: Sequence[Placement]
+    work: Work | None = None
+    link: str = ""
+
+
 class Node:
     """Something that was sent, with the objects that it draws.
 
     Attributes:
         rest: where they are while nothing moves. now: where they are.
-        work, link: whose part it is; None and "" of a whole object.
+        work, link: see :class:`Group`.
     """
 
-    def __init__(
-        self, ids: Ids, shape: Shape, placements: Sequence[Placement], work: Work | None, link: str
-    ) -> None:
-        self.ids, self.shape, self.work, self.link = ids, shape, work, link
-        self.rest, self.now = list(placements), list(placements)
+    def __init__(self, client: viser.ClientHandle, name: str, group: Group) -> None:
+        self._client, self._name = client, name
+        self.ids, self.shape, self.work, self.link = group.ids, group.shape, group.work, group.link
+        self.rest, self.now = list(group.placements), list(group.placements)
 
     @property
     def handles(self) -> list[Any]:
@@ -234,9 +257,7 @@ class Surroundings(Node):
         count = start = 0
         for _, shape, placement in solid:
             assert shape.faces is not None
-            at = (shape.vertices * placement.scale) @ placement.world[:3, :3].T + placement.world[
-                :3, 3
-            ]
+            at = placement.of(shape.vertices)
             vertices.append(at.astype(np.float32))
             boxes.append([at.min(0), at.max(0)])
             faces.append(shape.faces + np.uint32(count))
@@ -250,9 +271,8 @@ class Surroundings(Node):
             np.concatenate(colors),
         )
         here = [Placement(np.eye(4), np.ones(3)) for _ in solid]
-        super().__init__(tuple(i for i, _, _ in solid), whole, here, None, "")
-        self.solid = list(solid)
-        self._client, self._name, self._boxes = client, name, np.array(boxes)
+        super().__init__(client, name, Group(tuple(i for i, _, _ in solid), whole, here))
+        self.solid, self._boxes = list(solid), np.array(boxes)
         self._original = client.scene.add_glb(
             f"{name}/own", colored_glb(whole), cast_shadow=False, receive_shadow=False
         )
@@ -303,18 +323,8 @@ class Surroundings(Node):
 class Instances(Node):
     """Instances of a mesh, which is sent once."""
 
-    def __init__(
-        self,
-        client: viser.ClientHandle,
-        name: str,
-        ids: Ids,
-        shape: Shape,
-        placements: Sequence[Placement],
-        work: Work | None,
-        link: str,
-    ) -> None:
-        super().__init__(ids, shape, placements, work, link)
-        self._client, self._name = client, name
+    def __init__(self, client: viser.ClientHandle, name: str, group: Group) -> None:
+        super().__init__(client, name, group)
         self._original: Any = None
         self._flat: Any = None
         self._painted: Any = None
@@ -395,33 +405,23 @@ class Instances(Node):
 class Scans(Node):
     """Point clouds, one for each object."""
 
-    def __init__(
-        self,
-        client: viser.ClientHandle,
-        name: str,
-        ids: Ids,
-        shape: Shape,
-        placements: Sequence[Placement],
-        work: Work | None,
-        link: str,
-    ) -> None:
-        super().__init__(ids, shape, placements, work, link)
-        self._colors = _colors(shape, len(shape.vertices))
-        self._painted: list[Any] = ["own"] * len(placements)
-        self._handles: list[Any] = []
-        for k, placement in enumerate(placements):
-            self._handles.append(
-                client.scene.add_point_cloud(
-                    f"{name}/{k}",
-                    (shape.vertices * placement.scale).astype(np.float32),
-                    self._colors,
-                    precision="float32",
-                    point_size=self.point_size(k),
-                    point_shape="circle",
-                    wxyz=wxyz_of(placement.world),
-                    position=placement.world[:3, 3],
-                )
+    def __init__(self, client: viser.ClientHandle, name: str, group: Group) -> None:
+        super().__init__(client, name, group)
+        self._colors = _colors(self.shape, len(self.shape.vertices))
+        self._painted: list[Any] = ["own"] * len(self.rest)
+        self._handles: list[Any] = [
+            client.scene.add_point_cloud(
+                f"{name}/{k}",
+                (self.shape.vertices * placement.scale).astype(np.float32),
+                self._colors,
+                precision="float32",
+                point_size=self.point_size(k),
+                point_shape="circle",
+                wxyz=wxyz_of(placement.world),
+                position=placement.world[:3, 3],
             )
+            for k, placement in enumerate(self.rest)
+        ]
 
     @property
     def handles(self) -> list[Any]:
@@ -445,9 +445,7 @@ class Scans(Node):
 
     def points_in_place(self, k: int) -> Array:
         """(N, 3) object ``k``'s points in the scene's frame."""
-        placement = self.now[k]
-        points = self.shape.vertices * placement.scale
-        return np.asarray(points @ placement.world[:3, :3].T + placement.world[:3, 3])
+        return self.now[k].of(self.shape.vertices)
 
     def _toned(self, wanted: Any) -> npt.NDArray[np.uint8]:
         if wanted == "own":
@@ -462,18 +460,10 @@ class Scans(Node):
             handle.position = placement.world[:3, 3]
 
 
-def send(
-    client: viser.ClientHandle,
-    name: str,
-    ids: Ids,
-    shape: Shape,
-    placements: Sequence[Placement],
-    work: Work | None,
-    link: str,
-) -> Node:
+def send(client: viser.ClientHandle, name: str, group: Group) -> Node:
     """Send a shape with all its placements."""
-    kind: Callable[..., Node] = Scans if shape.faces is None else Instances
-    return kind(client, name, ids, shape, placements, work, link)
+    kind = Scans if group.shape.faces is None else Instances
+    return kind(client, name, group)
 
 
 def first_under(nodes: Sequence[Node], origin: Array, direction: Array) -> str | None:
@@ -526,7 +516,7 @@ def corners_of(shape: Shape, placement: Placement, margin: float = 0.0) -> npt.N
     """(8, 3) corners of an object's box in the scene's frame, ``margin`` of its size around it."""
     low, high = np.sort(shape.bounds * placement.scale, axis=0)
     reach = margin * float(np.linalg.norm(high - low))
-    local = (low + high) / 2 + CORNERS.astype(np.float64) * (high - low + 2 * reach)
+    local = (low + high) / 2 + BOX.vertices.astype(np.float64) * (high - low + 2 * reach)
     return np.asarray(local @ placement.world[:3, :3].T + placement.world[:3, 3])
 
 

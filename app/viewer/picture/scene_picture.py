@@ -18,12 +18,12 @@ from viser import transforms as vtf
 
 from app.server.display_tasks import front_direction
 from app.server.scene_state import Row
-from app.server.scene_tasks import SceneItem, Shape
+from app.server.scene_tasks import SceneItem, Shape, placed
 from app.server.scene_workspace import SceneWorkspace
 from app.viewer.picture import palette
 from app.viewer.picture.ghosts import Ghosts
 from app.viewer.picture.scene_nodes import (
-    CORNERS,
+    Group,
     Look,
     Node,
     Placement,
@@ -34,8 +34,8 @@ from app.viewer.picture.scene_nodes import (
     wxyz_of,
 )
 from app.viewer.picture.stage import (
-    GRID,
     SCENE_ROOT,
+    add_floor,
     aim,
     fitting_distance,
     set_stage,
@@ -45,12 +45,6 @@ from app.viewer.picture.stage import (
 ROOT = SCENE_ROOT
 Array = npt.NDArray[np.float64]
 
-_BOX = Shape(
-    np.array([[-0.5] * 3, [0.5] * 3]),
-    CORNERS,
-    np.array([[0, 2, 1], [1, 2, 3], [4, 5, 6], [5, 7, 6], [0, 1, 4], [1, 5, 4],
-              [2, 6, 3], [3, 6, 7], [0, 4, 2], [2, 4, 6], [1, 3, 5], [3, 7, 5]], np.uint32),
-)  # fmt: skip
 _EDGES = np.array([[a, a | bit] for bit in (1, 2, 4) for a in range(8) if not a & bit])
 
 
@@ -92,22 +86,17 @@ class ScenePicture:
 
     # --- placements
 
-    def placement(self, item: SceneItem) -> tuple[Shape, Placement] | None:
+    def _placement(self, item: SceneItem) -> tuple[Shape, Placement] | None:
         """An object's shape and place; None where it isn't known (yet)."""
-        if item.obj.box is not None:
-            return _BOX, Placement(item.obj.world_from_object, np.asarray(item.obj.box))
-        shape = None if item.path is None else self._workspace.shapes.get(item.path)
-        if not isinstance(shape, Shape):
-            return None
-        placed = item.obj.placed(shape.bounds)
-        return shape, Placement(placed.world_from_asset, placed.scale)
+        found = placed(item, self._workspace.shapes)
+        return None if found is None else (found[0], Placement(*found[1:]))
 
     def bounds(self, ids: Sequence[str] | None = None) -> Array | None:
         """(2, 3) of objects in the scene's frame; of all where None."""
         every: list[Array] = []
         for id, item in self._workspace.items.items():
             if ids is None or id in ids:
-                found = self.placement(item)
+                found = self._placement(item)
                 if found is not None:
                     every.append(corners_of(*found))
         if not every:
@@ -137,7 +126,7 @@ class ScenePicture:
             self._paint(status, selected)
             self._draw_outline(selected)
             item = self._workspace.items.get(self.ghosted or "")
-            found = None if item is None else self.placement(item)
+            found = None if item is None else self._placement(item)
             self._ghosts.draw(self.ghosted, self._nodes.values(), found)
         self._draw_floor()
 
@@ -145,7 +134,7 @@ class ScenePicture:
         out: dict[tuple[Any, ...], list[str]] = {}
         for id, where in status.items():
             item = self._workspace.items[id]
-            found = self.placement(item)
+            found = self._placement(item)
             if found is None or where in ("failed", "missing"):
                 continue
             if where == "static" and found[0].faces is not None:
@@ -174,7 +163,7 @@ class ScenePicture:
         for id in self._workspace.items:
             if id not in ids or id in shown:
                 continue
-            found = self.placement(self._workspace.items[id])
+            found = self._placement(self._workspace.items[id])
             if found is not None and found[0].faces is not None:
                 solid.append((id, *found))
         if solid:
@@ -203,25 +192,18 @@ class ScenePicture:
             return
         if known is not None:
             self._nodes.pop(key).remove()
-        placements: list[Placement] = []
-        shape: Shape | None = None
-        link, work = "", None
-        for id in ids:
-            found = self.placement(self._workspace.items[id])
-            assert found is not None
-            shape, placement = found
-            placements.append(
-                Placement(placement.world, np.ones(3)) if key[0] == "part" else placement
-            )
+        found = [f for id in ids if (f := self._placement(self._workspace.items[id]))]
+        shape, work, link = found[0][0], None, ""
+        placements = [placement for _, placement in found]
         if key[0] == "part":
+            placements = [Placement(placement.world, np.ones(3)) for placement in placements]
             work, link = self._workspace.works[key[1]], key[3]
             assert work.drawn is not None
             shape = work.drawn.shapes[link]
-        assert shape is not None
         self._look = None
         self._chunks += 1
-        name = f"{ROOT}/{key[0]}/{self._chunks}"
-        self._nodes[key] = send(self._client, name, tuple(ids), shape, placements, work, link)
+        group = Group(tuple(ids), shape, placements, work, link)
+        self._nodes[key] = send(self._client, f"{ROOT}/{key[0]}/{self._chunks}", group)
 
     def _paint(self, status: Mapping[str, str], selected: str | None) -> None:
         """Colors by state, of the selected object by part, or as the source has them; all ghosts
@@ -242,19 +224,8 @@ class ScenePicture:
         if floor == self._floor:
             return
         first, self._floor = self._floor is None, floor
-        cell = 10.0 ** np.floor(np.log10(span)) / 2
-        self._client.scene.add_grid(
-            f"{ROOT}/ground",
-            width=4 * span,
-            height=4 * span,
-            position=(*bounds.mean(0)[:2], float(bounds[0, 2]) - 2e-3),
-            cell_size=float(cell),
-            section_size=float(2 * cell),
-            cell_color=GRID[self.dark][0],
-            section_color=GRID[self.dark][1],
-            infinite_grid=True,
-            fade_distance=6 * span,
-        )
+        place, scene = (*bounds.mean(0)[:2], float(bounds[0, 2]) - 2e-3), self._client.scene
+        add_floor(scene, f"{ROOT}/ground", span, place, (1, 0, 0, 0), fade=6, dark=self.dark)
         if self.ghosted is None and (first or self.camera is None):
             self.frame()
 
@@ -262,7 +233,7 @@ class ScenePicture:
         found = None if selected is None else self._workspace.items.get(selected)
         # Where there is one object alone, a box round it would only be in the way.
         hidden = self.ghosted is not None or len(self._workspace.items) == 1
-        placement = None if found is None or hidden else self.placement(found)
+        placement = None if found is None or hidden else self._placement(found)
         key = None if placement is None else (selected, placement[1].world.tobytes())
         if key == self._outlined:
             return
@@ -369,7 +340,7 @@ class ScenePicture:
     def _from_front(self, id: str, center: Array, distance: float, otherwise: Array) -> Array:
         """(3,) unit direction from an object to an eye that sees its front, from the side and from
         as far above as what stands before it demands; ``otherwise`` where it isn't drawn."""
-        found = self.placement(self._workspace.items[id])
+        found = self._placement(self._workspace.items[id])
         if found is None:
             return otherwise
         shape, placement = found

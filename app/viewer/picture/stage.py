@@ -46,6 +46,42 @@ GRID: Final[dict[bool, tuple[tuple[int, int, int], ...]]] = {
 """Colors of cells and sections of the floor, by whether it is dark."""
 
 
+def add_ball(
+    scene: viser.SceneApi, name: str, place: Any, radius: float, color: Any, opacity: Any = None
+) -> viser.IcosphereHandle:
+    """Draw a ball without shadows at ``place`` (3,); ``radius`` in metres."""
+    return scene.add_icosphere(
+        name,
+        radius=radius,
+        color=color,
+        subdivisions=2,
+        opacity=opacity,
+        position=place,
+        cast_shadow=False,
+        receive_shadow=False,
+    )
+
+
+def add_floor(
+    scene: viser.SceneApi, name: str, span: float, place: Any, wxyz: Any, *, fade: float, dark: bool
+) -> None:
+    """Draw the grid below something as wide as ``span``; ``fade`` times that it is gone."""
+    cell = float(10.0 ** np.floor(np.log10(span)) / 2)
+    scene.add_grid(
+        name,
+        width=4 * span,
+        height=4 * span,
+        position=place,
+        wxyz=wxyz,
+        cell_size=cell,
+        section_size=2 * cell,
+        cell_color=GRID[dark][0],
+        section_color=GRID[dark][1],
+        infinite_grid=True,
+        fade_distance=fade * span,
+    )
+
+
 def may_be_a_room(bounds: npt.NDArray[np.floating]) -> bool:
     """True if (2, 3) bounds in metres may be a room's: a row of cabinets is not as deep."""
     return bool(np.ptp(bounds[:, :2], axis=0).min() > ROOM_METRES)

@@ -167,19 +167,15 @@ class AnnotateStep:
         room = wide and not self._tab.in_scene and doc.placement is None
         whole = room and doc.left_out is None and not doc.prompts
         noticed = self._prepare.notice(obj)
-        put(self._to_prepare, "visible", noticed is not None)
+        put(self._to_prepare, visible=noticed is not None)
         alike = None if room or noticed or selection.picking else obj.likeness.wanted
         if alike is not None:
-            put(
-                self._alike,
-                "label",
-                words.take_alike(len(alike.regions), object_name(alike.folder)),
-            )
-        put(self._alike, "visible", alike is not None)
+            put(self._alike, label=words.take_alike(len(alike.regions), object_name(alike.folder)))
+        put(self._alike, visible=alike is not None)
         mine = [p for p in doc.prompts if p.part == selection.part]
-        put(self._room, "label", words.EXCLUDE_ROOM if whole else words.EXTRACT)
-        put(self._room, "color", "blue" if whole or doc.segmentation is not None else "gray")
-        put(self._room, "visible", room and noticed is None)
+        put(self._room, label=words.EXCLUDE_ROOM if whole else words.EXTRACT)
+        put(self._room, color="blue" if whole or doc.segmentation is not None else "gray")
+        put(self._room, visible=room and noticed is None)
         if selection.picking:
             text = words.extracting(selection.part)
         elif noticed is not None:
@@ -196,4 +192,4 @@ class AnnotateStep:
             text = words.REFINE_WITH_MASKS
         else:
             text = f"{words.REFINE} {words.DELETE_PART}" if selection.part else words.REFINE
-        put(self._hint, "content", text)
+        put(self._hint, content=text)

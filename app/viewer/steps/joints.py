@@ -90,7 +90,7 @@ class JointsStep:
             joint = tree.by_name.get(name)
             if joint is not None and slider is not but:
                 value = round(shown(joint, q.get(name, 0.0)), 1)
-                put(slider, "value", min(max(value, slider.min), slider.max))
+                put(slider, value=min(max(value, slider.min), slider.max))
 
     @property
     def _pose_of(self) -> str:
@@ -131,12 +131,12 @@ class JointsStep:
         self._drawn = now
         self._choose(doc, wanted)  # first: what is asked is about the joint that is shown
         self.tree.draw(doc, obj.checks)
-        put(self._folder, "visible", tree is not None)
-        put(self._empty, "visible", tree is None)
+        put(self._folder, visible=tree is not None)
+        put(self._empty, visible=tree is None)
         self._draw_names(doc, wanted)
         self._predict.show(wanted)
         if tree is None:
-            put(self._empty, "content", words.EMPTY)
+            put(self._empty, content=words.EMPTY)
             self._draw_motion(None, doc)
             self._draw_pose(None)
             return
@@ -170,25 +170,24 @@ class JointsStep:
 
     def _draw_names(self, doc: Document, wanted: bool) -> None:
         unnamed, uncategorised = ([], False) if wanted else self._unknown(doc)
-        put(self._what, "visible", bool(unnamed) or uncategorised)
-        put(self._category, "visible", uncategorised)
+        put(self._what, visible=bool(unnamed) or uncategorised)
+        put(self._category, visible=uncategorised)
         self._guess.show(uncategorised)
-        put(self._category, "value", NONE)
+        put(self._category, value=NONE)
         settings = self._project.settings
         own = settings.part_names(doc.category)
         names = offered(own, PART_NAMES, settings.strict)
-        put(self._name, "options", (NONE, *names))
+        put(self._name, options=(NONE, *names))
         names = offered(settings.categories, CATEGORIES, settings.strict)
-        put(self._category, "options", (NONE, *names))
+        put(self._category, options=(NONE, *names))
         self._quick.show(bool(unnamed), doc.category or self._guess.first, names=own)
-        put(self._name, "visible", bool(unnamed))
-        put(self._name, "value", NONE)  # the next one has none yet
+        put(self._name, visible=bool(unnamed), value=NONE)  # the next one has none yet
         what = words.ASK_CATEGORY
         if unnamed:
             assert doc.tree is not None
             link = unnamed[0].link
             what = words.ask_name(part_title(doc, link), link != self._chosen_part(doc.tree))
-        put(self._what, "content", f"{what} {words.ask_why(_settled(doc))}")
+        put(self._what, content=f"{what} {words.ask_why(_settled(doc))}")
 
     def _name_chosen(self) -> None:
         if self._name.value != NONE:
@@ -261,7 +260,7 @@ class JointsStep:
         self._rows, self._sliders = [], {}
         sliders: dict[str, Any] = {}
         gui = self._tab.client.gui
-        put(self._all, "visible", len(moving) > 1)
+        put(self._all, visible=len(moving) > 1)
         with self._all:
             for joint in moving:
                 unit = "°" if joint.rotates else "mm"

@@ -111,7 +111,7 @@ class PrepareStep:
         """Mark nothing, or in a raw scan what isn't the object."""
         self._confidence.value, self._crop.value = 0.0, False
         for box in self._kinds.values():
-            put(box, "value", raw)
+            put(box, value=raw)
         for side in self._sides:
             side.value = (0.0, 100.0)
 
@@ -422,36 +422,35 @@ class PrepareStep:
         asset = obj.need_asset()
         for kind, box in self._kinds.items():
             count = 0 if found is None else found.counts[kind]
-            put(box, "visible", count > 0)
-            put(box, "label", words.kind(kind, count))
-        put(self._confidence, "visible", asset.display_confidence is not None)
+            put(box, visible=count > 0, label=words.kind(kind, count))
+        put(self._confidence, visible=asset.display_confidence is not None)
         if asset.display_confidence is not None:  # some count from 1 without end
             most = max(1.0, float(np.percentile(asset.display_confidence, 95)))
-            put(self._confidence, "max", round(most, 2))
+            put(self._confidence, max=round(most, 2))
         for side in self._sides:
-            put(side, "visible", bool(self._crop.value))
+            put(side, visible=bool(self._crop.value))
         height = self._height(obj)
-        put(self._size, "label", words.HEIGHT if self._length is None else words.LENGTH)
+        put(self._size, label=words.HEIGHT if self._length is None else words.LENGTH)
         if self._length is None:
-            put(self._size, "value", round(height, 3))
+            put(self._size, value=round(height, 3))
         odd = unusual_height(self._category(), height)
-        put(self._usual, "visible", odd is not None)
+        put(self._usual, visible=odd is not None)
         lines = self._hints(obj, doc, found, marks)
         if odd is not None:
-            put(self._usual, "label", words.use_height(odd.proposed))
+            put(self._usual, label=words.use_height(odd.proposed))
             lines.append(words.usual(self._category() or "", height, odd.low, odd.high))
         for word, scale in UNITS.items():
             if abs(scale - doc.unit_scale) < 1e-9:
-                put(self._unit, "value", word)
-        put(self._hint, "content", "\n\n".join(lines))
+                put(self._unit, value=word)
+        put(self._hint, content="\n\n".join(lines))
         offers = marks != Marks() or not np.array_equal(self._frame(obj), np.eye(4))
-        put(self._apply, "label", words.APPLY if offers else words.CONTINUE)
+        put(self._apply, label=words.APPLY if offers else words.CONTINUE)
         note = [] if doc.left_out is None else [words.removed(doc.left_out.count)]
         note += [
             path_with_tooltip(str(obj.record.path)),
             *(warning(plain(w, 300)) for w in asset.warnings),
         ]
-        put(self._note, "content", "\n\n".join(note))
+        put(self._note, content="\n\n".join(note))
 
     def _hints(
         self, obj: OpenObject, doc: Document, found: ScanProposal | None, marks: Marks
@@ -471,7 +470,7 @@ class PrepareStep:
 
 def _odd_size(obj: OpenObject) -> OddSize | None:
     asset = obj.asset
-    return None if asset is None else odd_size(asset.bounds, asset.unit_scale)
+    return None if asset is None else odd_size(asset.bounds, asset.source.unit_scale)
 
 
 def _moved(points: npt.NDArray[np.floating], matrix: Array) -> Array:

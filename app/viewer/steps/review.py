@@ -279,7 +279,7 @@ class ReviewStep:
             plain(obj.hold_reason, 500),
             obj.interrupted and not saving,
         )
-        put(self._summary, "content", (f"{pending}\n\n" if pending else "") + summary(doc))
+        put(self._summary, content=(f"{pending}\n\n" if pending else "") + summary(doc))
         self._draw_buttons(obj, doc, report)
         self._draw_about(doc)
         decided = ("submitted",) if self._tab.submits else DECIDED
@@ -289,32 +289,31 @@ class ReviewStep:
         """Offer the joints that a comment can be about."""
         joints = () if doc.tree is None else doc.tree.joints
         self._about_joints = {joint_title(doc, j.child): j.child for j in joints}
-        put(self._about, "options", (NONE, *self._about_joints))
+        put(self._about, options=(NONE, *self._about_joints))
 
     def _draw_buttons(
         self, obj: OpenObject, doc: Document, report: ValidationReport | None
     ) -> None:
         decided = doc.review.state in DECIDED
         broken = report is not None and report.severity == Severity.ERROR and not decided
-        put(self._complete, "value", bool(doc.complete))
-        put(self._complete, "disabled", decided or "save" in obj.busy)
+        put(self._complete, value=bool(doc.complete), disabled=decided or "save" in obj.busy)
         asset = obj.asset
-        put(self._complete, "visible", asset is not None and asset.element_kind == "point")
-        put(self._override, "visible", broken)
+        put(self._complete, visible=asset is not None and asset.element_kind == "point")
+        put(self._override, visible=broken)
         warned = (
             report is not None and self.validation_list.looked_at(obj) is report and not decided
         )
         label = words.accept(bool(doc.edited_joints), warned, broken)
-        put(self._accept, "label", words.SUBMIT if self._tab.submits else label)
-        put(self._accept, "color", "yellow" if broken else "green")
-        put(self._accept, "disabled", doc.tree is None or "save" in obj.busy)
-        put(self._accept, "visible", doc.review.state != "accepted")
+        put(self._accept, label=words.SUBMIT if self._tab.submits else label)
+        put(self._accept, color="yellow" if broken else "green")
+        put(self._accept, disabled=doc.tree is None or "save" in obj.busy)
+        put(self._accept, visible=doc.review.state != "accepted")
         saved = doc.saved if doc.review.state == "accepted" else None
-        put(self._download, "visible", saved is not None)
-        put(self._export, "visible", saved is not None)
-        put(self._saved, "visible", saved is not None)
+        put(self._download, visible=saved is not None)
+        put(self._export, visible=saved is not None)
+        put(self._saved, visible=saved is not None)
         if saved is not None:
-            put(self._saved, "content", words.saved_in(plain(saved.folder, 200)))
+            put(self._saved, content=words.saved_in(plain(saved.folder, 200)))
 
     def _advance(self, obj: OpenObject, *, decided: bool, saving: bool) -> None:
         """Go to the next object once the decision of this tab is made."""

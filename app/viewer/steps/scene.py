@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import viser
@@ -12,32 +11,14 @@ from app.server.scene_state import Work
 from app.server.scene_workspace import SceneWorkspace
 from app.viewer.panels.extracting import PickPanel
 from app.viewer.panels.reviewing import Rejecting
-from app.viewer.panels.scene_card import SceneActions, SceneCard
-from app.viewer.panels.scene_list import SceneList
-from app.viewer.panels.widgets import put
+from app.viewer.panels.scene_panels import SceneCard, SceneList
+from app.viewer.panels.widgets import push_button, put
 from app.viewer.picture.motion import SceneMotion
 from app.viewer.picture.scene_picture import ScenePicture
-from app.viewer.steps.scene_selection import SceneEdit, SceneReview
+from app.viewer.steps.scene_selection import SceneEdit, SceneHost, SceneReview
 from app.viewer.tab import Tab
 from app.viewer.words import scene as words
 from app.viewer.words.common import NO_JOINTS
-
-
-@dataclass(frozen=True)
-class SceneHost:
-    """Callbacks of a scene.
-
-    Attributes:
-        show: gets the session of an object to open, or None to close it, and whether its worst
-            finding is shown.
-        remember: keeps in the browser where its user is.
-        accept, reject: what the buttons do, once the object has been seen.
-    """
-
-    show: Callable[[int | None, bool], None]
-    remember: Callable[[], None]
-    accept: Callable[[], None]
-    reject: Callable[[], None]
 
 
 class SceneStep:
@@ -55,50 +36,30 @@ class SceneStep:
     def __init__(
         self, tab: Tab, workspace: SceneWorkspace, rejecting: Rejecting, host: SceneHost
     ) -> None:
-        self._tab, self._workspace, self._host = tab, workspace, host
+        self._tab, self._workspace = tab, workspace
         self._wanted: tuple[str, str] | None = None
         self._was_read = False
         self._moment: Any = None
         self.picture = ScenePicture(tab.client, workspace)
         self.motion = SceneMotion(self.picture.pose)
-        self.edit = SceneEdit(
-            tab, workspace, self.picture, host.show, host.remember, self.motion.stop
-        )
+        self.edit = SceneEdit(tab, workspace, self.picture, host, self.motion.stop)
         self.choice = self.edit.choice
         self.review = SceneReview(tab, workspace, self.choice)
-        self.list = SceneList(tab, workspace, self.picture, self._choose, host.remember)
+        choose = partial(self.choice.choose, look=True)
+        self.list = SceneList(tab, workspace, self.picture, choose, host.remember)
         self._folder = tab.client.gui.add_folder(None)
         with self._folder:
-            self.card = SceneCard(tab, workspace, rejecting, self._actions())
+            self.card = SceneCard(
+                tab, workspace, rejecting, self.edit, self.review, host, self._play_from_card
+            )
         self._pick_panel: PickPanel | None = None
         self._unwatch = workspace.watch(tab.invalidate, tab.notify)
 
-    def _actions(self) -> SceneActions:
-        return SceneActions(
-            undo=self.review.undo,
-            redo=self.review.redo,
-            accept=self._host.accept,
-            reject=self._host.reject,
-            enter=self.edit.enter,
-            pick=self.edit.pick,
-            play_all=self.play_all,
-            report=self._report,
-            classify=self.review.classify,
-            step=self.choice.step,
-            accept_above=self.review.accept_above,
-            above=self.review.above,
-            save=lambda loose: self._workspace.saving.save(loose, self._tab.user),
-            play_joint=self._play_joint,
-        )
-
     def build_object_widgets(self) -> None:
         """Make the widgets above everything else about one object."""
-        back = self._tab.client.gui.add_button(words.BACK, icon=viser.Icon.ARROW_LEFT, color="dark")
-        back.on_click(lambda _: self._tab.act(self.edit.leave))
+        icon = viser.Icon.ARROW_LEFT
+        push_button(self._tab, words.BACK, self.edit.leave, icon=icon, color="dark")
         self._pick_panel = PickPanel(self._tab, self.edit.take_out)
-
-    def _choose(self, id: str) -> None:
-        self.choice.choose(id, look=True)
 
     @property
     def in_front(self) -> bool:
@@ -134,7 +95,7 @@ class SceneStep:
         self.list.draw(choice.rows, choice.selected)
         if self._pick_panel is not None:
             self._pick_panel.draw()
-        put(self._folder, "visible", self.in_front)
+        put(self._folder, visible=self.in_front)
         if self.edit.inside is None:
             self.card.draw(choice.rows, choice.selected, self.motion.playing)
 
@@ -169,7 +130,7 @@ class SceneStep:
         self.motion.stop()
         self.picture.close()
 
-    # --- motion and files
+    # --- motion
 
     def play(self) -> None:
         """Start or stop moving the joints of the selected object; of all where none is chosen."""
@@ -181,10 +142,11 @@ class SceneStep:
         """Start or stop moving all joints of the scene."""
         self._play(None)
 
-    def _play_joint(self, name: str) -> None:
-        """Move one joint of the selected object, whatever moved before."""
-        self.motion.stop()
-        self._play(self.choice.need_work(), name)
+    def _play_from_card(self, joint: str | None) -> None:
+        """Move all joints, or only one of the selected object, whatever moved before."""
+        if joint is not None:
+            self.motion.stop()
+        self._play(None if joint is None else self.choice.need_work(), joint)
 
     def _play(self, work: Work | None, joint: str | None = None) -> None:
         works = [w for w in self._workspace.wanted() if w.drawn is not None and work in (None, w)]
@@ -193,8 +155,3 @@ class SceneStep:
         elif not self.motion.play(works, joint):
             self._tab.notify(NO_JOINTS, words.PLAY_LATER, "gray")
         self._tab.invalidate()
-
-    def _report(self) -> None:
-        """Write the report and send it to the browser."""
-        send = self._tab.client.send_file_download
-        self._workspace.saving.report(lambda path: send(path.name, path.read_bytes()))

@@ -5,13 +5,13 @@ and decisions without opening it.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from app.server.scene_state import Row, Work, decided_text
+from app.server.scene_state import Row, Work, decided_text, order
 from app.server.scene_workspace import SceneWorkspace
-from app.viewer.panels.scene_list import order
 from app.viewer.picture.scene_picture import ScenePicture
 from app.viewer.picture.stage import fitting_distance
 from app.viewer.tab import Tab
@@ -19,9 +19,26 @@ from app.viewer.words import scene as words
 from app.viewer.words.common import CHOSEN, REDO_EMPTY, UNDO_EMPTY
 from model.core.errors import CommandError
 from sessions import commands as cmd
+from sessions.document import review_problems
 from sessions.review import RejectReason
 from sessions.scene_commands import DecideObjects
-from sessions.state import review_problems
+
+
+@dataclass(frozen=True)
+class SceneHost:
+    """Callbacks of a scene.
+
+    Attributes:
+        show: gets the session of an object to open, or None to close it, and whether its worst
+            finding is shown.
+        remember: keeps in the browser where its user is.
+        accept, reject: what the buttons do, once the object has been seen.
+    """
+
+    show: Callable[[int | None, bool], None]
+    remember: Callable[[], None]
+    accept: Callable[[], None]
+    reject: Callable[[], None]
 
 
 def _at_the_end(workspace: SceneWorkspace) -> tuple[str, str, str]:
@@ -126,9 +143,6 @@ class SceneEdit:
     """Opens objects of a scene, and goes back to it.
 
     Args:
-        show: gets the session of an object to open, or None to close it, and whether its worst
-            finding is shown.
-        remember: keeps in the browser what is worked on.
         stop: ends what moves in the scene.
 
     Attributes:
@@ -141,14 +155,13 @@ class SceneEdit:
         tab: Tab,
         workspace: SceneWorkspace,
         picture: ScenePicture,
-        show: Callable[[int | None, bool], None],
-        remember: Callable[[], None],
+        host: SceneHost,
         stop: Callable[[], None],
     ) -> None:
         self._tab, self._workspace, self._picture = tab, workspace, picture
-        self._show, self._remember, self._stop = show, remember, stop
+        self._host, self._stop = host, stop
         self.inside: str | None = None
-        self.choice = SceneChoice(tab, workspace, picture, self._leave_other, remember)
+        self.choice = SceneChoice(tab, workspace, picture, self._leave_other, host.remember)
         self._eye: Any = None
 
     def _leave_other(self, id: str | None) -> None:
@@ -171,16 +184,16 @@ class SceneEdit:
         self._picture.ghost(id)
         work = self._workspace.work(id)
         refusal = None if work is None or picking else self._workspace.accepting.refusal(work)
-        self._show(session, refusal is not None and refusal.report is not None)
+        self._host.show(session, refusal is not None and refusal.report is not None)
 
     def leave(self) -> None:
         """Go back to the scene."""
         if self.inside is None:
             return
         self.inside, self._tab.selection.picking = None, False
-        self._show(None, False)
+        self._host.show(None, False)
         self._picture.unghost()
-        self._remember()
+        self._host.remember()
 
     def pick(self) -> None:
         """Open the selected object as a whole, to pick another one out of it."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from app.viewer.words.common import Message
+from model.core.composite_joints import COMPOSITES
 from model.core.joint import value_text
 
 EMPTY: Final = "No joints yet. Click the moving parts, then predict."
@@ -18,14 +19,7 @@ ROW_EDIT: Final = "Edit"
 JOINT: Final = "Joint"
 TYPE: Final = "Type"
 MOTION: Final = "Motion"
-MOTIONS: Final[dict[str, str]] = {
-    "One joint": "single",
-    "Screw": "screw",
-    "Lift and swivel": "lift_and_swivel",
-    "Ball": "ball",
-    "Universal joint": "universal",
-    "Plane": "planar",
-}
+MOTIONS: Final = {row.title: kind for kind, row in COMPOSITES.items()}
 """Entry of the list → kind of the motion."""
 MOTION_HINT: Final = "Screw, ball and others take several joints"
 PITCH: Final = "Pitch [mm a turn]"

@@ -30,7 +30,9 @@ HANDLES: tuple[m.HandleStyle, ...] = ("bar", "bow", "flat", "knob", "cup", "ball
 def random_composite(rng: np.random.Generator) -> ProceduralObject:
     """A hollow or solid body of any proportions with one to about eight modules on it."""
     b = Builder(COMPOSITE_CATEGORY, rng)
-    palette = (furniture_palette, appliance_palette, plastic_palette)[rng.integers(3)](rng)
+    b.palette = palette = (furniture_palette, appliance_palette, plastic_palette)[rng.integers(3)](
+        rng
+    )
     body = b.base("body")
     scale = float(np.exp(rng.uniform(np.log(0.15), np.log(1.6))))
     w, d, h = (float(v) for v in scale * rng.uniform((0.4, 0.35, 0.3), (1.0, 0.8, 1.2)))
@@ -38,23 +40,24 @@ def random_composite(rng: np.random.Generator) -> ProceduralObject:
     lift = 0.09 * min(w, d) * 2 + 0.02 * scale if wheeled else float(rng.uniform(0.0, 0.15)) * h
     wall = float(np.clip(0.03 * min(w, d, h), 0.004, 0.025))
     if wheeled:
-        _wheels(b, body, w, d, lift - 0.012 * scale, palette, rng)
+        _wheels(b, body, w, d, lift - 0.012 * scale)
     elif lift > 0.02:
         style: LegStyle = ("block", "taper", "round", "plinth")[rng.integers(4)]
         legs(body, w, d, lift, style, palette.body)
     m.carcass(body, (w, d, h), wall, palette, bottom=lift)
-    free = _fronts(b, body, m.Opening(-w / 2, w / 2, lift, lift + h), d, wall, palette, rng)
-    _top(b, body, w, d, lift + h, palette, rng)
+    free = _fronts(b, body, m.Opening(-w / 2, w / 2, lift, lift + h), d, wall)
+    _top(b, body, w, d, lift + h)
     if free is not None:
-        _controls(b, body, free, -d / 2, palette, rng)
-    return b.build(_ajar(b, rng))
+        _controls(b, body, free, -d / 2)
+    return b.build(_ajar(b))
 
 
 COMPOSITE_CATEGORY = "Composite"
 
 
-def _ajar(b: Builder, rng: np.random.Generator) -> dict[str, float]:
+def _ajar(b: Builder) -> dict[str, float]:
     """Leave the first front somewhat open, sometimes."""
+    rng = b.rng
     hinged = [j for j in b.joints if j.type == "revolute" and j.lower == 0.0 and j.upper]
     if not hinged or rng.random() > 0.25:
         return {}
@@ -63,18 +66,10 @@ def _ajar(b: Builder, rng: np.random.Generator) -> dict[str, float]:
     return {joint.child: float(rng.uniform(0.1, 0.9)) * joint.upper}
 
 
-def _wheels(
-    b: Builder,
-    body: Body,
-    w: float,
-    d: float,
-    top: float,
-    palette: Palette,
-    rng: np.random.Generator,
-) -> None:
+def _wheels(b: Builder, body: Body, w: float, d: float, top: float) -> None:
     radius = 0.42 * top
-    body.add(s.box((w, d, 0.03 * top + 0.004), (0, 0, top + 0.006)), palette.dark, "chassis")
-    swivel = rng.random() < 0.6
+    body.add(s.box((w, d, 0.03 * top + 0.004), (0, 0, top + 0.006)), b.palette.dark, "chassis")
+    swivel = b.rng.random() < 0.6
     for x in (-1, 1):
         for y in (-1, 1):
             spot = (x * (w / 2 - 0.9 * radius), y * (d / 2 - 1.2 * radius), top)
@@ -83,23 +78,15 @@ def _wheels(
                 body,
                 spot,
                 radius,
-                palette,
                 rubber(),
                 swivel=bool(swivel and y < 0),
-                heading=np.pi / 2 if not (swivel and y < 0) else float(rng.random() * 6.28),
+                heading=np.pi / 2 if not (swivel and y < 0) else float(b.rng.random() * 6.28),
             )
 
 
-def _fronts(
-    b: Builder,
-    body: Body,
-    area: m.Opening,
-    d: float,
-    wall: float,
-    palette: Palette,
-    rng: np.random.Generator,
-) -> m.Opening | None:
+def _fronts(b: Builder, body: Body, area: m.Opening, d: float, wall: float) -> m.Opening | None:
     """Divide the front into a column or row of cells; returns the cell kept for controls."""
+    rng = b.rng
     count = int(rng.integers(1, 4))
     upright = area.width > area.height
     cuts = np.sort(rng.uniform(0.25, 0.75, count - 1)) if count > 1 else np.zeros(0)
@@ -117,7 +104,7 @@ def _fronts(
             else replace(area, z0=area.z0 + lo * area.height, z1=area.z0 + hi * area.height)
         )
         if k < count - 1:
-            _divider(body, r, d, wall, palette, upright)
+            _divider(body, r, d, wall, b.palette, upright)
         clear = m.Opening(
             max(r.x0 + wall / 2, area.x0 + wall),
             min(r.x1 - wall / 2, area.x1 - wall),
@@ -126,10 +113,10 @@ def _fronts(
         )
         if k == panel_cell:
             plate = s.box((r.width, 2 * thick, r.height), (r.center[0], front + thick, r.center[1]))
-            body.add(plate, palette.dark, "control_panel")
+            body.add(plate, b.palette.dark, "control_panel")
             kept = r
             continue
-        _front(b, body, r, clear, front, d, thick, palette, rng, alone=count == 1)
+        _front(b, body, r, clear, front, d, thick, alone=count == 1)
     return kept
 
 
@@ -152,12 +139,11 @@ def _front(
     front: float,
     d: float,
     thick: float,
-    palette: Palette,
-    rng: np.random.Generator,
     *,
     alone: bool,
 ) -> None:
     """A door hinged on any side, a drawer, or where nothing is beside it a sliding panel."""
+    rng = b.rng
     gap = float(rng.uniform(0.0015, 0.004)) * max(1.0, 2 * r.width)
     face = r.shrunk(gap / 2)
     size = min(r.width, r.height)
@@ -182,28 +168,27 @@ def _front(
             thick,
             bool(rng.random() < 0.6),
         )
-        m.door(b, body, face, front - 0.002, spec, palette)
+        m.door(b, body, face, front - 0.002, spec)
     elif kind < 0.9 or not alone:
         m.drawer(
-            b, body, face, front - 0.002, 0.8 * d, palette, inner=clear, handle_style=style,
+            b, body, face, front - 0.002, 0.8 * d, inner=clear, handle_style=style,
             thickness=thick, inside=wood("birch"), travel=float(rng.uniform(0.6, 0.9)),
-            handle_length=0.4 * r.width,
+            handle_length=0.4 * r.width
         )  # fmt: skip
     else:
         side = 1 if rng.random() < 0.5 else -1
         axis = (side, 0, 0)
         slide = b.slide("door", body, axis, 0.0, 0.9 * r.width, (r.center[0], front, r.center[1]))
-        m.panel(slide, face.shrunk(0.02 * size), front - 0.003, thick, "plain", palette)
+        m.panel(slide, face.shrunk(0.02 * size), front - 0.003, thick, "plain", b.palette)
         for z in (r.z0, r.z1):
             center = (0.45 * side * r.width, front - thick, z)
             rail = s.box((1.9 * r.width, 2 * thick, 0.03 * size), center)
-            body.add(rail, palette.metal, "rail")
+            body.add(rail, b.palette.metal, "rail")
 
 
-def _top(
-    b: Builder, body: Body, w: float, d: float, z: float, palette: Palette, rng: np.random.Generator
-) -> None:
+def _top(b: Builder, body: Body, w: float, d: float, z: float) -> None:
     """Something on the top: a lid, a swivelling plate, a telescopic post, a jar with a cap."""
+    palette, rng = b.palette, b.rng
     kind = rng.random()
     size = min(w, d)
     if kind < 0.2:
@@ -267,10 +252,9 @@ def _top(
         arm.add(s.sphere(0.06 * size, 16).moved(offset), palette.front, "grip")
 
 
-def _controls(
-    b: Builder, body: Body, r: m.Opening, y: float, palette: Palette, rng: np.random.Generator
-) -> None:
+def _controls(b: Builder, body: Body, r: m.Opening, y: float) -> None:
     """Knobs, buttons or levers in a grid on the control panel."""
+    palette, rng = b.palette, b.rng
     cols, rows = int(rng.integers(1, 4)), int(rng.integers(1, 3))
     if r.height > r.width:
         cols, rows = rows, cols
@@ -286,10 +270,8 @@ def _controls(
                     b,
                     body,
                     at,
-                    size,
-                    0.9 * size,
-                    palette.accent,
-                    mark,
+                    (size, 0.9 * size),
+                    (palette.accent, mark),
                     style=int(rng.integers(3)),
                     limits=None if rng.random() < 0.5 else (0.0, float(rng.uniform(1.5, 5.0))),
                 )

@@ -8,7 +8,7 @@ import numpy as np
 
 from model.data.procedural import shapes as s
 from model.data.procedural.grammar import Body, Builder
-from model.data.procedural.materials import Palette, Surface
+from model.data.procedural.materials import Surface
 from model.data.procedural.modules import add, place
 from model.data.procedural.shapes import Solid, Vector
 
@@ -36,17 +36,19 @@ def knob(
     b: Builder,
     parent: Body,
     at: Vector,
-    radius: float,
-    depth: float,
-    surface: Surface,
-    mark: Surface,
+    size: tuple[float, float],
+    skin: tuple[Surface, Surface],
     *,
     name: str = "knob",
     face: Literal["front", "up", "left", "right"] = "front",
     style: int = 0,
     limits: tuple[float, float] | None = None,
 ) -> Body:
-    """A knob that turns without end, or between ``limits`` radians."""
+    """A knob that turns without end, or between ``limits`` radians.
+
+    Args:
+        size: radius and depth. skin: surfaces of the knob and of its pointer.
+    """
     axis = {"front": (0, -1, 0), "up": (0, 0, 1), "left": (-1, 0, 0), "right": (1, 0, 0)}[face]
     clear = np.asarray(at, np.float64) + 0.0006 * np.asarray(axis)
     body = (
@@ -54,10 +56,10 @@ def knob(
         if limits is None
         else b.hinge(name, parent, axis, at, *limits)
     )
-    solids = place(turning_knob(radius, depth, style), clear, face=face)
-    body.add(solids[0], surface, "knob")
+    solids = place(turning_knob(*size, style), clear, face=face)
+    body.add(solids[0], skin[0], "knob")
     for solid in solids[1:]:
-        body.add(solid, mark if style != 1 else surface, "pointer")
+        body.add(solid, skin[style != 1], "pointer")
     return body
 
 
@@ -146,7 +148,6 @@ def caster(
     parent: Body,
     top: Vector,
     radius: float,
-    palette: Palette,
     rubber: Surface,
     *,
     swivel: bool = True,
@@ -174,9 +175,9 @@ def caster(
     if swivel:
         fork = b.spin("caster", parent, (0, 0, 1), (x, y, z))
     for solid in (*arms, plate):
-        fork.add(turn(solid.moved((0, 0, -0.0005))), palette.metal, "fork")
+        fork.add(turn(solid.moved((0, 0, -0.0005))), b.palette.metal, "fork")
     axle = m @ center + [x, y, z]
     body = b.spin("wheel", fork, m @ np.array([1.0, 0, 0]), axle)
     tyres, hubs = wheel(radius, width)
     add(body, [turn(t.moved(center)) for t in tyres], rubber, "tyre")
-    add(body, [turn(t.moved(center)) for t in hubs], palette.accent, "hub")
+    add(body, [turn(t.moved(center)) for t in hubs], b.palette.accent, "hub")

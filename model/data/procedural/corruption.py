@@ -16,9 +16,9 @@ from model.core.errors import ConfigurationError
 from model.core.geometry import PointCloud
 from model.core.joint import Joint
 from model.core.tree import KinematicTree
-from model.data.datasets import GroundTruth
-from model.data.procedural.grammar import ProceduralObject, transformed
+from model.data.procedural.grammar import ProceduralObject
 from model.data.procedural.shapes import rotation
+from model.data.registry import GroundTruth
 from model.geometry.casting import Caster
 from model.geometry.sampling import sample_surface
 
@@ -138,7 +138,7 @@ def corrupted(
     """
     obj = made.object
     if settings.turn or settings.tilt:
-        obj = transformed(obj, _turn(settings, rng))
+        obj = obj.moved(_turn(settings, rng))
     points, colors, part, piece = _sampled(made, obj, settings, rng)
     tree = obj.tree
     names = {p.link: p.name for p in obj.parts}
@@ -275,8 +275,7 @@ def _split_parts(
 
 def _seen(obj: ArticulatedObject, points: Array, rng: np.random.Generator) -> npt.NDArray[np.bool_]:
     """Which points a camera somewhere before the object, or round its corner, sees."""
-    bounds = np.concatenate([p.bounds for p in obj.parts])
-    low, high = bounds.min(0), bounds.max(0)
+    low, high = obj.bounds
     diagonal = float(np.linalg.norm(high - low))
     yaw, pitch = rng.uniform(-np.pi, np.pi), rng.uniform(0.15, 0.9)
     away = np.array([np.sin(yaw) * np.cos(pitch), -np.cos(yaw) * np.cos(pitch), np.sin(pitch)])

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from model.core.articulated_object import ArticulatedObject
-from model.core.geometry import Mesh
+from model.core.geometry import Mesh, merged
 from model.data.procedural.families import (
     decor,
     devices,
@@ -201,22 +201,8 @@ def complete_prompts(out: Path, names: tuple[str, ...] = tuple(EXAMPLES)) -> Non
 def joined(obj: ArticulatedObject) -> tuple[Mesh, npt.NDArray[np.int32]]:
     """All parts as one mesh, and the (F,) part index of each face."""
     meshes = [p.mesh for p in obj.parts if p.mesh is not None]
-    vertex = np.cumsum([0, *(len(m.vertices) for m in meshes)])
-    slot = np.cumsum([0, *(len(m.materials) for m in meshes)])
-    uv = [np.zeros((len(m.vertices), 2), np.float32) if m.uv is None else m.uv for m in meshes]
-    whole = Mesh(
-        np.concatenate([m.vertices for m in meshes]),
-        np.concatenate([m.faces + v for m, v in zip(meshes, vertex, strict=False)]).astype(
-            np.int32
-        ),
-        np.concatenate([m.face_material + k for m, k in zip(meshes, slot, strict=False)]).astype(
-            np.int32
-        ),
-        tuple(x for m in meshes for x in m.materials),
-        np.concatenate(uv),
-    )
     owner = np.repeat(np.arange(len(meshes)), [len(m.faces) for m in meshes])
-    return whole, owner.astype(np.int32)
+    return merged(meshes), owner.astype(np.int32)
 
 
 def _labels_as_read(path: Path, whole: Mesh, owner: npt.NDArray[np.int32]) -> npt.NDArray[np.int32]:

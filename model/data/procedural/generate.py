@@ -24,11 +24,11 @@ from model.core.geometry import Mesh, affine, rotation_from_rpy
 from model.core.joint import Joint
 from model.core.progress import Progress, no_progress
 from model.core.tree import KinematicTree
-from model.data.datasets import GroundTruth
 from model.data.procedural.composite import random_composite
 from model.data.procedural.corruption import FAULTS, corrupted
 from model.data.procedural.families import FAMILIES, Family
-from model.data.procedural.grammar import ProceduralObject, transformed
+from model.data.procedural.grammar import ProceduralObject
+from model.data.registry import GroundTruth
 from model.io.write import write_mesh
 
 OBJ_FROM_OBJECT = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
@@ -353,7 +353,7 @@ class ProceduralSet:
                 object_id, "names no procedural object", "write <family>_<seed>_<index>"
             ) from None
         turn = affine(rotation_from_rpy((np.pi / 2, 0, -np.pi / 2)) @ OBJ_FROM_OBJECT)
-        made = replace(made, object=transformed(made.object, turn))
+        made = replace(made, object=made.object.moved(turn))
         if self.fault:
             rng = np.random.default_rng([int(seed), int(index), 11])
             return corrupted(made, FAULTS[self.fault], rng, name=object_id)

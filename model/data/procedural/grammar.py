@@ -12,7 +12,7 @@ from model.core.articulated_object import ArticulatedObject, Part
 from model.core.geometry import Material, Mesh
 from model.core.joint import Joint, JointType, canonical_axis_sign
 from model.core.tree import KinematicTree
-from model.data.procedural.materials import Surface
+from model.data.procedural.materials import UNPAINTED, Palette, Surface
 from model.data.procedural.shapes import Solid, Vector
 
 
@@ -89,12 +89,14 @@ class Builder:
 
     Args:
         category: PartNet-Mobility's name.
-        rng: decides only where textures lie; geometry is the family's business.
+        rng: of the family; here it decides only where textures lie.
+        palette: surfaces of the modules.
     """
 
-    def __init__(self, category: str, rng: np.random.Generator) -> None:
-        self.category = category
-        self._rng = rng
+    def __init__(
+        self, category: str, rng: np.random.Generator, palette: Palette = UNPAINTED
+    ) -> None:
+        self.category, self.rng, self.palette = category, rng, palette
         self._bodies: list[Body] = []
         self._joints: list[Joint] = []
         self._helpers: list[str] = []
@@ -173,7 +175,7 @@ class Builder:
         """
         parts, pieces, names = [], {}, {}
         for body in self._bodies:
-            mesh, index = _mesh(body, self._rng)
+            mesh, index = _mesh(body, self.rng)
             parts.append(Part(body.link, mesh=mesh, name=body.name))
             pieces[body.link] = index
             names[body.link] = tuple(p.name for p in body.pieces)
@@ -203,7 +205,7 @@ def _joint(
 def at_rest(obj: ArticulatedObject, q: Mapping[str, float]) -> ArticulatedObject:
     """The same object left standing at ``q``: that pose becomes q = 0, limits are shifted."""
     pose, values = obj.tree.pose(q), obj.tree.joint_values(q)
-    parts = tuple(replace(p, mesh=moved(p.mesh, pose[p.link])) for p in obj.parts if p.mesh)
+    parts = tuple(p.moved(pose[p.link]) for p in obj.parts)
     joints = []
     for j in obj.tree.joints:
         m, value = pose[j.parent], values.get(j.name, 0.0)
@@ -218,25 +220,6 @@ def at_rest(obj: ArticulatedObject, q: Mapping[str, float]) -> ArticulatedObject
             )
         )
     return replace(obj, parts=parts, tree=KinematicTree(obj.tree.links, tuple(joints)))
-
-
-def transformed(obj: ArticulatedObject, matrix: npt.NDArray[np.float64]) -> ArticulatedObject:
-    """The object in another frame: ``matrix`` (4, 4) is a rotation with a shift."""
-    parts = tuple(replace(p, mesh=moved(p.mesh, matrix)) for p in obj.parts if p.mesh)
-    joints = tuple(
-        replace(
-            j,
-            axis=tuple(matrix[:3, :3] @ np.asarray(j.axis)),
-            origin=tuple(matrix[:3, :3] @ np.asarray(j.origin) + matrix[:3, 3]),
-        )
-        for j in obj.tree.joints
-    )
-    return replace(obj, parts=parts, tree=KinematicTree(obj.tree.links, joints))
-
-
-def moved(mesh: Mesh, matrix: npt.NDArray[np.float64]) -> Mesh:
-    """``mesh`` with its vertices put through a (4, 4) rigid motion."""
-    return replace(mesh, vertices=mesh.vertices @ matrix[:3, :3].T + matrix[:3, 3])
 
 
 def _mesh(body: Body, rng: np.random.Generator) -> tuple[Mesh, npt.NDArray[np.int32]]:

@@ -356,6 +356,10 @@ class Palette:
     dark: Surface
 
 
+UNPAINTED = Palette(*[plain("plain", (200, 200, 200))] * 5)
+"""Of families that bring the surface of each solid."""
+
+
 def _vary(rgb: RGB, rng: np.random.Generator, amount: int = 10) -> RGB:
     shade = rng.integers(-amount, amount + 1)
     out = np.clip(np.asarray(rgb) + shade + rng.integers(-4, 5, 3), 0, 255)

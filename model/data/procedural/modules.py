@@ -202,16 +202,10 @@ class DoorSpec:
 
 
 def door(
-    b: Builder,
-    parent: Body,
-    r: Opening,
-    y: float,
-    spec: DoorSpec,
-    palette: Palette,
-    *,
-    name: str = "door",
+    b: Builder, parent: Body, r: Opening, y: float, spec: DoorSpec, *, name: str = "door"
 ) -> Body:
     """A door whose back lies in the plane ``y``; hinged at its front edge, it swings free."""
+    palette = b.palette
     t = spec.thickness
     front = y - t
     cx, cz = r.center
@@ -269,7 +263,6 @@ def drawer(
     r: Opening,
     y: float,
     depth: float,
-    palette: Palette,
     *,
     inner: Opening,
     style: PanelStyle = "plain",
@@ -283,7 +276,7 @@ def drawer(
 ) -> Body:
     """A drawer: a front over ``r`` and a tray that fits the cell ``inner``, ``depth`` deep."""
     body = b.slide(name, parent, (0, -1, 0), 0.0, travel * depth, (*_xz(r, y),))
-    panel(body, r, y, thickness, style, palette)
+    panel(body, r, y, thickness, style, b.palette)
     cell = Opening(
         max(r.x0, inner.x0) + 0.004,
         min(r.x1, inner.x1) - 0.004,
@@ -301,7 +294,7 @@ def drawer(
             x = r.x0 + r.width * (k + 0.5) / handles
             solids = handle(handle_style, length)
             at = (x, y - thickness, r.center[1])
-            add(body, place(solids, at, roll=np.pi / 2), palette.accent, "handle")
+            add(body, place(solids, at, roll=np.pi / 2), b.palette.accent, "handle")
     return body
 
 

@@ -101,8 +101,7 @@ def simulate_scan(
 
     Points come view by view in the camera's row order.
     """
-    bounds = np.concatenate([p.bounds for p in obj.parts])
-    low, high = bounds.min(0), bounds.max(0)
+    low, high = obj.bounds
     diagonal = float(np.linalg.norm(high - low))
     caster = Caster.of(obj, see_through=settings.see_through)
     each = [
@@ -203,8 +202,7 @@ def _misaligned(points: Array, middle: Array, amount: float, rng: np.random.Gene
 
 def visible_elements(obj: ArticulatedObject, views: Sequence[View], *, side: int = 320) -> Hits:
     """The elements of an object that cameras at ``views`` see, without noise."""
-    bounds = np.concatenate([p.bounds for p in obj.parts])
-    low, high = bounds.min(0), bounds.max(0)
+    low, high = obj.bounds
     middle, diagonal = (low + high) / 2, float(np.linalg.norm(high - low))
     caster = Caster.of(obj)
     found = []
@@ -279,8 +277,7 @@ def reconstruct_scan(
 ) -> Reconstruction:
     """Scan an object in its rest pose; every part needs a mesh."""
     meshes = [p.mesh for p in obj.parts if p.mesh is not None]
-    bounds = np.concatenate([p.bounds for p in obj.parts])
-    low, high = bounds.min(0), bounds.max(0)
+    low, high = obj.bounds
     diagonal = float(np.linalg.norm(high - low))
     kinds = [OBJECT] * len(meshes)
     if settings.support:

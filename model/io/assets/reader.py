@@ -8,7 +8,8 @@ from __future__ import annotations
 import contextlib
 import json
 import logging
-from collections.abc import Collection, Iterator
+import math
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import asdict, replace
 from importlib import import_module
 from importlib.util import find_spec
@@ -116,7 +117,7 @@ def load_object(asset: str | Path, progress: Progress = no_progress) -> Articula
 
 
 def _affordances(path: Path) -> tuple[Affordance, ...]:
-    """Those of a saved tree; none in one of an earlier version."""
+    """Affordances of a saved tree; none in one of an earlier version."""
     if not path.is_file():
         return ()
     try:
@@ -288,12 +289,25 @@ def object_from_links(obj: ArticulatedObject, q: dict[str, float]) -> Poses:
     return out
 
 
-def _compare(reader: str, expected: Poses, seen: Poses, out: list[str]) -> None:
+def pose_problems(
+    reader: str, expected: Poses, seen: Mapping[str, np.ndarray], tolerance: float
+) -> list[str]:
+    """Links that are elsewhere, or missing.
+
+    Args:
+        tolerance: metres and entries of rotation matrices, in the size of the pose where that is
+            above 1.
+    """
+    out: list[str] = []
     for link, pose in expected.items():
+        if link not in seen:
+            out.append(f"{reader} doesn't know the link {link!r}")
+            continue
         error = float(np.abs(pose - seen[link]).max())
-        scale = max(1.0, float(np.abs(pose).max()))
-        if not error <= POSE_TOLERANCE * scale:
-            out.append(f"{reader} puts {link!r} elsewhere, off by {error:.3g}")
+        if not error <= tolerance * max(1.0, float(np.abs(pose).max())):
+            shown = "not a number" if math.isnan(error) else f"off by {error:.3g}"
+            out.append(f"{reader} puts {link!r} elsewhere, {shown}")
+    return out
 
 
 def yourdfpy_problems(
@@ -325,7 +339,7 @@ def yourdfpy_problems(
                 link: np.asarray(robot.get_transform(link, obj.tree.root))
                 for link in obj.tree.links
             }
-            _compare("yourdfpy", object_from_links(obj, q), seen, out)
+            out += pose_problems("yourdfpy", object_from_links(obj, q), seen, POSE_TOLERANCE)
     return list(dict.fromkeys(out))
 
 
@@ -351,7 +365,7 @@ def mujoco_problems(
                 body = data.body(link)
                 seen[link] = np.eye(4)
                 seen[link][:3, :3], seen[link][:3, 3] = body.xmat.reshape(3, 3), body.xpos
-            _compare("MuJoCo", object_from_links(obj, q), seen, out)
+            out += pose_problems("MuJoCo", object_from_links(obj, q), seen, POSE_TOLERANCE)
         mujoco.mj_resetData(model, data)
         mujoco.mj_step(model, data, nstep=20)
         if not np.isfinite(data.qpos).all() or data.warning.number.any():

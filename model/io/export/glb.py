@@ -6,19 +6,18 @@ Link nodes sit where URDF link frames sit (``model.io.urdf.writer``) below one n
 
 from __future__ import annotations
 
-import json
-import struct
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from model.core.articulated_object import ArticulatedObject
+from model.core.articulated_object import ArticulatedObject, Part
 from model.core.joint import Joint
-from model.core.progress import Progress, no_progress
+from model.core.progress import Progress
+from model.io.export.formats import FileExporter
 from model.io.urdf.writer import link_origins
-from model.io.write import GlbTree, mesh_to_glb
+from model.io.write import GlbBuilder
 from model.physics.part_mesh import part_mesh
 from model.physics.simulation_values import Physics
 
@@ -32,25 +31,19 @@ _HALF = float(np.sqrt(0.5))
 FloatArray = npt.NDArray[np.float64]
 
 
-class GlbExporter:
-    """``object.glb``: textures inside, joints as animations."""
+class GlbExporter(FileExporter):
+    """``object.glb``: textures inside, joints as animations; glTF has no place for physics."""
 
     name = "glb"
-    description = "GLB with the joints as animations"
 
-    def export(
-        self,
-        obj: ArticulatedObject,
-        folder: Path,
-        *,
-        physics: Physics | None = None,
-        progress: Progress = no_progress,
+    def write(
+        self, obj: ArticulatedObject, folder: Path, physics: Physics, progress: Progress
     ) -> tuple[Path, ...]:
-        """See :class:`~model.io.export.registry.Exporter`; glTF has no place for ``physics``."""
+        """See :class:`~model.io.export.formats.FileExporter`."""
         scene = _Scene(obj)
         for i, part in enumerate(obj.parts):
             progress(i / len(obj.parts), f"writing {part.link}")
-            scene.add(part.link, mesh_to_glb(part_mesh(part)), part.name)
+            scene.add(part)
         scene.animate()
         path = folder / FILE
         path.write_bytes(scene.finish())
@@ -58,14 +51,13 @@ class GlbExporter:
         return (path,)
 
 
-class _Scene(GlbTree):
-    """Joins the parts' own GLB files under the nodes of their links."""
+class _Scene(GlbBuilder):
+    """The parts' meshes under the nodes of their links."""
 
     def __init__(self, obj: ArticulatedObject) -> None:
         super().__init__()
         self.obj = obj
         self.origins = link_origins(obj.tree)
-        self.pictures: dict[bytes, int] = {}
         self.node: dict[str, int] = {}
         self.append(
             "nodes", {"name": obj.name, "rotation": [-_HALF, 0.0, 0.0, _HALF], "children": []}
@@ -82,69 +74,19 @@ class _Scene(GlbTree):
         self.tree["nodes"][above].setdefault("children", []).append(number)
         return number
 
-    def add(self, link: str, glb: bytes, name: str | None = None) -> None:
-        """Take over the one mesh of ``glb`` with all that belongs to it.
+    def add(self, part: Part) -> None:
+        """Add a part below the node of its link.
 
         Its node and mesh are called after the part, "door", so that people and programs that open
         the file know it; the nodes that move are called after their links.
         """
-        tree, binary = _chunks(glb)
-        base = {key: len(self.tree.setdefault(key, [])) for key in ("accessors", "meshes")}
-        pictures = {image["bufferView"] for image in tree.get("images", [])}
-        views = [
-            self._view(binary, view, shared=i in pictures)
-            for i, view in enumerate(tree["bufferViews"])
-        ]
-        for key in ("accessors", "images"):
-            for entry in tree.get(key, []):
-                entry["bufferView"] = views[entry["bufferView"]]
-        images = [self._shared("images", image) for image in tree.get("images", [])]
-        textures = [
-            self._shared("textures", {**texture, "source": images[texture["source"]]})
-            for texture in tree.get("textures", [])
-        ]
-        for material in tree.get("materials", []):
-            for slot in _texture_slots(material):
-                slot["index"] = textures[slot["index"]]
-        for extension in tree.get("extensionsUsed", []):
-            self._shared("extensionsUsed", extension)
-        materials = [self._shared("materials", m) for m in tree.get("materials", [])]
-        called = name or ("base" if link == self.obj.tree.root else link)
-        for mesh in tree["meshes"]:
-            mesh["name"] = called
-            for primitive in mesh["primitives"]:
-                primitive["indices"] += base["accessors"]
-                primitive["material"] = materials[primitive["material"]]
-                for attribute in primitive["attributes"]:
-                    primitive["attributes"][attribute] += base["accessors"]
-        for key in base:
-            self.tree[key] += tree.get(key, [])
-        back = (-self.origins[link]).tolist()
-        node = {"mesh": base["meshes"], "translation": back}
+        link = part.link
+        called = part.name or ("base" if link == self.obj.tree.root else link)
+        mesh = self.mesh(part_mesh(part), name=called)
+        node: dict[str, Any] = {"mesh": mesh, "translation": (-self.origins[link]).tolist()}
         if called not in self.node:  # link nodes are identified by their names
             node["name"] = called
         self._node(self.node[link], node)
-
-    def _shared(self, key: str, entry: dict[str, Any] | str) -> int:
-        """An entry's number in a list; one that is there already is used again, as viewers keep
-        a picture and a shader for each."""
-        entries = self.tree.setdefault(key, [])
-        if entry not in entries:
-            entries.append(entry)
-        return entries.index(entry)
-
-    def _view(self, binary: bytes, view: dict[str, Any], *, shared: bool) -> int:
-        """Take over a view of ``binary``; pictures that are there already are used again."""
-        start = view.get("byteOffset", 0)
-        data = binary[start : start + view["byteLength"]]
-        known = self.pictures.get(data) if shared else None
-        if known is not None:
-            return known
-        target = {"target": view["target"]} if "target" in view else {}
-        number = self.view(data, **target)
-        if shared:
-            self.pictures[data] = number
-        return number
 
     def animate(self) -> None:
         """An animation of all joints, and one of each."""
@@ -188,20 +130,6 @@ class _Scene(GlbTree):
         data = np.ascontiguousarray(values, "<f4")
         more = {"min": data.min(0).tolist(), "max": data.max(0).tolist()} if bounds else {}
         return self.accessor(data, kind, 5126, self.view(data.tobytes()), **more)
-
-
-def _texture_slots(material: dict[str, Any]) -> list[dict[str, Any]]:
-    """The texture references of a material."""
-    found = [material["pbrMetallicRoughness"].get("baseColorTexture")]
-    found += [material.get(f"{kind}Texture") for kind in ("normal", "occlusion", "emissive")]
-    return [slot for slot in found if slot is not None]
-
-
-def _chunks(glb: bytes) -> tuple[dict[str, Any], bytes]:
-    (length,) = struct.unpack_from("<I", glb, 12)
-    tree = json.loads(glb[20 : 20 + length])
-    (size,) = struct.unpack_from("<I", glb, 20 + length)
-    return tree, glb[28 + length : 28 + length + size]
 
 
 def joint_track(joint: Joint) -> FloatArray:

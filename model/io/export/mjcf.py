@@ -19,18 +19,19 @@ import numpy.typing as npt
 from model.core.articulated_object import ArticulatedObject, Inertial
 from model.core.geometry import Material, Mesh, quaternion_wxyz
 from model.core.joint import JOINT_KINDS, Joint
-from model.core.progress import Progress, no_progress
+from model.core.progress import Progress
 from model.core.shapes import Primitive
 from model.core.textures import ImageFile, SurfaceMaps, decode, encode, to_linear
 from model.core.tree import KinematicTree
 from model.io.assets.reader import MESHES
+from model.io.export.formats import FileExporter
 from model.io.export.part_files import file_stems, write_collision
 from model.io.mjcf_source import PART_NAME, write_sites
 from model.io.urdf.writer import link_origins, number, vector, xml_name
 from model.io.write import write_mesh
 from model.physics.affordances import find_affordances
 from model.physics.part_mesh import part_mesh
-from model.physics.simulation_values import Physics, plain_physics
+from model.physics.simulation_values import Physics
 
 FILE = "object.xml"
 VISUAL_GROUP = 2
@@ -43,22 +44,16 @@ LEAST_AREA = 1e-12
 """m² of a material on a part; nobody sees less, and MuJoCo refuses it."""
 
 
-class MjcfExporter:
+class MjcfExporter(FileExporter):
     """``object.xml`` and ``meshes/`` with one OBJ a material and PNG textures."""
 
     name = "mjcf"
-    description = "MuJoCo's XML with textured meshes"
 
-    def export(
-        self,
-        obj: ArticulatedObject,
-        folder: Path,
-        *,
-        physics: Physics | None = None,
-        progress: Progress = no_progress,
+    def write(
+        self, obj: ArticulatedObject, folder: Path, physics: Physics, progress: Progress
     ) -> tuple[Path, ...]:
-        """See :class:`~model.io.export.registry.Exporter`."""
-        return _Writer(obj, folder, physics or plain_physics(obj)).write(progress)
+        """See :class:`~model.io.export.formats.FileExporter`."""
+        return _Writer(obj, folder, physics).write(progress)
 
 
 class _Writer:

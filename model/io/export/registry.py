@@ -1,4 +1,4 @@
-"""All export formats in one table, and the protocol that each fits.
+"""All exporters, and the protocol that each fits.
 
 Built-ins and plug-ins load the same way.
 """
@@ -13,8 +13,7 @@ from model.core.files import written_to
 from model.core.packages import Registry
 from model.core.progress import Progress, no_progress
 from model.io.assets.reader import load_object
-from model.io.export import mjcf, part_files, urdf
-from model.physics.affordances import find_affordances
+from model.io.export.formats import FORMATS
 from model.physics.simulation_values import Physics
 
 
@@ -24,11 +23,14 @@ class Exporter(Protocol):
 
     Attributes:
         name: what ``--format`` takes.
-        description: one human-readable line.
     """
 
     name: str
-    description: str
+
+    @property
+    def description(self) -> str:
+        """One human-readable line."""
+        ...
 
     def export(
         self,
@@ -60,35 +62,10 @@ EXPORTERS = Registry[Exporter](
     "export format",
     Exporter,
     "name, description and export",
-    {
-        "urdf": "model.io.export.urdf:UrdfExporter",
-        "mjcf": "model.io.export.mjcf:MjcfExporter",
-        "glb": "model.io.export.glb:GlbExporter",
-        "ros": "model.io.export.urdf:RosExporter",
-        "usd": "model.io.export.usd:UsdExporter",
-        "sdf": "model.io.export.sdf:SdfExporter",
-    },
+    {name: row.exporter for name, row in FORMATS.items()},
     group="artiworld.exporters",
 )
-"""All export formats. A new built-in one is a line here and a file that fits the protocol."""
-
-
-def losses_of(name: str, obj: ArticulatedObject, physics: Physics | None = None) -> tuple[str, ...]:
-    """Features that files of a built-in format lack or that their readers don't show.
-
-    Args:
-        physics: which the files were written with.
-    """
-    losses: list[str] = []
-    if name in ("mjcf", "usd") and physics is not None:
-        find_affordances(obj, physics.collision, remarks=losses)
-    if name in ("urdf", "ros", "sdf"):
-        losses += part_files.losses_of(obj)
-    if name == "urdf":
-        losses += urdf.losses_of(obj)
-    if name == "mjcf":
-        losses += mjcf.losses_of(obj)
-    return tuple(losses)
+"""All export formats."""
 
 
 def exporter_names() -> tuple[str, ...]:

@@ -17,11 +17,12 @@ import numpy as np
 import numpy.typing as npt
 
 from model.core.articulated_object import ArticulatedObject, Inertial
-from model.core.composite_joints import composite_of
+from model.core.composite_joints import COMPOSITES, composite_of
 from model.core.joint import Joint, Mimic
-from model.core.progress import Progress, no_progress
+from model.core.progress import Progress
 from model.core.shapes import Primitive, Solid
 from model.core.tree import KinematicTree
+from model.io.export.formats import FileExporter
 from model.io.export.part_files import write_collision, write_parts
 from model.io.urdf.writer import (
     direct_mimics,
@@ -32,11 +33,14 @@ from model.io.urdf.writer import (
     xml_name,
 )
 from model.physics.inertia import HELPER
-from model.physics.simulation_values import Physics, plain_physics
+from model.physics.simulation_values import Physics
 
 FILE, CONFIG = "model.sdf", "model.config"
 VERSION = "1.11"
 """The first version with mimic joints."""
+
+
+_PITCHED = next(row.sdf for row in COMPOSITES.values() if row.pitched)
 
 
 def sdf_tree(obj: ArticulatedObject) -> tuple[KinematicTree, dict[str, float]]:
@@ -53,7 +57,7 @@ def sdf_tree(obj: ArticulatedObject) -> tuple[KinematicTree, dict[str, float]]:
     helpers = set()
     for joint in tree.joints:
         motion = composite_of(tree, joint.child, links.__contains__)
-        if motion.kind != "screw":
+        if not motion.pitch:
             continue
         slide = tree.joint_of[joint.parent]
         if slide.name in followed or (slide.mimic is not None and slide.mimic.offset):
@@ -68,22 +72,15 @@ def sdf_tree(obj: ArticulatedObject) -> tuple[KinematicTree, dict[str, float]]:
     return KinematicTree(tuple(x for x in tree.links if x not in helpers), tuple(joints)), pitches
 
 
-class SdfExporter:
+class SdfExporter(FileExporter):
     """``model.sdf``, ``model.config`` and ``meshes/``."""
 
     name = "sdf"
-    description = "SDFormat for Gazebo and Drake"
 
-    def export(
-        self,
-        obj: ArticulatedObject,
-        folder: Path,
-        *,
-        physics: Physics | None = None,
-        progress: Progress = no_progress,
+    def write(
+        self, obj: ArticulatedObject, folder: Path, physics: Physics, progress: Progress
     ) -> tuple[Path, ...]:
-        """See :class:`~model.io.export.registry.Exporter`."""
-        physics = physics or plain_physics(obj)
+        """See :class:`~model.io.export.formats.FileExporter`."""
         parts = write_parts(obj, folder, clouds=False, progress=progress)
         shapes = write_collision(physics.collision, obj.parts, folder, capsules=True)
         visuals = {p.link: p.mesh for p in parts}
@@ -202,7 +199,7 @@ def _joint(
     pitch: float | None,
     physics: Physics,
 ) -> None:
-    kind = joint.type if pitch is None else "screw"
+    kind = joint.type if pitch is None else _PITCHED
     element = ET.SubElement(model, "joint", name=xml_name(names[joint.name]), type=kind)
     _text(element, "parent", joint.parent)
     _text(element, "child", joint.child)

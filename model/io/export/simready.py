@@ -25,11 +25,12 @@ from model.core.articulated_object import ArticulatedObject
 from model.core.errors import ConfigurationError
 from model.core.files import read_json, static_assets, write_json
 from model.core.packages import require
-from model.core.progress import Progress, no_progress
+from model.core.progress import Progress
 from model.geometry.casting import render
+from model.io.export.formats import FileExporter
 from model.io.export.usd import UsdExporter
 from model.physics.part_mesh import part_mesh
-from model.physics.simulation_values import Physics, plain_physics
+from model.physics.simulation_values import Physics
 
 PROFILE, VERSION = "Robotics-Prop", "4.0.0"
 VALIDATOR = "simready-validate"
@@ -84,25 +85,18 @@ def remember(workspace: Path | None, about: AboutPackage) -> None:
         write_json(workspace / REMEMBERED, {key: getattr(about, key) for key in _ASKED})
 
 
-class SimReadyExporter:
+class SimReadyExporter(FileExporter):
     """A folder named after the object, ready for Isaac Sim and NVIDIA's validator."""
 
     name = "usd"
-    description = f"OpenUSD as a SimReady package, profile {PROFILE}"
 
     def __init__(self, about: AboutPackage) -> None:
         self.about = about
 
-    def export(
-        self,
-        obj: ArticulatedObject,
-        folder: Path,
-        *,
-        physics: Physics | None = None,
-        progress: Progress = no_progress,
+    def write(
+        self, obj: ArticulatedObject, folder: Path, physics: Physics, progress: Progress
     ) -> tuple[Path, ...]:
-        """See :class:`~model.io.export.registry.Exporter`."""
-        physics = physics or plain_physics(obj)
+        """See :class:`~model.io.export.formats.FileExporter`."""
         name = re.sub(r"\W+", "_", obj.name, flags=re.ASCII).strip("_").lower() or "object"
         inside = folder / name / "usd"
         inside.mkdir(parents=True, exist_ok=True)
@@ -116,7 +110,6 @@ class SimReadyExporter:
 
     def _describe(self, path: Path, obj: ArticulatedObject, physics: Physics) -> None:
         sdf, gf = require("pxr.Sdf", "artiworld[usd]", "USD"), require("pxr.Gf", "artiworld[usd]")
-        bounds = np.concatenate([p.bounds for p in obj.parts])
         layer = sdf.Layer.FindOrOpen(str(path))
         layer.customLayerData = {
             "SimReady_Metadata": {
@@ -129,7 +122,7 @@ class SimReadyExporter:
                 "usd_date_generated": datetime.now(UTC).date().isoformat(),
                 "qcode": self.about.qcode or qcode_of(obj.category),
                 "rigid_body_count": len(obj.tree.links),
-                "asset_extents": gf.Vec3f(*np.ptp(bounds, axis=0).tolist()),
+                "asset_extents": gf.Vec3f(*np.ptp(obj.bounds, axis=0).tolist()),
                 "mass": float(sum(i.mass for i in physics.inertials.values())),
             }
         }

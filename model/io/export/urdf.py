@@ -11,29 +11,24 @@ from pathlib import Path
 from xml.sax.saxutils import escape
 
 from model.core.articulated_object import ArticulatedObject
-from model.core.progress import Progress, no_progress
+from model.core.progress import Progress
 from model.io.assets.reader import URDF
+from model.io.export.formats import FileExporter
 from model.io.export.part_files import PartFile, is_flat, write_collision, write_parts
-from model.io.urdf.writer import write_urdf, xml_name
+from model.io.urdf.writer import to_urdf_text, xml_name
 from model.physics.part_mesh import part_mesh
 from model.physics.simulation_values import Physics, plain_physics
 
 
-class UrdfExporter:
+class UrdfExporter(FileExporter):
     """``object.urdf`` and ``meshes/``, as in a saved asset but without its records."""
 
     name = "urdf"
-    description = "URDF with OBJ meshes and textures"
 
-    def export(
-        self,
-        obj: ArticulatedObject,
-        folder: Path,
-        *,
-        physics: Physics | None = None,
-        progress: Progress = no_progress,
+    def write(
+        self, obj: ArticulatedObject, folder: Path, physics: Physics, progress: Progress
     ) -> tuple[Path, ...]:
-        """See :class:`~model.io.export.registry.Exporter`."""
+        """See :class:`~model.io.export.formats.FileExporter`."""
         parts = write_parts(obj, folder, clouds=False, progress=progress)
         path, shapes = write_urdf_of(obj, parts, folder / URDF, physics)
         return (path, *(folder / p.mesh for p in parts), *shapes)
@@ -72,15 +67,15 @@ def write_urdf_of(
         link: [prefix + s if isinstance(s, str) else s for s in held]
         for link, held in shapes.items()
     }
-    write_urdf(
+    text = to_urdf_text(
         obj,
-        path,
         {p.link: [prefix + p.mesh] for p in parts},
         collisions=named,
         inertials=physics.inertials,
         dynamics=physics.dynamics,
         mujoco_visuals=None if prefix else not any(p.flat for p in parts),
     )
+    path.write_text(text, encoding="utf-8")
     return path, tuple(folder / s for held in shapes.values() for s in held if isinstance(s, str))
 
 
@@ -88,21 +83,15 @@ PACKAGE_URDF = "urdf/object.urdf"
 FOLDERS = ("launch", "meshes", "rviz", "urdf")
 
 
-class RosExporter:
+class RosExporter(FileExporter):
     """``package.xml``, ``CMakeLists.txt``, ``launch/``, ``rviz/``, ``urdf/`` and ``meshes/``."""
 
     name = "ros"
-    description = "ROS 2 description package with package:// paths"
 
-    def export(
-        self,
-        obj: ArticulatedObject,
-        folder: Path,
-        *,
-        physics: Physics | None = None,
-        progress: Progress = no_progress,
+    def write(
+        self, obj: ArticulatedObject, folder: Path, physics: Physics, progress: Progress
     ) -> tuple[Path, ...]:
-        """See :class:`~model.io.export.registry.Exporter`."""
+        """See :class:`~model.io.export.formats.FileExporter`."""
         package = package_name(obj.name)
         for name in FOLDERS:
             (folder / name).mkdir(exist_ok=True)

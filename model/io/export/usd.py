@@ -20,18 +20,19 @@ import numpy.typing as npt
 
 from model.core.articulated_object import Affordance, ArticulatedObject, Inertial
 from model.core.files import free_name
-from model.core.geometry import Material, Mesh, quaternion_wxyz
+from model.core.geometry import Material, Mesh, quaternion_wxyz, x_onto
 from model.core.joint import JOINT_KINDS, Joint, Mimic
 from model.core.packages import require
-from model.core.progress import Progress, no_progress
+from model.core.progress import Progress
 from model.core.shapes import Primitive, Shape
 from model.core.textures import ImageFile, SurfaceMaps, encode
 from model.geometry.normals import corner_normals
+from model.io.export.formats import FileExporter
 from model.io.urdf.writer import direct_mimics, link_origins, rounded
 from model.physics.affordances import find_affordances
 from model.physics.inertia import read_materials
 from model.physics.part_mesh import part_mesh
-from model.physics.simulation_values import Physics, plain_physics
+from model.physics.simulation_values import Physics
 
 FILE = "object.usdc"
 TEXTURES = "textures"
@@ -58,26 +59,20 @@ def identifier(name: str, taken: set[str]) -> str:
     return free
 
 
-class UsdExporter:
+class UsdExporter(FileExporter):
     """``object.usdc`` and ``textures/``."""
 
     name = "usd"
-    description = "OpenUSD with UsdPhysics joints, drives, mass and collision"
 
     def __init__(self, file: str = FILE) -> None:
         """``file``: name of the written file."""
         self.file = file
 
-    def export(
-        self,
-        obj: ArticulatedObject,
-        folder: Path,
-        *,
-        physics: Physics | None = None,
-        progress: Progress = no_progress,
+    def write(
+        self, obj: ArticulatedObject, folder: Path, physics: Physics, progress: Progress
     ) -> tuple[Path, ...]:
-        """See :class:`~model.io.export.registry.Exporter`."""
-        return _Writer(obj, folder / self.file, physics or plain_physics(obj)).write(progress)
+        """See :class:`~model.io.export.formats.FileExporter`."""
+        return _Writer(obj, folder / self.file, physics).write(progress)
 
 
 class _Writer:
@@ -473,11 +468,3 @@ class _Writer:
         token = self.Sdf.ValueTypeNames.Token
         prim.CreateAttribute(f"{base}:referenceJointAxis", token, False).Set(theirs)
         prim.CreateRelationship(f"{base}:referenceJoint", False).SetTargets([leader.GetPath()])
-
-
-def x_onto(axis: FloatArray) -> FloatArray:
-    """(3, 3) rotation that turns x onto a unit axis."""
-    helper = np.eye(3)[np.abs(axis).argmin()]
-    side = np.asarray(np.cross(axis, helper), np.float64)
-    side /= np.linalg.norm(side)
-    return np.stack([axis, side, np.cross(axis, side)], axis=1)

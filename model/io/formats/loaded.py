@@ -252,19 +252,13 @@ def numbers(path: Path, text: str, what: str) -> npt.NDArray[np.float64]:
     Raises:
         InputFileError: where something in it is no number.
     """
-    import warnings
-
-    if not text or text.isspace():  # numpy reads a number into blank text
-        return np.zeros(0)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", DeprecationWarning)
-        try:
-            return np.fromstring(text, dtype=np.float64, sep=" ")
-        except (DeprecationWarning, ValueError):
-            bad = next((t for t in text.split() if not _is_number(t)), text[:20])
-            raise InputFileError(
-                path, f"{what}: {bad[:40]!r} is not a number", "the file is damaged"
-            ) from None
+    try:
+        return np.array(text.split(), dtype=np.float64)
+    except ValueError:
+        bad = next((t for t in text.split() if not _is_number(t)), text[:20])
+        raise InputFileError(
+            path, f"{what}: {bad[:40]!r} is not a number", "the file is damaged"
+        ) from None
 
 
 def _is_number(token: str) -> bool:

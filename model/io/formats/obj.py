@@ -105,7 +105,7 @@ def read_obj(
 
 
 def _sort_lines(data: bytes) -> _Lines:
-    text = _COMMENT.sub("", data.decode("utf-8-sig", "replace"))
+    text = _COMMENT.sub("", data.decode("utf-8-sig", "replace")).replace("\t", " ")
     if "\\\n" in text or "\\\r\n" in text:
         text = text.replace("\\\r\n", " ").replace("\\\n", " ")
     out = _Lines()
@@ -122,9 +122,6 @@ def _sort_lines(data: bytes) -> _Lines:
             out.material.append(material)
         elif head == "vt":
             vt.append(rest)
-        elif "\t" in head:  # a tab after the keyword
-            head, _, more = head.partition("\t")
-            _sort_tabbed(out, head, f"{more} {rest}", material)
         elif head == "usemtl":
             name = rest.strip()
             material = numbers_of.setdefault(name, len(numbers_of))
@@ -133,18 +130,6 @@ def _sort_lines(data: bytes) -> _Lines:
         elif head == "mtllib":
             out.libraries[rest.strip()] = None
     return out
-
-
-def _sort_tabbed(out: _Lines, head: str, rest: str, material: int) -> None:
-    if head == "v":
-        out.v.append(rest)
-    elif head == "vt":
-        out.vt.append(rest)
-    elif head == "f":
-        out.f.append(rest)
-        out.v_before.append(len(out.v))
-        out.vt_before.append(len(out.vt))
-        out.material.append(material)
 
 
 def _table(path: Path, lines: list[str], what: str) -> list[Array] | Array:

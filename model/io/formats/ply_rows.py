@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -159,17 +160,34 @@ def _binary_ragged(
             at += n * width
             if n < 0 or at > end:
                 raise cut_off(path, e)
-    table: Table = {}
     raw = np.frombuffer(body, np.uint8)
-    for i, p in enumerate(e.properties):
+
+    def picked(p: Property, starts: Array, inside: Array) -> Array:
         dtype = np.dtype(order + p.type)
-        total = int(sizes[i].sum())
-        inside = np.arange(total) - np.repeat(np.cumsum(sizes[i]) - sizes[i], sizes[i])
-        starts = np.repeat(begins[i], sizes[i]) + inside * dtype.itemsize
-        picked = raw[starts[:, None] + np.arange(dtype.itemsize)]
-        values = np.ascontiguousarray(picked).view(dtype).reshape(-1)
-        table[p.name] = Ragged(values, sizes[i]) if p.count_type else values
-    return table, at
+        first = starts + inside * dtype.itemsize
+        rows = raw[first[:, None] + np.arange(dtype.itemsize)]
+        return np.ascontiguousarray(rows).view(dtype).reshape(-1)
+
+    return _gathered(e, begins, sizes, picked), at
+
+
+def _gathered(
+    e: Element, begins: Array, sizes: Array, picked: Callable[[Property, Array, Array], Array]
+) -> Table:
+    """Columns of rows with lists of many lengths.
+
+    Args:
+        begins, sizes: (properties, rows) start and length of each value.
+        picked: values of a property, at (N,) starts and numbers within their lists.
+    """
+    table: Table = {}
+    for i, p in enumerate(e.properties):
+        inside = np.arange(int(sizes[i].sum())) - np.repeat(
+            np.cumsum(sizes[i]) - sizes[i], sizes[i]
+        )
+        column = picked(p, np.repeat(begins[i], sizes[i]), inside)
+        table[p.name] = Ragged(column, sizes[i]) if p.count_type else column
+    return table
 
 
 # ASCII
@@ -231,10 +249,9 @@ def _ascii_lists(path: Path, values: Array, e: Element, at: int) -> tuple[Table,
             at += n
             if at > end:
                 raise cut_off(path, e)
-    table: Table = {}
-    for i, p in enumerate(e.properties):
-        total = int(sizes[i].sum())
-        inside = np.arange(total) - np.repeat(np.cumsum(sizes[i]) - sizes[i], sizes[i])
-        column = values[np.repeat(begins[i], sizes[i]) + inside]
-        table[p.name] = Ragged(column, sizes[i]) if p.count_type else _typed(column, p)
-    return table, at
+
+    def picked(p: Property, starts: Array, inside: Array) -> Array:
+        column = values[starts + inside]
+        return column if p.count_type else _typed(column, p)
+
+    return _gathered(e, begins, sizes, picked), at

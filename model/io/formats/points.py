@@ -14,6 +14,7 @@ import io
 import re
 import zipfile
 import zlib
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -43,11 +44,13 @@ MOST_RATIO = 200
 _RATIO_FROM = 50_000_000
 
 
-def read_npz(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
-    """Read one NPZ file. Pickled objects are never loaded.
+def npz_arrays(
+    path: Path, wanted: Collection[str], max_bytes: int = DEFAULT_MAX_BYTES
+) -> tuple[dict[str, np.ndarray], list[str]]:
+    """The arrays of an NPZ file whose names in lower case are ``wanted``, and the names of all.
 
     Raises:
-        InputFileError: where it is no such archive or has no points.
+        InputFileError: where it is no such archive, or unpacks to far more than its size.
     """
     data = read_bytes(path, max_bytes)
     try:
@@ -59,16 +62,24 @@ def read_npz(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
                 path, f"unpacks to {size / 2**30:.2f} GiB, over the limit", "thin the scan first"
             )
         with np.load(io.BytesIO(data), allow_pickle=False) as file:
-            found = {
-                role: next((np.asarray(file[k]) for k in keys if k in file.files), None)
-                for role, keys in _KEYS.items()
-            }
-            keys = ", ".join(file.files)
+            kept = [k for k in file.files if k.lower() in wanted]
+            return {k.lower(): np.asarray(file[k]) for k in kept}, file.files
     except (
         OSError, ValueError, KeyError, EOFError, SyntaxError, TypeError, MemoryError,
         zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError,
     ) as error:  # fmt: skip
         raise InputFileError(path, f"is not an NPZ archive of arrays ({error})") from None
+
+
+def read_npz(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
+    """Read one NPZ file. Pickled objects are never loaded.
+
+    Raises:
+        InputFileError: where it is no such archive or has no points.
+    """
+    held, names = npz_arrays(path, [k for keys in _KEYS.values() for k in keys], max_bytes)
+    found = {role: next((held[k] for k in keys if k in held), None) for role, keys in _KEYS.items()}
+    keys = ", ".join(names)
     points, faces = found["points"], found["faces"]
     if points is not None and points.ndim > 2:
         points = points.reshape(-1, points.shape[-1])

@@ -106,17 +106,14 @@ def _check_binary(path: Path) -> None:
 
 
 def _read(stage: UsdStage) -> Loaded:
-    into = stage.turn.copy()
-    into[:3, :3] *= stage.unit
     found: list[tuple[str, Loaded]] = []
     unread: Counter[str] = Counter()
     for prim in stage.prims():
-        kind = prim.GetTypeName()
         if stage.is_unread(prim):
-            unread[str(kind)] += 1
-        if kind == "Mesh" or kind in SHAPES:
-            made = stage.mesh_of(prim) if kind == "Mesh" else stage.primitive_of(prim, kind)
-            found.append((str(prim.GetName()), made.moved(stage.world(prim) @ into)))
+            unread[str(prim.GetTypeName())] += 1
+        made = stage.shape_of(prim)
+        if made is not None:
+            found.append((str(prim.GetName()), made.moved(stage.world(prim) @ stage.into)))
     if not found:
         raise InputFileError(stage.path, "there is no mesh on its stage", "export its objects")
     whole = join([made for _, made in found])
@@ -149,6 +146,7 @@ class UsdStage:
                 path, f"has up axis {self.up!r} and {self.unit} metres a unit", "y or z up, above 0"
             )
         self.turn = WORLD_FROM_UP[self.up]
+        self.into = self.turn @ np.diag([self.unit, self.unit, self.unit, 1.0])
         self.places = self.geom.XformCache()
 
     def prims(self, below: Any = None) -> Iterator[Any]:
@@ -190,8 +188,14 @@ class UsdStage:
         out[:3, 3] *= self.unit
         return self.turn @ out @ self.turn.T
 
-    def mesh_of(self, prim: Any) -> Loaded:
-        """A ``Mesh`` prim in its own frame and unit."""
+    def shape_of(self, prim: Any) -> Loaded | None:
+        """A mesh or a primitive shape in its own frame and unit; None for any other prim."""
+        kind = str(prim.GetTypeName())
+        if kind == "Mesh":
+            return self._mesh(prim)
+        return self._primitive(prim, kind) if kind in SHAPES else None
+
+    def _mesh(self, prim: Any) -> Loaded:
         mesh = self.geom.Mesh(prim)
         points = np.asarray(mesh.GetPointsAttr().Get() or np.zeros((0, 3)), np.float64)
         sizes = np.asarray(mesh.GetFaceVertexCountsAttr().Get() or (), np.int64)
@@ -207,8 +211,7 @@ class UsdStage:
             faces = faces[:, ::-1]
         return self._coloured(prim, points, faces)
 
-    def primitive_of(self, prim: Any, kind: str) -> Loaded:
-        """A prim of one of :data:`SHAPES` in its own frame and unit."""
+    def _primitive(self, prim: Any, kind: str) -> Loaded:
         made = getattr(self.geom, kind)(prim)
         if kind == "Cube":
             shape = creation.box(extents=[float(made.GetSizeAttr().Get())] * 3)

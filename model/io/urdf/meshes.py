@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from model.core.articulated_object import Part
 from model.core.errors import ArtiworldError, InputFileError
-from model.core.geometry import Material, Mesh, PointCloud
+from model.core.geometry import Material, Mesh, PointCloud, merged, merged_clouds
 from model.core.shapes import Kind, Primitive, Shape, Solid, hull_of
 from model.core.textures import (
     ImageFile,
@@ -202,9 +202,9 @@ def load_part(link: str, visuals: Sequence[UrdfVisual], files: MaterialFiles | N
     for visual in visuals:
         mesh, cloud = _load(visual, remarks, files)
         if mesh is not None:
-            meshes.append(moved_mesh(mesh, visual.object_from_geometry))
+            meshes.append(mesh.moved(visual.object_from_geometry))
         if cloud is not None:
-            clouds.append(_moved_cloud(cloud, visual.object_from_geometry))
+            clouds.append(cloud.moved(visual.object_from_geometry))
     names = {v.name for v in visuals}
     name = names.pop() if len(names) == 1 else None
     return Part(
@@ -277,73 +277,6 @@ def _primitive(
         made = creation.icosphere(subdivisions=3, radius=sizes[0])
     material = Material("urdf", color) if color is not None else Material()
     return Mesh(np.asarray(made.vertices), np.asarray(made.faces), materials=(material,))
-
-
-def moved_mesh(mesh: Mesh, target_from_mesh: npt.NDArray[np.float64]) -> Mesh:
-    """``mesh`` under an affine (4, 4); a mirroring turns the faces over, so that they keep facing
-    outwards."""
-    linear = target_from_mesh[:3, :3]
-    vertices = mesh.vertices @ linear.T + target_from_mesh[:3, 3]
-    faces = mesh.faces[:, ::-1] if np.linalg.det(linear) < 0 else mesh.faces
-    return replace(mesh, vertices=vertices, faces=faces)
-
-
-def _moved_cloud(cloud: PointCloud, target_from_cloud: npt.NDArray[np.float64]) -> PointCloud:
-    linear = target_from_cloud[:3, :3]
-    points = cloud.points @ linear.T + target_from_cloud[:3, 3]
-    normals = cloud.normals
-    if normals is not None:
-        normals = normals @ np.linalg.inv(linear)
-        length = np.linalg.norm(normals, axis=1, keepdims=True)
-        normals = (normals / np.where(length > 0, length, 1.0)).astype(np.float32)
-    return PointCloud(points.astype(np.float32), normals, cloud.colors)
-
-
-def merged(meshes: Sequence[Mesh]) -> Mesh:
-    """One mesh of several, in order, with all their materials."""
-    if len(meshes) == 1:
-        return meshes[0]
-    counts = np.cumsum([0, *(len(m.vertices) for m in meshes)])
-    materials = np.cumsum([0, *(len(m.materials) for m in meshes)])
-    uv = colors = None
-    if any(m.uv is not None for m in meshes):
-        uv = np.concatenate(
-            [m.uv if m.uv is not None else np.zeros((len(m.vertices), 2)) for m in meshes]
-        ).astype(np.float32)
-    if any(m.vertex_colors is not None for m in meshes):
-        colors = np.concatenate([_colors(m) for m in meshes])
-    return Mesh(
-        np.concatenate([m.vertices for m in meshes]),
-        np.concatenate([m.faces + c for m, c in zip(meshes, counts, strict=False)]),
-        np.concatenate([m.face_material + c for m, c in zip(meshes, materials, strict=False)]),
-        tuple(material for m in meshes for material in m.materials),
-        uv,
-        colors,
-    )
-
-
-def _colors(mesh: Mesh) -> npt.NDArray[np.uint8]:
-    """Vertex colours that leave the mesh looking as it does without them."""
-    if mesh.vertex_colors is not None:
-        return mesh.vertex_colors
-    out = np.full((len(mesh.vertices), 4), 255, np.uint8)
-    base = np.array([m.base_color for m in mesh.materials], np.uint8)
-    out[mesh.faces] = base[mesh.face_material][:, None]
-    return out
-
-
-def merged_clouds(clouds: Sequence[PointCloud]) -> PointCloud:
-    """One cloud of several, in order; normals and colours where all of them have some."""
-
-    def joined(values: list[npt.NDArray | None]) -> npt.NDArray | None:
-        there = [v for v in values if v is not None]
-        return np.concatenate(there) if len(there) == len(values) else None
-
-    return PointCloud(
-        np.concatenate([c.points for c in clouds]),
-        joined([c.normals for c in clouds]),
-        joined([c.colors for c in clouds]),
-    )
 
 
 CONVEX = 0.98
@@ -422,7 +355,7 @@ def _shapes(piece: UrdfVisual, read: dict[Path, Mesh]) -> list[Shape]:
         if piece.file not in read:
             read[piece.file] = _mesh(piece.file)
         mesh = read[piece.file]
-    mesh = moved_mesh(mesh, piece.object_from_geometry)
+    mesh = mesh.moved(piece.object_from_geometry)
     bodies = _convex_bodies(mesh)
     if bodies:
         return list(bodies)

@@ -19,7 +19,14 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from model.core.composite_joints import Composite, composite_joints, free_helpers
+from model.core.composite_joints import (
+    COMPOSITE_KINDS,
+    COMPOSITES,
+    Composite,
+    CompositeKind,
+    composite_joints,
+    free_helpers,
+)
 from model.core.errors import InputFileError, KinematicsError
 from model.core.geometry import affine, rotation_from_rpy, rpy_from_rotation
 from model.core.joint import JOINT_KINDS, Joint
@@ -287,8 +294,6 @@ class _Model:
         taken = {link.get("name", "") for link in self.model.findall("link")}
         helpers = free_helpers(child, 2, taken)
         base = Joint(name or "?", "continuous", parent, child)
-        if given == "ball":
-            return composite_joints(Composite("ball"), base, helpers, swing=math.pi / 2)
 
         def turn(tag: str) -> Joint:
             axis = joint.find(tag)
@@ -299,8 +304,14 @@ class _Model:
             kind = "continuous" if lower is None else "revolute"
             return Joint(base.name, kind, parent, child, (x, y, z), (0, 0, 0), lower, upper)
 
-        if given == "screw" and (pitch := _pitch(joint)):
-            return composite_joints(Composite("screw", pitch), turn("axis"), helpers)
+        kinds: dict[str, CompositeKind] = {
+            tag: k for k in COMPOSITE_KINDS if (tag := COMPOSITES[k].sdf)
+        }
+        kind = kinds.get(given, "single")
+        pitch = _pitch(joint) if COMPOSITES[kind].pitched else 0.0
+        if kind != "single" and (pitch or not COMPOSITES[kind].pitched):
+            main = turn("axis") if pitch else base
+            return composite_joints(Composite(kind, pitch), main, helpers, swing=math.pi / 2)
         if given in _TWO_AXES:
             first = replace(turn("axis"), name=f"joint_{helpers[0]}", child=helpers[0])
             return first, replace(turn("axis2"), parent=helpers[0])

@@ -13,7 +13,6 @@ Hence ``object_from_link(q) = posed_from_rest(q) @ translation(origin of the lin
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import TypeAlias
 from xml.sax.saxutils import quoteattr
 
@@ -36,7 +35,6 @@ __all__ = [
     "read_urdf",
     "read_urdf_model",
     "to_urdf_text",
-    "write_urdf",
 ]
 
 CollisionGeometry: TypeAlias = str | Primitive
@@ -102,30 +100,6 @@ def to_urdf_text(
         joint = obj.tree.joint_of[link]
         lines += _joint_lines(joint, origins, leaders.get(joint.name), dynamics.get(joint.name))
     return "\n".join([*lines, "</robot>", ""])
-
-
-def write_urdf(
-    obj: ArticulatedObject,
-    path: str | Path,
-    mesh_files: Mapping[str, Sequence[str]],
-    *,
-    collisions: Mapping[str, Sequence[CollisionGeometry]] | None = None,
-    inertials: Mapping[str, Inertial] | None = None,
-    dynamics: Mapping[str, JointDynamics] | None = None,
-    mujoco_visuals: bool | None = None,
-) -> Path:
-    """Write :func:`to_urdf_text` to ``path``, whose folder must exist."""
-    path = Path(path)
-    text = to_urdf_text(
-        obj,
-        mesh_files,
-        collisions=collisions,
-        inertials=inertials,
-        dynamics=dynamics,
-        mujoco_visuals=mujoco_visuals,
-    )
-    path.write_text(text, encoding="utf-8")
-    return path
 
 
 def number(value: float) -> str:

@@ -71,7 +71,7 @@ def proposal_of(structure: Structure, part: int, decision: Decision) -> JointPro
     else:
         found = structure.candidate(part, decision.slot)
         assert found is not None
-    if kind == "screw":
+    if decision.type == v.SCREW:
         return replace(found, type="continuous", travel=_travel(structure, part, found, decision))
     lower, upper = (0.0, 0.0)
     if kind != "continuous":

@@ -17,13 +17,12 @@ import zipfile
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 import torch
 from safetensors import SafetensorError
 from safetensors.torch import save_file
-from tokenizers import Regex, Tokenizer, decoders, models, pre_tokenizers, trainers
 from torch import Tensor
 
 from model.core import codec
@@ -32,6 +31,9 @@ from model.core.errors import InputFileError
 from model.core.files import draft_of
 from model.prediction.arti4urdf.language_model import Decoder, DecoderConfig
 from model.prediction.arti4urdf.point_bert import ULIP2, PointBert, PointBertConfig
+
+if TYPE_CHECKING:
+    from tokenizers import Tokenizer
 
 FORMAT = 1
 CONFIG_FILE = "config.json"
@@ -317,6 +319,8 @@ def load_tokenizer(folder: Path) -> Tokenizer:
     Raises:
         InputFileError: if ``tokenizer.json`` is absent or damaged.
     """
+    from tokenizers import Tokenizer
+
     path = folder / TOKENIZER_FILE
     if not path.is_file():
         raise InputFileError(path, "no such file", _QWEN_REMEDY)
@@ -385,6 +389,8 @@ def write_random_ulip2(path: Path, config: PointBertConfig = ULIP2, *, seed: int
 
 
 def _tokenizer(texts: Iterable[str], most: int) -> Tokenizer:
+    from tokenizers import Regex, Tokenizer, decoders, models, pre_tokenizers, trainers
+
     tokenizer = Tokenizer(models.BPE())
     tokenizer.pre_tokenizer = pre_tokenizers.Sequence(
         [  # type: ignore[assignment]

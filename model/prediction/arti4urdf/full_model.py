@@ -12,10 +12,9 @@ from copy import deepcopy
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
-from tokenizers import AddedToken, Tokenizer
 from torch import Tensor, nn
 from torch.nn import functional
 
@@ -38,6 +37,9 @@ from model.prediction.arti4urdf.point_bert import (
     Projector,
     group_points,
 )
+
+if TYPE_CHECKING:
+    from tokenizers import Tokenizer
 
 GLOBAL, PART = "<g>", "<p>"
 SPECIAL_TOKENS = (
@@ -250,6 +252,8 @@ def make_full_model(
         InputFileError: if weights are absent or don't fit.
         ConfigurationError: if LoRA is asked for and peft isn't installed.
     """
+    from tokenizers import AddedToken
+
     read_qwen3_config(qwen3)
     encoder = load_point_bert(ulip2)
     tokenizer = load_tokenizer(qwen3)

@@ -1,14 +1,14 @@
-"""A learned choice among the candidates of each part, and what a workspace's experience overrules.
+"""The learned score of each part's candidates.
 
 Boosted trees read what the network and the geometric rules think of a candidate, where its axis
 lies in the part and how the part touches others. They were trained on our own procedural objects
-and on another generator's (:mod:`model.training.arti4urdf.motions`), and overrule the answer where
-they are clear enough.
+and on another generator's (:mod:`model.training.arti4urdf.motions`). Accepted joints of a workspace
+add to their log-probability; the answer's own motion stays unless another one is clearly likelier.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from model.core.files import static_assets
-from model.core.joint import JOINT_KINDS, Joint
+from model.core.joint import JOINT_KINDS
 from model.prediction.arti4urdf import vocabulary as v
 from model.prediction.arti4urdf.decoding import Answer
 from model.prediction.arti4urdf.structure import (
@@ -32,15 +32,6 @@ from model.prediction.arti4urdf.structure import (
     StructureArrays,
 )
 from model.prediction.arti4urdf.vocabulary import Decision
-from model.prediction.experience import (
-    MOST,
-    Experience,
-    Motions,
-    Recalled,
-    extent_along,
-    in_part,
-    part_name,
-)
 from model.segmentation.models import Trees, load_trees
 
 Array = npt.NDArray[np.float64]
@@ -64,6 +55,7 @@ NAMES: tuple[str, ...] = (
     *(f"{expert} {what}" for expert in _EXPERTS for what in ("slot", "motion", "kind", "fixed")),
 )  # fmt: skip
 """Features of a candidate; lengths in diagonals of the object."""
+NOTHING: Mapping[int, Array] = {}
 _FIXED = v.TYPES.index("fixed")
 _TURNING = [v.REVOLUTE, v.CONTINUOUS, v.SCREW]
 
@@ -153,8 +145,13 @@ class MotionRanker:
         rules: Array,
         same: Bools,
         locked: frozenset[int] = frozenset(),
+        accepted: Mapping[int, Array] = NOTHING,
     ) -> Answer:
-        """The answer with the likeliest motion of each part that moves; locked parts stay."""
+        """The answer with the likeliest motion of each part that moves; locked parts stay.
+
+        Args:
+            accepted: part → (SLOTS,) log-shares of accepted joints with each candidate's motion.
+        """
         decisions = list(answer.decisions)
         parts = [
             i
@@ -177,20 +174,23 @@ class MotionRanker:
                 continue
             present = int(np.flatnonzero(slots == decisions[i].slot)[0])
             among = same[i][np.ix_(slots, slots)]
-            chosen = self.chosen(present, own, rules[i][v.SLOT_IDS][slots], among)
+            votes = accepted[i][slots] if i in accepted else 0.0
+            chosen = self.chosen(present, own, rules[i][v.SLOT_IDS][slots], among, votes)
             if chosen != present:
                 decisions[i] = with_candidate(structure, i, decisions[i], int(slots[chosen]))
         return replace(answer, decisions=tuple(decisions), motions=motions)
 
-    def chosen(self, present: int, odds: Floats, rules: Array, same: Bools) -> int:
+    def chosen(
+        self, present: int, odds: Floats, rules: Array, same: Bools, votes: Array | float = 0.0
+    ) -> int:
         """Index of the candidate to take, of a part's K.
 
         Args:
             present: index of the answer's.
             odds: (K,) of the trees. rules: (K,) log-probabilities by the rules.
-            same: (K, K) which have the same motion.
+            same: (K, K) which have the same motion. votes: (K,) added to their log-probabilities.
         """
-        likely = -np.logaddexp(0.0, -odds.astype(np.float64))
+        likely = -np.logaddexp(0.0, -odds.astype(np.float64)) + votes
         best = int(np.argmax(likely))
         if likely[best] - likely[same[present]].max() < self.margin:
             return present
@@ -247,116 +247,3 @@ def load_motion_ranker(path: Path = SHIPPED) -> MotionRanker:
         InputFileError: if the file is absent or damaged, or has other features.
     """
     return MotionRanker(load_trees(path, NAMES))
-
-
-def recall(
-    experience: Experience,
-    answer: Answer,
-    structure: Structure,
-    rules: Array,
-    same: npt.NDArray[np.bool_],
-    locked: frozenset[int] = frozenset(),
-) -> tuple[Answer, dict[int, Recalled]]:
-    """The answer with motions, types and parents that accepted objects of its category have.
-
-    Args:
-        rules: (P, SIZE) of the geometric prior. same: (P, SLOTS, SLOTS) equal motions.
-        locked: parts that stay.
-
-    Returns:
-        The answer, and what is known about its parts.
-    """
-    sampled = structure.sampled
-    parts = {i: _motions(structure, answer, i) for i in answer.motions if i not in locked}
-    recalled = experience.recall(sampled.category, parts)
-    decisions = list(answer.decisions)
-    for i, known in recalled.items():
-        decisions[i] = _moved(structure, answer, i, known, rules[i], same[i])
-    names = [part_name(s.name) for s in sampled.shapes]
-    for i, known in recalled.items():
-        parent = known.agreed(known.parents)
-        if parent is None:
-            continue
-        fitting = [k for k, name in enumerate(names) if name == parent and k != i]
-        above = min(fitting, key=lambda k: sampled.gap[i, k]) if parent and fitting else None
-        if not parent:
-            above = answer.root
-        if above is not None and not _below(decisions, above, i):
-            decisions[i] = replace(decisions[i], parent=above)
-    return replace(answer, decisions=tuple(decisions)), recalled
-
-
-def _motions(structure: Structure, answer: Answer, part: int) -> Motions:
-    slots, odds = answer.motions[part]
-    found = [structure.slots[part][slot] for slot in slots.tolist()]
-    lines = [in_part(structure.sampled, part, p.axis, p.origin) for p in found if p is not None]
-    turns = np.array([p is not None and not JOINT_KINDS[p.type].slides for p in found])
-    axes, arms = (np.array(side) for side in zip(*lines, strict=True))
-    return Motions(structure.sampled.shapes[part].name, axes, arms, turns, odds.astype(np.float64))
-
-
-def _moved(
-    structure: Structure,
-    answer: Answer,
-    part: int,
-    known: Recalled,
-    rules: Array,
-    same: npt.NDArray[np.bool_],
-) -> Decision:
-    """The decision about a part with the likeliest motion and the agreed type."""
-    decision, (slots, _) = answer.decisions[part], answer.motions[part]
-    agreed = known.agreed(known.types)
-    if agreed == "fixed":
-        return replace(decision, type=v.TYPES.index("fixed"), slot=-1, lower=-1, upper=-1)
-    if v.TYPES[decision.type] == "fixed" and agreed is None:
-        return decision
-    among, own = same[np.ix_(slots, slots)], rules[v.SLOT_IDS][slots]
-    best = int(np.argmax(known.total))
-    present = np.flatnonzero(slots == decision.slot)
-    # Where nothing speaks against the answer clearly, it stays.
-    if not len(present) or known.total[best] - known.total[among[present[0]]].max() >= MARGIN:
-        slot = int(slots[best_limits(best, own, among)])
-        decision = with_candidate(structure, part, decision, slot)
-    if agreed in ("revolute", "continuous") and v.TYPES[decision.type] in (
-        "revolute",
-        "continuous",
-    ):
-        decision = replace(decision, type=v.TYPES.index(agreed))
-    return decision
-
-
-def _below(decisions: Sequence[Decision], part: int, above: int) -> bool:
-    """True if a part is ``above`` or one of its descendants."""
-    seen: set[int] = set()
-    while part >= 0 and part not in seen:
-        if part == above:
-            return True
-        seen.add(part)
-        part = decisions[part].parent
-    return False
-
-
-def with_known_range(
-    joints: list[Joint], structure: Structure, part: int, known: Recalled
-) -> list[Joint]:
-    """The joint of a part with the limits on which accepted joints agree, if it has limits."""
-    if len(joints) != 1 or not joints[0].limited:
-        return joints
-    [joint] = joints
-    axis = structure.sampled.frame.object_from_working.T @ np.asarray(joint.axis)
-    found = known.range_about(axis)
-    if found is None:
-        return joints
-    scale = 1.0
-    if not joint.rotates:
-        scale = extent_along(structure.sampled, part, axis) * structure.sampled.frame.diagonal
-    return [replace(joint, lower=found[0] * scale, upper=found[1] * scale)]
-
-
-def follows(answer: Answer, part: int, known: Recalled) -> bool:
-    """True if the decision about a part has the type and motion of most accepted joints."""
-    decision = answer.decisions[part]
-    if known.agreed(known.types) != v.TYPES[decision.type]:
-        return False
-    at = np.flatnonzero(answer.motions[part][0] == decision.slot)
-    return decision.slot < 0 or bool(len(at) and known.agreeing[at[0]] >= MOST * known.objects)

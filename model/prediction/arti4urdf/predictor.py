@@ -6,8 +6,8 @@ evidence for the confidence of a joint.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -21,15 +21,20 @@ from model.core.motion_lexicon import MECHANISM_TABLE
 from model.core.progress import Progress, no_progress
 from model.prediction.arti4urdf import vocabulary as v
 from model.prediction.arti4urdf.answer import joints_of_decision, write_answer
-from model.prediction.arti4urdf.decoding import Answer, ChoiceRecord, decode
-from model.prediction.arti4urdf.decoding import same_motion as same_motions
-from model.prediction.arti4urdf.motion_ranker import (
+from model.prediction.arti4urdf.choosing import (
+    HybridSettings,
+    accepted_motions,
+    accepted_types,
     follows,
-    load_motion_ranker,
-    other_motions,
-    recall,
+    geometric_prior,
+    of_accepted_type,
+    parents,
+    recalled,
     with_known_range,
 )
+from model.prediction.arti4urdf.decoding import Answer, ChoiceRecord, decode
+from model.prediction.arti4urdf.decoding import same_motion as same_motions
+from model.prediction.arti4urdf.motion_ranker import load_motion_ranker, other_motions
 from model.prediction.arti4urdf.network import SHIPPED, ArtiModel, Prompt, load_weights
 from model.prediction.arti4urdf.structure import (
     MECHANISMS,
@@ -56,54 +61,8 @@ from model.prediction.builder import (
 from model.prediction.experience import FILE, Experience, Recalled, load_experience
 from model.prediction.geometric.context import PartContext, part_evidence
 from model.prediction.geometric.mechanisms import SWEPT_LIMITS
-from model.prediction.geometric.roles import NAMED, mechanism_scores, named_mechanism
-from model.prediction.geometric.tree import rooted_tree
 
 Array = npt.NDArray[np.float64]
-
-FLOOR = 0.002
-"""Probability of words that the rules exclude."""
-
-
-def geometric_prior(structure: Structure) -> Array:
-    """(P, SIZE) log-probabilities of joint types and candidates; 0 for all other words."""
-    known = {i: k for i, k in enumerate(structure.features) if k is not None}
-    out = np.zeros((len(structure.sampled), v.SIZE))
-    for i, context in enumerate(structure.contexts):
-        if i not in known:
-            continue
-        named, fixed = named_mechanism(context), FLOOR
-        scores = mechanism_scores(context, known[i], known)
-        mechanisms = softmax(1.5 * np.array([scores.get(m, -2.0) for m in MECHANISMS]))
-        if named is not None:  # a name may be wrong: what it leaves open is the shape's
-            mechanisms *= 1 - NAMED
-            if named == "fixed":
-                fixed = NAMED
-            else:
-                mechanisms[MECHANISMS.index(named)] += NAMED
-        out[i] = _word_odds(structure, i, mechanisms, fixed)
-    return out
-
-
-def _word_odds(structure: Structure, part: int, mechanisms: Array, fixed: float) -> Array:
-    """(SIZE,) log-probabilities from those of the mechanisms."""
-    slots, types = np.zeros(SLOTS), np.full(len(v.TYPES), FLOOR)
-    types[v.TYPES.index("fixed")] = fixed
-    for k, mechanism in enumerate(MECHANISMS):
-        found = structure.slots[part][k * RANKS : (k + 1) * RANKS]
-        scores = np.array([p.score for p in found if p is not None])
-        if not len(scores):
-            continue
-        slots[k * RANKS : k * RANKS + len(scores)] = mechanisms[k] * softmax(2.0 * scores)
-        best = found[0]
-        assert best is not None
-        kind = "screw" if best.travel is not None or mechanism == "screw" else best.type
-        types[v.TYPES.index(kind)] += mechanisms[k]
-    out = np.zeros(v.SIZE)
-    out[v.TYPE_IDS] = np.log(types / types.sum())
-    out[v.SLOT_IDS] = np.log(np.maximum(slots, FLOOR / SLOTS))
-    out[v.ID["<free>"]] = np.log(FLOOR)
-    return out
 
 
 def joint_evidence(
@@ -163,23 +122,11 @@ def _share(
     return float(weights[v.ID["<free>"]] if chosen >= len(slots) else (same @ slots)[chosen])
 
 
+NOTHING: Mapping[int, Recalled] = {}
 ALTERNATIVES = 2
 """Other motions of a joint that are offered."""
 APART, LINE = 0.15, 0.06
 """Motions differ from this angle between their axes on (rad), or this distance (diagonals)."""
-
-
-@dataclass(frozen=True)
-class HybridSettings:
-    """Influence of geometry, which also decides the tree.
-
-    Attributes:
-        weight: of geometry's probabilities of joint types and candidates, in a product of experts.
-        swept: log-odds in favour of a candidate's own limits, from rules and motion sweep.
-    """
-
-    weight: float = 5.0
-    swept: float = 10.0
 
 
 class Arti4UrdfPredictor:
@@ -246,18 +193,21 @@ class Arti4UrdfPredictor:
         rules, same = geometric_prior(structure), same_motions(prompt)
         locks = _locks(locked, links, builder.problems)
         progress(0.8, "writing the tree")
-        answer = self.answer(prompt, structure, locks, rules)
+        known = recalled(self.experience, structure) if self.hybrid is not None else {}
+        prior = self.prior(structure, rules, known)
+        answer = self.answer(prompt, structure, locks, prior, known)
         assembly = None
-        recalled: dict[int, Recalled] = {}
         if self.hybrid is not None:
+            votes = accepted_motions(structure, known)
             rank = load_motion_ranker()
-            answer = rank(answer, structure, prompt.arrays, rules, same, frozenset(locks))
-            if self.experience is not None:
-                answer, recalled = recall(
-                    self.experience, answer, structure, rules, same, frozenset(locks)
-                )
-            parents = [d.parent for d in answer.decisions]
-            assembly = replace(structure.assembly, root=answer.root, parent=parents)
+            answer = rank(answer, structure, prompt.arrays, rules, same, frozenset(locks), votes)
+            decisions = [
+                of_accepted_type(d, known[i]) if i in known and i not in locks else d
+                for i, d in enumerate(answer.decisions)
+            ]
+            answer = replace(answer, decisions=tuple(decisions))
+            tree = [d.parent for d in decisions]
+            assembly = replace(structure.assembly, root=answer.root, parent=tree)
         kept = {j.child for j in locked}
         for i, link in enumerate(links):
             if i == answer.root or link in kept or answer.decisions[i].parent < 0:
@@ -265,10 +215,10 @@ class Arti4UrdfPredictor:
             joints = joints_of_decision(structure, i, answer.decisions[i], assembly)
             evidence = joint_evidence(structure, answer, i, rules, same)
             note = _note(structure, answer, i)
-            if i in recalled:
-                joints = with_known_range(joints, structure, i, recalled[i])
-                note = explain(note, (), as_on(recalled[i].objects))
-                if self.experience is not None and follows(answer, i, recalled[i]):
+            if i in known:
+                joints = with_known_range(joints, structure, i, known[i])
+                note = explain(note, (), as_on(known[i].objects))
+                if self.experience and follows(structure, answer.decisions[i], i, known[i]):
                     evidence = {**evidence, EXPERIENCE: self.experience.trust}
             builder.add(joints, evidence, note)
             if len(joints) == 1 and assembly is not None:
@@ -282,14 +232,28 @@ class Arti4UrdfPredictor:
         made = builder.build(backend, seed, lambda tree: write_answer(tree, segmented))
         return made, builder.evidence
 
+    def prior(self, structure: Structure, rules: Array, known: Mapping[int, Recalled]) -> Array:
+        """(P, SIZE) log-probabilities to add to the network's; zeros for the network alone.
+
+        Args:
+            structure: of the object. rules: (P, SIZE) of :func:`.geometric_prior`.
+            known: about its parts, from accepted objects.
+        """
+        if self.hybrid is None:
+            return np.zeros_like(rules)
+        out = self.hybrid.weight * rules + accepted_types(structure, known)
+        out[:, v.ID["<as_offered>"]] = self.hybrid.swept
+        return out
+
     def answer(
         self,
         prompt: Prompt,
         structure: Structure,
         locks: dict[int, Lock],
-        rules: npt.NDArray[np.float64],
+        prior: Array,
+        known: Mapping[int, Recalled] = NOTHING,
     ) -> Answer:
-        """The network's answer; with geometry's prior and tree if hybrid.
+        """The likeliest answer; if hybrid, in geometry's tree.
 
         The network's own tree is the worse one on objects that neither has seen
         (docs/research/predictor.md).
@@ -297,18 +261,13 @@ class Arti4UrdfPredictor:
         Args:
             prompt, structure: of the object.
             locks: parents and joints to keep, by part.
-            rules: (P, SIZE) of :func:`.geometric_prior`.
+            prior: (P, SIZE) of :meth:`prior`. known: about parts, from accepted objects.
         """
         if self.hybrid is None:
             return decode(self.model, prompt, locked=locks)
-        prior = self.hybrid.weight * rules
-        prior[:, v.ID["<as_offered>"]] = self.hybrid.swept
-        parents = structure.assembly.parent
-        if locks:
-            kept = {part: lock.parent for part, lock in locks.items()}
-            _, parents = rooted_tree(structure.sampled, kept, [])
-        by_geometry = {i: Lock(p) for i, p in enumerate(parents) if p >= 0}
-        return decode(self.model, prompt, locked=by_geometry | locks, prior=prior)
+        above = parents(structure, {part: lock.parent for part, lock in locks.items()}, known)
+        tree = {i: Lock(p) for i, p in enumerate(above) if p >= 0}
+        return decode(self.model, prompt, locked=tree | locks, prior=prior)
 
 
 def distinct_joints(

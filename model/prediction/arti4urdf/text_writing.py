@@ -14,10 +14,9 @@ import math
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import torch
-from tokenizers import Tokenizer
 from torch import Tensor
 
 from model.core.errors import InputFileError
@@ -26,6 +25,9 @@ from model.core.progress import Progress, no_progress
 from model.prediction.arti4urdf.checkpoints import load_qwen3
 from model.prediction.arti4urdf.language_model import Decoder
 from model.prediction.arti4urdf.text_script import AnswerScript, Numbers, OneOf
+
+if TYPE_CHECKING:
+    from tokenizers import Tokenizer
 
 
 @dataclass(frozen=True)

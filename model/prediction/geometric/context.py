@@ -267,13 +267,6 @@ class PartContext:
         back = self.sampled.cover(self.part, -axis, (self.parent,), self.shape.box.axes)
         away = float(axis @ (self.shape.center - self.parent_shape.center))
         score = back - there + 0.6 * np.tanh(6 * away)
-        normal = self.shape.panel.normal
-        along = float(self.shape.box.axes[:, normal] @ axis)
-        if abs(along) > 0.9:
-            for side in (-1.0, 1.0):
-                out = self.shape.panel.beyond(side * np.sign(along))
-                if out is not None and out.share < 0.15:
-                    score += 0.2 * side
         score -= sum(float(np.sign(axis @ away)) for away in self.push_bars)
         return axis if score >= 0 else -axis
 
@@ -302,15 +295,16 @@ class PartContext:
 
     @cached_property
     def grips(self) -> list[tuple[Array, Array, float]]:
-        """Handles, latches at the rim, and knobs that are separate parts.
+        """Handles or else latches at the rim behind, and knobs that are separate parts.
 
         Each is (centre, spread) in the panel's box coordinates, and strength 0..1.
         """
         panel, box, sampled = self.shape.panel, self.shape.box, self.sampled
         out: list[tuple[Array, Array, float]] = []
         front = float(box.axes[:, panel.normal] @ self.panel_normal)
+        # Where the front has a handle, what lies behind the rim is a side of the panel or its body.
         for side in (front, -front):
-            found = panel.beyond(side)
+            found = None if out else panel.beyond(side)
             if found is None or found.strength == 0:
                 continue
             rim = np.abs(np.delete(found.center / np.maximum(box.half, 1e-6), panel.normal)).max()

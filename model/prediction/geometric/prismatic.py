@@ -8,7 +8,6 @@ import numpy.typing as npt
 from model.prediction.builder import Reason
 from model.prediction.geometric.context import JointProposal, PartContext, unit
 from model.prediction.geometric.limits import TOLERANCE, free_range
-from model.prediction.geometric.shape import fit_panel
 
 Array = npt.NDArray[np.float64]
 
@@ -30,9 +29,7 @@ def slide_out_proposals(context: PartContext) -> list[JointProposal]:
         own = float(shape.center @ direction) + shape.box.reach(direction)
         reach = max(base.box.reach(direction), 1e-3)
         edge = float(np.clip((own - end) / (0.5 * reach), -1.5, 0.3))
-        axis_k = k % 3
-        handle = _handle_beyond(context, axis_k, direction)
-        score = 1.8 * (1 - covers[k]) + 0.9 * covers[(k + 3) % 6] + 1.0 * edge + 0.8 * handle
+        score = 1.8 * (1 - covers[k]) + 0.9 * covers[(k + 3) % 6] + 1.0 * edge
         score += 0.8 * certainty * float(direction @ front)
         score += 0.3 * float(direction @ unit(shape.center - base.center))
         depth = _drawer_depth(context, direction)
@@ -42,18 +39,6 @@ def slide_out_proposals(context: PartContext) -> list[JointProposal]:
             JointProposal("prismatic", direction, shape.center, 0.0, travel, score, reasons=reasons)
         )
     return found
-
-
-def _handle_beyond(context: PartContext, k: int, direction: Array) -> float:
-    """1 if a handle points in that direction, -1 if one points the other way, 0 if both or none."""
-    panel = fit_panel(context.shape, k)
-    sign = float(np.sign(context.shape.box.axes[:, k] @ direction))
-    out = 0.0
-    for side in (1.0, -1.0):
-        found = panel.beyond(sign * side)
-        if found is not None and found.share < 0.12:
-            out += side
-    return out
 
 
 def _drawer_depth(context: PartContext, direction: Array) -> float:

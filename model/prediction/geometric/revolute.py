@@ -222,11 +222,6 @@ def lever_proposals(context: PartContext) -> list[JointProposal]:
         score += 0.9 * float(direction @ unit(shape.center - context.parent_shape.center))
         score += 0.8 * float(direction @ unit(arm))
         origin = context.contact_center
-        r = roundness(
-            shape.points[context.distance <= np.quantile(context.distance, 0.25)], direction, True
-        )
-        if r is not None and r.spread < 0.12:
-            origin = r.center
         axis = direction
         tip = shape.points.mean(0) - origin
         tip = tip - (tip @ axis) * axis
@@ -395,19 +390,13 @@ def swivel_proposals(context: PartContext) -> list[JointProposal]:
     if r is not None:
         found.append(_continuous(up, r.center, 1.5 - 12 * r.spread, Reason.SYMMETRY))
     for axis, score in ((up, 0.7), (UP, 0.9)):
-        found.append(_continuous(axis, _support(context, axis), score, Reason.SUPPORT))
+        found.append(_continuous(axis, _support(context), score, Reason.SUPPORT))
     return found
 
 
-def _support(context: PartContext, up: Array) -> Array:
-    """Centre of the contact, or of a round neck near it."""
-    contact = context.contact
-    near = context.distance <= np.quantile(context.distance, 0.12)
-    points = context.shape.points[near] if near.sum() >= 8 else contact
-    r = roundness(points, up, True)
-    if r is not None and r.spread < 0.12:
-        return r.center
-    return 0.5 * (contact.min(0) + contact.max(0))
+def _support(context: PartContext) -> Array:
+    """Centre of the contact."""
+    return 0.5 * (context.contact.min(0) + context.contact.max(0))
 
 
 def screw_proposals(context: PartContext) -> list[JointProposal]:
@@ -415,7 +404,7 @@ def screw_proposals(context: PartContext) -> list[JointProposal]:
     shape = context.shape
     up = context.upright()
     if "seat" in context.words or (shape.roundest is None and shape.size > 0.4):
-        seat = _continuous(up, _support(context, up), 1.0, Reason.SUPPORT)
+        seat = _continuous(up, _support(context), 1.0, Reason.SUPPORT)
         return [replace(seat, travel=(0.0, 0.06))]
     best: JointProposal | None = None
     along = unit(shape.center - context.parent_shape.center)

@@ -11,8 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from model.core.motion_lexicon import CATEGORY_PARENTS
-from model.core.names import base_score, category_key, known_word, mechanism_of, words
+from model.core.names import base_score, mechanism_of, words
 from model.core.progress import attempt
 from model.prediction.geometric.context import UP, Assembly, snapped, unit
 from model.prediction.geometric.sampled_object import CONTACT_GAP, SampledObject
@@ -86,26 +85,12 @@ def root_scores(sampled: SampledObject) -> Array:
     # The base stands on the ground; so do wheels, but they are small.
     grounded = (low < 0.02) & (size > 0.3 * size.max())
     out += 0.9 * grounded
-    feet = (low < 0.06) & (size < 0.2) & (low < low.max())
-    if feet.sum() >= 3:
-        out += 0.9 * (touches @ feet) / feet.sum()  # it stands on its wheels
     out += 1.5 * named
     # Balls and propellers carry nothing.
     for i, s in enumerate(shapes):
         if size[i] > 0.3 and low[i] > 0.06 and (s.ball or blades(s) is not None):
             out[i] -= 1.5
-    for i in np.argsort(-out)[: min(3, n)]:
-        out[i] += 1.2 * _encloses(sampled, int(i))
     return out
-
-
-def _encloses(sampled: SampledObject, i: int) -> float:
-    """0..1: mean share of the larger other parts that part ``i`` encloses."""
-    found = []
-    for j in sorted(sampled.others(i), key=lambda j: -sampled.shapes[j].size)[:6]:
-        covers = [sampled.cover(j, d, (i,)) for d in (*np.eye(3), *-np.eye(3))]
-        found.append(float(np.mean(covers)))
-    return float(np.mean(found)) if found else 0.0
 
 
 def spanning_parents(sampled: SampledObject, root: int) -> list[int]:
@@ -141,9 +126,9 @@ def spanning_parents(sampled: SampledObject, root: int) -> list[int]:
         mutual = j is not None and held.get(j) == i
         if mutual and (gap[i, root], i) < (gap[j, root], j):
             continue
-        if j is not None and (mutual or held.get(j) is None) and not _below(parent, j, i):
+        if j is not None and (mutual or held.get(j) is None) and not is_below(parent, j, i):
             parent[i] = j
-    return _named_parents(sampled, root, _leaves_apart(sampled, root, parent))
+    return _leaves_apart(sampled, root, parent)
 
 
 def _leaves_apart(sampled: SampledObject, root: int, parent: list[int]) -> list[int]:
@@ -230,32 +215,6 @@ def _small(sampled: SampledObject, holder: int, held: int) -> float:
     return float(sampled.shapes[holder].size < 0.8 * sampled.shapes[held].size)
 
 
-def _named_parents(sampled: SampledObject, root: int, parent: list[int]) -> list[int]:
-    """Apply the category's parents by name."""
-    table = CATEGORY_PARENTS.get(category_key(sampled.category), {})
-    if not table:
-        return parent
-    names = [words(s.name) for s in sampled.shapes]
-    for i, name in enumerate(names):
-        if i == root or not name:
-            continue
-        for word, above in table.items():
-            if known_word(name[-1], (word,)) is None:
-                continue
-            near = [
-                j
-                for j, other in enumerate(names)
-                if j not in (i, root)
-                and other
-                and known_word(other[-1], (above,)) is not None
-                and sampled.gap[i, j] < 4 * CONTACT_GAP
-                and not _below(parent, j, i)
-            ]
-            if near:
-                parent[i] = min(near, key=lambda j: (sampled.gap[i, j], j))
-    return parent
-
-
 def _above(parent: list[int], link: int) -> list[int]:
     """The ancestors of ``link``, nearest first."""
     out = []
@@ -265,7 +224,7 @@ def _above(parent: list[int], link: int) -> list[int]:
     return out
 
 
-def _below(parent: list[int], link: int, top: int) -> bool:
+def is_below(parent: list[int], link: int, top: int) -> bool:
     """True if ``link`` is ``top`` or a descendant of it."""
     while link >= 0:
         if link == top:

@@ -301,16 +301,12 @@ class _Stage(UsdStage):
             _, _, rest = placed_frame(world)
             start = affine(rest)
             back = start @ np.linalg.inv(world)
-            into = self.turn.copy()
-            into[:3, :3] *= self.unit
             out: list[tuple[str | None, Loaded]] = []
             for shape in self.prims(prim):
-                kind = shape.GetTypeName()
-                if kind == "Mesh" or kind in SHAPES:
-                    made = self.mesh_of(shape) if kind == "Mesh" else self.primitive_of(shape, kind)
-                    same = shape == prim
-                    move = start if same else back @ self.world(shape)
-                    out.append((str(shape.GetName()), made.moved(move @ into)))
+                made = self.shape_of(shape)
+                if made is not None:
+                    move = start if shape == prim else back @ self.world(shape)
+                    out.append((str(shape.GetName()), made.moved(move @ self.into)))
             return out
 
         return pieces

@@ -47,6 +47,7 @@ from model.scenes.scene import (
 )
 from model.scenes.unpacking import Unpacked, Unpacker
 from model.scenes.values import (
+    JsonReader,
     Place,
     about_z,
     collect,
@@ -56,6 +57,7 @@ from model.scenes.values import (
     pose,
     read_json,
     shown,
+    table,
     text,
 )
 
@@ -216,16 +218,12 @@ _MAX_DEPTH = 16
 BUILDING = "building"
 
 
-class HolodeckReader:
+class HolodeckReader(JsonReader):
     """``objects`` with ``assetId``, ``position`` and ``rotation``, and what stands on them."""
 
     name = "holodeck"
     description = "Holodeck and ProcTHOR houses (AI2-THOR JSON)"
-
-    def recognises(self, path: Path, head: bytes) -> bool:
-        """See :class:`~model.scenes.scene.SceneReader`."""
-        known = (b'"proceduralParameters"', b'"assetId"', b'"roomType"')
-        return path.suffix.lower() == ".json" and any(k in head for k in known)
+    marks = (b'"proceduralParameters"', b'"assetId"', b'"roomType"')
 
     def read(self, path: Path) -> Scene:
         """See :class:`~model.scenes.scene.SceneReader`."""
@@ -278,8 +276,7 @@ def _entries(objects: list[Any], place: Place, depth: int = 0) -> Iterator[tuple
 def _object(place: Place, entry: Any, rooms: dict[str, str]) -> SceneObject:
     if isinstance(entry, SceneObject):
         return entry
-    if not isinstance(entry, dict):
-        raise SceneObjectError(f"is {shown(entry)}; an object with assetId is needed")
+    entry = table(entry, "assetId")
     id = text(entry.get("id"), "id")
     asset = text(entry.get("assetId"), "assetId")
     turn = entry.get("rotation")
@@ -307,16 +304,12 @@ _UP = turned_up("y")[:3, :3]
 _REMEDY = "give a room that PhyScene wrote: ThreedFront and GPN, or objects with rot_degree"
 
 
-class PhySceneReader:
+class PhySceneReader(JsonReader):
     """``{"ThreedFront": …, "GPN": …}``, or ``{"objects": […], "floor_center", "door_box"}``."""
 
     name = "physcene"
     description = "PhyScene rooms (retrieved models, or boxes with a floor plan)"
-
-    def recognises(self, path: Path, head: bytes) -> bool:
-        """See :class:`~model.scenes.scene.SceneReader`."""
-        known = (b'"ThreedFront"', b'"GPN"', b'"rot_degree"', b'"door_box"')
-        return path.suffix.lower() == ".json" and any(k in head for k in known)
+    marks = (b'"ThreedFront"', b'"GPN"', b'"rot_degree"', b'"door_box"')
 
     def read(self, path: Path) -> Scene:
         """See :class:`~model.scenes.scene.SceneReader`."""
@@ -366,8 +359,7 @@ def _label(entry: Any) -> str | None:
 
 
 def _model(place: Place, entry: Any) -> SceneObject:
-    if not isinstance(entry, dict):
-        raise SceneObjectError(f"is {shown(entry)}; an entry with theta and position is needed")
+    entry = table(entry, "theta and position")
     kind, id = str(place[0]), text(place[1], "the model's id")
     scale = entry.get("scale")
     if isinstance(scale, int | float) and not isinstance(scale, bool):
@@ -394,8 +386,7 @@ def _model(place: Place, entry: Any) -> SceneObject:
 
 
 def _box(place: Place, entry: Any) -> SceneObject:
-    if not isinstance(entry, dict):
-        raise SceneObjectError(f"is {shown(entry)}; an object with label and position is needed")
+    entry = table(entry, "label and position")
     label = text(entry.get("label"), "label")
     half = numbers(entry.get("scale"), 3, "scale (half of the box' sizes)")
     x, y, z = (2 * half[[0, 2, 1]]).tolist()

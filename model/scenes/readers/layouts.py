@@ -32,6 +32,7 @@ from model.core.errors import InputFileError
 from model.scenes.readers.lisdf import readable
 from model.scenes.scene import FloatArray, Scene, SceneFrame, SceneObject, SceneObjectError, upright
 from model.scenes.values import (
+    JsonReader,
     Place,
     about_z,
     collect,
@@ -43,19 +44,17 @@ from model.scenes.values import (
     read_text,
     rotation_from_quaternion,
     shown,
+    table,
     text,
 )
 
 
-class InternScenesReader:
+class InternScenesReader(JsonReader):
     """A list of ``{id, category, model_uid, bbox}``."""
 
     name = "internscenes"
     description = "InternScenes layouts (layout.json)"
-
-    def recognises(self, path: Path, head: bytes) -> bool:
-        """See :class:`~model.scenes.scene.SceneReader`."""
-        return path.suffix.lower() == ".json" and b'"model_uid"' in head
+    marks = (b'"model_uid"',)
 
     def read(self, path: Path) -> Scene:
         """See :class:`~model.scenes.scene.SceneReader`."""
@@ -73,8 +72,7 @@ def _id(entry: Any) -> str | None:
 
 
 def _filled_box(place: Place, entry: Any) -> SceneObject:
-    if not isinstance(entry, dict):
-        raise SceneObjectError(f"is {shown(entry)}; an object with model_uid and bbox is needed")
+    entry = table(entry, "model_uid and bbox")
     id = _id(entry)
     if not id:
         raise SceneObjectError(f"id is {shown(entry.get('id'))}; a text or number is needed")
@@ -98,16 +96,12 @@ def _filled_box(place: Place, entry: Any) -> SceneObject:
 CENTIMETRES = 0.01
 
 
-class MesaTaskReader:
+class MesaTaskReader(JsonReader):
     """``objects`` with ``instance`` and either ``retrieved_uid`` or ``description``."""
 
     name = "mesatask"
     description = "MesaTask tables (layout.json, or the language model's output)"
-
-    def recognises(self, path: Path, head: bytes) -> bool:
-        """See :class:`~model.scenes.scene.SceneReader`."""
-        known = (b'"item_placement_zone"', b'"retrieved_uid"')
-        return path.suffix.lower() == ".json" and any(k in head for k in known)
+    marks = (b'"item_placement_zone"', b'"retrieved_uid"')
 
     def read(self, path: Path) -> Scene:
         """See :class:`~model.scenes.scene.SceneReader`."""
@@ -122,14 +116,8 @@ class MesaTaskReader:
         return Scene(path.parent.name or path.stem, path, self.name, objects, problems, frame)
 
 
-def _entry(entry: Any) -> dict[str, Any]:
-    if not isinstance(entry, dict):
-        raise SceneObjectError(f"is {shown(entry)}; an object with instance is needed")
-    return entry
-
-
 def _from_layout(place: Place, entry: Any) -> SceneObject:
-    entry = _entry(entry)
+    entry = table(entry, "instance")
     name = text(entry.get("instance"), "instance")
     turn = rotation_from_quaternion(numbers(entry.get("rotation"), 4, "rotation"))
     factor = entry.get("scale_factor")
@@ -151,7 +139,7 @@ def _from_layout(place: Place, entry: Any) -> SceneObject:
 
 
 def _from_words(place: Place, entry: Any) -> SceneObject:
-    entry = _entry(entry)
+    entry = table(entry, "instance")
     name = text(entry.get("instance"), "instance")
     angle = entry.get("z_rotation", 0.0)
     turn = about_z(math.radians(float(numbers([angle], 1, "z_rotation")[0])))
@@ -266,8 +254,7 @@ def _first(value: Any, what: str) -> dict[str, Any]:
 
 
 def _object(sizes: dict[str, Size], room: str | None, place: Place, entry: Any) -> SceneObject:
-    if not isinstance(entry, dict):
-        raise SceneObjectError(f"is {shown(entry)}; an object with coordinates is needed")
+    entry = table(entry, "coordinates")
     name = text(entry.get("object"), "object")
     where: FloatArray = numbers(_first(entry.get("coordinates"), "coordinates"), 3, "coordinates")
     angle = 0.0

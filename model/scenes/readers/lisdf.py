@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from model.core.errors import InputFileError
-from model.io.robot_xml import XmlSchema
+from model.io.robot_xml import XmlSchema, parse
 from model.io.urdf.sdf import pose_of
 from model.scenes.scene import (
     FloatArray,
@@ -25,7 +25,7 @@ from model.scenes.scene import (
     SceneProblem,
     upright,
 )
-from model.scenes.values import collect, numbers, read_text, shown
+from model.scenes.values import collect, numbers, shown
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
@@ -69,7 +69,7 @@ class LisdfReader:
 
     def read(self, path: Path) -> Scene:
         """See :class:`~model.scenes.scene.SceneReader`."""
-        root = parse_xml(path)
+        root = parse(path)
         world = root.find("world") if root.tag == "sdf" else None
         if world is None:
             raise InputFileError(path, "holds no <sdf> with a <world>", "give an LISDF world")
@@ -93,23 +93,6 @@ def _notes(root: Element, world: Element) -> list[str]:
     if several:
         out.append(f"only the first box is read of {len(several)} models with several links")
     return out
-
-
-def parse_xml(path: Path) -> Element:
-    """The root of an XML file of people.
-
-    Raises:
-        InputFileError: where it is damaged, or uses entities, which are refused.
-    """
-    import defusedxml
-    from defusedxml import ElementTree
-
-    try:
-        return ElementTree.fromstring(read_text(path).lstrip())
-    except ElementTree.ParseError as error:
-        raise InputFileError(path, f"is not XML: {error}", "export the scene again") from None
-    except defusedxml.DefusedXmlException as error:
-        raise InputFileError(path, f"uses XML entities, which are refused ({error})") from None
 
 
 def _name(element: Element) -> str | None:

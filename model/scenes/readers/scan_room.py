@@ -17,8 +17,6 @@ Metres, +z up, as PLY scans are taken.
 from __future__ import annotations
 
 import re
-import zipfile
-import zlib
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -30,11 +28,11 @@ import numpy.typing as npt
 from model.core.errors import InputFileError
 from model.io.formats.loaded import Loaded
 from model.io.formats.ply import read_ply_columns
+from model.io.formats.points import npz_arrays
 from model.io.geometry_files import MIN_POINTS
 from model.scenes.scene import Scene, SceneObject, SceneObjectError, SceneProblem
 from model.scenes.unpacking import Unpacked, Unpacker
 from model.scenes.values import (
-    MAX_BYTES,
     Place,
     about_z,
     collect,
@@ -42,7 +40,7 @@ from model.scenes.values import (
     numbers,
     pose,
     read_json,
-    shown,
+    table,
     text,
 )
 
@@ -59,6 +57,7 @@ SCANNET20 = (
 _BUILDING = frozenset({"wall", "floor", "ceiling"})
 PROPERTIES = ("instance", "instance_id", "instanceid", "object_id", "objectid")
 """Properties of PLY vertices that hold instances."""
+_LABELS = (*PROPERTIES, "category", "segment20")
 FEWEST = 50
 """Points of an instance below which it is a splinter."""
 _GRID = 128.0
@@ -132,7 +131,7 @@ def _instances(
     beside = _beside(path)
     if beside is not None and beside.suffix == ".json":
         return _boxed(beside, loaded)
-    arrays = columns if beside is None else _read_labels(beside)
+    arrays = columns if beside is None else npz_arrays(beside, _LABELS)[0]
     labels = next((arrays[k] for k in PROPERTIES if k in arrays), None)
     if labels is None and beside is None:
         message = (
@@ -181,21 +180,6 @@ def _instances(
     return found, tuple(problems)
 
 
-def _read_labels(path: Path) -> dict[str, npt.NDArray[Any]]:
-    wanted = (*PROPERTIES, "category", "segment20")
-    try:
-        with zipfile.ZipFile(path) as archive:
-            if sum(i.file_size for i in archive.infolist()) > 8 * MAX_BYTES:
-                raise InputFileError(path, "unpacks to more than labels need")
-        with np.load(path, allow_pickle=False) as file:
-            return {k.lower(): np.asarray(file[k]) for k in file.files if k.lower() in wanted}
-    except (
-        OSError, ValueError, KeyError, EOFError, SyntaxError, TypeError, MemoryError,
-        zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError,
-    ) as error:  # fmt: skip
-        raise InputFileError(path, f"is not an NPZ archive of arrays ({error})") from None
-
-
 def _categories(arrays: dict[str, npt.NDArray[Any]], count: int) -> npt.NDArray[Any] | None:
     """(N,) texts, "" if unknown."""
     given, classes = arrays.get("category"), arrays.get("segment20")
@@ -238,8 +222,7 @@ def _boxed(path: Path, loaded: Loaded) -> tuple[list[Instance], tuple[SceneProbl
 
 
 def _in_box(entry: Any, loaded: Loaded, free: npt.NDArray[np.bool_]) -> Instance:
-    if not isinstance(entry, dict):
-        raise SceneObjectError(f"is {shown(entry)}; a box with id, center and size is needed")
+    entry = table(entry, "id, center and size")
     id = text(entry.get("id"), "id")
     center, size = numbers(entry.get("center"), 3, "center"), numbers(entry.get("size"), 3, "size")
     yaw = float(numbers([entry.get("yaw", 0.0)], 1, "yaw")[0])

@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 
 from model.core.errors import ArtiworldError, ConfigurationError
+from model.core.pool import robust_map
 from model.core.progress import Progress, no_progress
-from model.data.datasets import GroundTruth
 from model.data.procedural.corruption import MIXED, corrupted, sometimes
 from model.data.procedural.generate import family_names, make
+from model.data.registry import GroundTruth
 from model.evaluation.joint_metrics import score_object
-from model.evaluation.pool import robust_map
 from model.evaluation.summary import compared
 from model.prediction.arti4urdf.structure import read_structure
 from model.prediction.builder import FORMAT, SHIPPED, ConfidenceModel, fit

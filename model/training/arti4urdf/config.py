@@ -232,33 +232,7 @@ LOG = "log.jsonl"
 CONFIG = "config.json"
 
 
-class Schedule(Protocol):
-    """The part of a configuration that the loop reads."""
-
-    @property
-    def batch(self) -> int:
-        """Objects per step."""
-        ...
-
-    @property
-    def learning_rate(self) -> float:
-        """At its peak."""
-        ...
-
-    @property
-    def warmup(self) -> int:
-        """Steps until the peak."""
-        ...
-
-    @property
-    def steps(self) -> int:
-        """Number of steps of the whole run."""
-        ...
-
-    @property
-    def every(self) -> int:
-        """Steps between log entries and states."""
-        ...
+Schedule = TrainingConfig | FullConfig
 
 
 class Trainer(Protocol):

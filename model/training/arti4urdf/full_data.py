@@ -10,17 +10,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
-from tokenizers import Tokenizer
 from torch.utils.data import Dataset as TorchDataset
 
 from model.core.articulated_object import ArticulatedObject, Part, SegmentedObject
 from model.core.errors import ArtiworldError
 from model.core.files import draft_of
 from model.core.tree import KinematicTree
-from model.data.datasets import Dataset, GroundTruth
+from model.data.registry import Dataset, GroundTruth
 from model.prediction.arti4urdf.answer import rounded, write_answer
 from model.prediction.arti4urdf.full_model import Example
 from model.prediction.arti4urdf.full_predictor import make_example
@@ -28,6 +28,9 @@ from model.prediction.arti4urdf.text_script import as_written
 from model.prediction.remote_backend import decode_request, encode_request
 from model.training.arti4urdf.config import FullConfig
 from model.training.arti4urdf.samples import MOST_PARTS, draw_truth, family_of
+
+if TYPE_CHECKING:
+    from tokenizers import Tokenizer
 
 TRIES = 20
 """Unusable objects in a row after which a run ends."""

@@ -21,9 +21,10 @@ import numpy as np
 import numpy.typing as npt
 
 from model.core.errors import ArtiworldError
+from model.core.pool import robust_map
 from model.data.registry import DatasetOptions, open_dataset
-from model.evaluation.pool import robust_map
 from model.prediction.arti4urdf import vocabulary as v
+from model.prediction.arti4urdf.choosing import geometric_prior
 from model.prediction.arti4urdf.decoding import same_motion
 from model.prediction.arti4urdf.motion_ranker import (
     NAMES,
@@ -32,7 +33,7 @@ from model.prediction.arti4urdf.motion_ranker import (
     motion_features,
     network_odds,
 )
-from model.prediction.arti4urdf.predictor import geometric_prior, hybrid, make_prompt
+from model.prediction.arti4urdf.predictor import hybrid, make_prompt
 from model.prediction.arti4urdf.structure import read_structure
 from model.segmentation.models import Trees, save_trees
 from model.training.arti4urdf.samples import (
@@ -115,7 +116,8 @@ def parts_of(data: DatasetOptions | None, seed: int, task: tuple[str, bool, int]
         return []
     prompt = make_prompt(structure, segmented, number)
     rules, same = geometric_prior(structure), same_motion(prompt)
-    answer = hybrid().answer(prompt, structure, {}, rules)
+    prior = hybrid().prior(structure, rules, {})
+    answer = hybrid().answer(prompt, structure, {}, prior)
     out: list[Part] = []
     for i in range(len(segmented.parts)):
         odds = network_odds(answer, i)

@@ -20,13 +20,12 @@ from model.core.articulated_object import ArticulatedObject
 from model.core.errors import ArtiworldError, ConfigurationError
 from model.core.files import draft_of
 from model.core.joint import JOINT_KINDS, Joint
+from model.core.pool import in_processes
 from model.core.progress import Progress, no_progress
-from model.data.datasets import GroundTruth, training_ids
 from model.data.procedural.corruption import MIXED, corrupted, sometimes
 from model.data.procedural.generate import COMPOSITE, family_names, make
-from model.data.registry import recognised
+from model.data.registry import GroundTruth, recognised, training_ids
 from model.evaluation.joint_metrics import UsableLimits, chain, interval_iou
-from model.evaluation.pool import in_processes
 from model.prediction.arti4urdf.structure import (
     SLOTS,
     Structure,
@@ -34,7 +33,7 @@ from model.prediction.arti4urdf.structure import (
     read_structure,
     structure_arrays,
 )
-from model.prediction.arti4urdf.vocabulary import TYPES
+from model.prediction.arti4urdf.vocabulary import SCREW, TYPES
 from model.prediction.geometric.context import JointProposal
 
 Array = npt.NDArray[np.float64]
@@ -112,7 +111,7 @@ def label(structure: Structure, truth: ArticulatedObject) -> Labels | None:
                 continue
             final = structure.candidate(i, slot)
             assert final is not None
-            own = final.travel if kind == "screw" else (final.lower, final.upper)
+            own = final.travel if kind == TYPES[SCREW] else (final.lower, final.upper)
             if own is None or (kind == "revolute" and h.type == "continuous"):
                 continue
             aligned = float(final.axis @ axis) > 0
@@ -129,7 +128,7 @@ def _kind(joints: tuple[Joint, ...]) -> str | None:
     if len(joints) == 2 and len(turning) == 1:
         a, b = (np.asarray(j.axis) for j in joints)
         if abs(float(a @ b)) > 0.99:
-            return "screw"
+            return TYPES[SCREW]
     return None
 
 
@@ -351,7 +350,7 @@ def write_dataset(
 
     Args:
         root: of PartNet-Mobility or PhysXNet. folder: of the shards.
-        held_out, test_share: see :func:`model.data.datasets.training_ids`.
+        held_out, test_share: see :func:`model.data.registry.training_ids`.
         progress: reports each object.
 
     Returns:

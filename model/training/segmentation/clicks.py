@@ -16,9 +16,9 @@ from typing import Literal
 import numpy as np
 
 from model.core.asset import Asset
+from model.core.pool import in_order
 from model.data.simulated.rooms import NOTHING, cropped_room, scanned_room
 from model.data.simulated.scans import DRAWERED, SMALL_PARTED, build, random_scan
-from model.evaluation.pool import in_order
 from model.segmentation.arrays import Bool, Int16
 from model.segmentation.encoding import Encoding, encode
 from model.segmentation.graph import shipped_edge_model

@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 
 from model.core.asset import Asset
+from model.core.pool import in_order
 from model.data.simulated.scans import SQUARE, build, random_scan
-from model.evaluation.pool import in_order
 from model.segmentation.all_parts import (
     PART_FEATURE_NAMES,
     PART_SCORER,

@@ -18,7 +18,7 @@ from scipy.linalg import block_diag
 from torch import Tensor, nn
 from torch.nn.functional import binary_cross_entropy_with_logits
 
-from model.evaluation.pool import in_order
+from model.core.pool import in_order
 from model.segmentation.arrays import Bool, Float, Int, Int64
 from model.segmentation.encoding import Encoding
 from model.segmentation.models import Mlp, Scorer, Trees, save_scorer

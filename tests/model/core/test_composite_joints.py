@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from model.core.composite_joints import COMPOSITE_KINDS, HELPERS, Composite, composite_of
+from model.core.composite_joints import COMPOSITE_KINDS, COMPOSITES, Composite, composite_of
 from model.core.composite_joints import with_composite as made
 from model.core.errors import KinematicsError
 from model.core.joint import Joint, Mimic
@@ -65,7 +65,7 @@ def test_what_slid_turns_as_often_as_its_travel_needs():
 def test_each_kind_is_recognised_and_can_be_taken_back(kind):
     tree = turned(kind, motions(kind).pitch)
     assert composite_of(tree, "link_1", holds) == motions(kind)
-    assert len(tree.links) == 3 + HELPERS[kind]
+    assert len(tree.links) == 3 + COMPOSITES[kind].helpers
     assert made(tree, "link_1", motions(kind), holds) is tree
     back = made(tree, "link_1", Composite("single"), holds)
     assert set(back.links) == set(TREE.links)

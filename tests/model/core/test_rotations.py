@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from model.core.geometry import affine, axis_scales, quaternion_wxyz, uniform_scale
 from model.core.shapes import Primitive, moved_shape
-from sessions.tool_commands import ObjectFrame
+from sessions.document import ObjectFrame
 
 SCALES = (1.5, 0.1, 0.001, 0.0254, 0.3, 2.7, 1 / 3, 1000.0)
 

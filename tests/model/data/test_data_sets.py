@@ -11,8 +11,15 @@ import pytest
 import trimesh
 
 from model.core.errors import ConfigurationError, InputFileError
-from model.data.datasets import Dataset, in_test, is_held_out, select
-from model.data.registry import DatasetOptions, dataset_names, open_dataset
+from model.data.registry import (
+    Dataset,
+    DatasetOptions,
+    dataset_names,
+    in_test,
+    is_held_out,
+    open_dataset,
+    select,
+)
 
 
 def obj_file(path: Path, size: tuple[float, ...], at: tuple[float, ...]) -> None:

@@ -12,8 +12,8 @@ from PIL import Image
 
 from model.core.errors import InputFileError
 from model.core.tree import KinematicTree
-from model.data.datasets import Dataset
 from model.data.folders import PartNetMobility, export_parts, read_partnet_mobility
+from model.data.registry import Dataset
 from model.io.merging import rigid_groups
 from model.io.urdf.reader import read_urdf_model
 

@@ -16,7 +16,6 @@ from model.data.folders import PartNetMobility
 from model.data.procedural.corruption import MIXED, Corruption, corrupted, sometimes
 from model.data.procedural.examples import EXAMPLES, write_examples
 from model.data.procedural.generate import GenerateSettings, generate, make
-from model.data.procedural.grammar import transformed
 from model.data.simulated.depth_camera import ScanSettings, View, simulate_scan
 from model.io.open_asset import open_asset
 from tests.model.demos import demo_truth, encoded_demo
@@ -148,7 +147,7 @@ def test_folders_read_back_as_they_were_made(tmp_path: Path) -> None:
     for name in data.ids():
         family, seed, index = name.rsplit("_", 2)
         read = data.load(name).object
-        made = transformed(make(family, int(seed), int(index)).object, front)
+        made = make(family, int(seed), int(index)).object.moved(front)
         assert read.category == family
         for a, b in zip(read.parts, made.parts, strict=True):
             assert (a.link, a.name) == (b.link, b.name)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from model.core.geometry import affine, rotation_from_rpy
-from model.evaluation.agreement import agreement, mean_figures, similarity_of
+from model.evaluation.agreement import agreement, mean_figures
 from tests.accepted import cupboard
 from tests.builders import box, part
 
@@ -24,7 +24,7 @@ def test_the_same_twice_agrees_wholly() -> None:
 
 def test_frames_that_were_levelled_and_sized_differently_are_the_same_object() -> None:
     one_from_other = affine(0.5 * rotation_from_rpy((0.3, -1.0, 2.0)), (3.0, -1.0, 0.2))
-    other = similarity_of(np.linalg.inv(one_from_other)).object(cupboard())
+    other = cupboard().moved(np.linalg.inv(one_from_other))
     assert agreement(cupboard(), other).disagreement > 0.3
     assert agreement(cupboard(), other, one_from_other).disagreement < 0.01
 

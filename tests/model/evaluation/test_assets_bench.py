@@ -10,9 +10,9 @@ import pytest
 
 from app.cli.main import main
 from model.data.registry import DatasetOptions, open_dataset
-from model.evaluation import assets
+from model.evaluation import bench
 from model.evaluation.assets import AssetsConfig, beside, row, run, score_object, to_json
-from model.evaluation.scans import half_of
+from model.evaluation.bench import half_of
 from model.io import readback
 from model.io.readback import write_and_read
 from model.physics.simulation_values import plain_physics
@@ -35,11 +35,11 @@ def one(monkeypatch):
             return tuple(objects)
 
         def load(self, name):
-            from model.data.datasets import GroundTruth
+            from model.data.registry import GroundTruth
 
             return GroundTruth(name, objects[name])
 
-    monkeypatch.setattr(assets, "open_dataset", lambda _: Two())
+    monkeypatch.setattr(bench, "open_dataset", lambda _: Two())
     return AssetsConfig(
         DatasetOptions("two"), "all", engines=("mujoco",), formats=("mjcf", "glb"), jobs=1
     )
@@ -66,7 +66,7 @@ def test_an_object_that_cannot_be_read_is_refused_everywhere(one, monkeypatch):
     def broken(_):
         raise ValueError("torn file")
 
-    monkeypatch.setattr(assets, "open_dataset", broken)
+    monkeypatch.setattr(bench, "open_dataset", broken)
     score = score_object(one, "good")
     assert score.engines == {"mujoco": False} and "torn file" in score.problems[0]
     assert row(one, [score])["MuJoCo"] == 0.0

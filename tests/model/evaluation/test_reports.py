@@ -12,13 +12,13 @@ import pytest
 
 from model.core.errors import ConfigurationError, InputFileError
 from model.data.registry import DatasetOptions
-from model.evaluation import render
 from model.evaluation.compare import compare
 from model.evaluation.html_report import worst_objects, write_html
 from model.evaluation.joint_metrics import Execution, JointScore, ObjectScore, tree_edits
 from model.evaluation.report import Report, read_report, to_markdown
 from model.evaluation.run import EvaluationConfig, evaluate
 from model.evaluation.summary import METRICS, bootstrap, calibrate, summarise
+from model.geometry import drawing
 
 HOSTILE = '<script>alert("x")</script> | [a](javascript:b) `c`\n# d'
 
@@ -144,12 +144,12 @@ def test_a_render_shows_near_before_far_and_joints_in_colour() -> None:
     from model.data.registry import open_dataset
 
     obj = open_dataset(data).load("Safe_0_0").object
-    colors = render.part_colors([p.link for p in obj.parts], obj.tree.root)
-    plain = np.asarray(render.draw(obj, colors=colors))
-    joints = np.asarray(render.draw(obj, colors=colors, joints=True))
-    back = np.asarray(render.draw(obj, colors=colors, view=render.View(azimuth=0.0)))
-    assert plain.shape == (260, 300, 3) and (plain != render.BACKGROUND).any()
-    assert (joints == render.TURN).all(axis=2).sum() > 30
+    colors = drawing.part_colors([p.link for p in obj.parts], obj.tree.root)
+    plain = np.asarray(drawing.draw(obj, colors=colors))
+    joints = np.asarray(drawing.draw(obj, colors=colors, joints=True))
+    back = np.asarray(drawing.draw(obj, colors=colors, view=drawing.View(azimuth=0.0)))
+    assert plain.shape == (260, 300, 3) and (plain != drawing.BACKGROUND).any()
+    assert (joints == drawing.TURN).all(axis=2).sum() > 30
     door = next(c for link, c in colors.items() if link != obj.tree.root)
 
     def orange(picture: np.ndarray) -> int:
@@ -157,6 +157,6 @@ def test_a_render_shows_near_before_far_and_joints_in_colour() -> None:
         r, g, b = (picture[..., k].astype(int) for k in range(3))
         return int(((r - b > 60) & (r > g)).sum())
 
-    assert door == render.PALETTE[1]
+    assert door == drawing.PALETTE[1]
     assert orange(plain) > 500 > orange(back)  # the door is in front
-    assert render.png(render.draw(obj))[:4] == b"\x89PNG"
+    assert drawing.png(drawing.draw(obj))[:4] == b"\x89PNG"

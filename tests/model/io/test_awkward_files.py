@@ -6,8 +6,6 @@ The files in ``awkward/`` are of our own making. Sources: glTFast 107, glTF-Blen
 
 from __future__ import annotations
 
-import json
-import struct
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +17,7 @@ from model.core.geometry import Mesh
 from model.io.open_asset import open_asset
 from model.scenes.asset_parts import index_assets
 from model.scenes.registry import read_scene
+from tests.builders import write_glb
 
 FILES = Path(__file__).parent / "awkward"
 
@@ -70,24 +69,16 @@ def test_lines_that_are_left_out_are_counted() -> None:
     assert any("lines" in w for w in opened("glb_points_lines/*/*.glb").warnings)
 
 
-def glb(tree: dict, path: Path) -> Path:
-    data = json.dumps({"asset": {"version": "2.0"}, **tree}).encode()
-    data += b" " * (-len(data) % 4)
-    head = struct.pack("<4sIIII", b"glTF", 2, 20 + len(data), len(data), 0x4E4F534A)
-    path.write_bytes(head + data)
-    return path
-
-
 @pytest.mark.parametrize("extension", ["ACME_shape", "KHR_gaussian_splatting", "EXT_nope"])
 def test_an_unknown_required_extension_is_refused(extension: str, tmp_path: Path) -> None:
-    path = glb({"extensionsRequired": [extension]}, tmp_path / "a.glb")
+    path = write_glb(tmp_path / "a.glb", {"extensionsRequired": [extension]})
     with pytest.raises(InputFileError, match=extension):
         open_asset(path)
 
 
 def test_a_node_with_two_parents_is_refused_at_once(tmp_path: Path) -> None:
     nodes = [{"children": [k + 1, k + 1]} for k in range(40)] + [{}]
-    path = glb({"nodes": nodes, "scenes": [{"nodes": [0]}]}, tmp_path / "a.glb")
+    path = write_glb(tmp_path / "a.glb", {"nodes": nodes, "scenes": [{"nodes": [0]}]})
     with pytest.raises(InputFileError, match="two parents"):
         open_asset(path)
 

@@ -18,6 +18,7 @@ from PIL import Image
 from model.core import textures
 from model.core.errors import InputFileError
 from model.io.open_asset import open_asset
+from tests.builders import ply_head
 
 BOX = "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\n"
 
@@ -64,9 +65,8 @@ def test_sizes_of_images_are_read_from_their_headers(tmp_path: Path, monkeypatch
 
 def test_a_texture_that_is_a_pipe_holds_nobody_up(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe.png")
-    head = "ply\nformat ascii 1.0\ncomment TextureFile pipe.png\nelement vertex 3\n"
-    head += "".join(f"property float {c}\n" for c in ("x", "y", "z", "s", "t"))
-    head += "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
+    head = ply_head(3, "float x y z s t", faces=1)
+    head = head.replace("made elsewhere", "TextureFile pipe.png")
     (tmp_path / "a.ply").write_text(head + "0 0 0 0 0\n1 0 0 1 0\n0 1 0 0 1\n3 0 1 2\n")
     assert any("regular file" in w for w in open_asset(tmp_path / "a.ply").warnings)
 

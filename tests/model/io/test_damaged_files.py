@@ -20,11 +20,8 @@ from model.io.geometry_files import SUFFIXES
 from model.io.model_files import find_assets
 from model.io.open_asset import open_asset, read_part_files
 from model.io.write import write_cloud, write_mesh
+from tests.builders import ply_head
 
-HEAD = (
-    "ply\nformat {} 1.0\nelement vertex {}\nproperty float x\nproperty float y\n"
-    "property float z\nend_header\n"
-)
 TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
 
 
@@ -77,11 +74,11 @@ def test_file_over_the_limit(tmp_path: Path, cloud: PointCloud) -> None:
 
 def test_nan_points_are_left_out_and_counted(tmp_path: Path) -> None:
     rows = ["0 0 0", "nan 0 0", "1 0 0", "0 1 inf", "0 1 0", "0 0 1"]
-    (tmp_path / "a.ply").write_text(HEAD.format("ascii", 6) + "\n".join(rows))
+    (tmp_path / "a.ply").write_text(ply_head(6) + "\n".join(rows))
     asset = open_asset(tmp_path / "a.ply")
     assert asset.element_count == 4
     assert "2 of 6 points are NaN" in asset.warnings[0]
-    (tmp_path / "b.ply").write_text(HEAD.format("ascii", 6) + "nan nan nan\n" * 6)
+    (tmp_path / "b.ply").write_text(ply_head(6) + "nan nan nan\n" * 6)
     refused(tmp_path / "b.ply", "all 6 points are NaN")
     (tmp_path / "c.obj").write_text(TRIANGLE + "v nan 0 0\nf 1 2 3\nf 1 2 4\n")
     asset = open_asset(tmp_path / "c.obj")
@@ -94,7 +91,7 @@ def test_too_few_points(tmp_path: Path) -> None:
     assert "4 points or more" in str(refused(tmp_path / "a.xyz", "a single point"))
     (tmp_path / "b.xyz").write_text("1 2 3\n" * 10)
     refused(tmp_path / "b.xyz", "at one place")
-    (tmp_path / "c.ply").write_text(HEAD.format("ascii", 0))
+    (tmp_path / "c.ply").write_text(ply_head(0))
     refused(tmp_path / "c.ply", "neither points nor faces")
 
 
@@ -170,7 +167,7 @@ def test_xml_entities_are_refused(tmp_path: Path) -> None:
 
 def test_absurd_counts_are_not_believed(tmp_path: Path) -> None:
     for style in ("ascii", "binary_little_endian"):
-        (tmp_path / "a.ply").write_text(HEAD.format(style, 10**12) + "0 0 0\n")
+        (tmp_path / "a.ply").write_text(ply_head(10**12, style=style) + "0 0 0\n")
         began = time.perf_counter()
         refused(tmp_path / "a.ply", "promises 1000000000000 rows")
         assert time.perf_counter() - began < 0.5
@@ -191,10 +188,7 @@ def test_indices_out_of_range(tmp_path: Path) -> None:
     for bad in ("4", "0", "-4", "99999999999999999999"):
         (tmp_path / "a.obj").write_text(TRIANGLE + f"f 1 2 {bad}\n")
         refused(tmp_path / "a.obj", "vertex|absurd|whole number")
-    text = HEAD.replace(
-        "end_header", "element face 1\nproperty list uchar int vertex_indices\nend_header"
-    )
-    (tmp_path / "a.ply").write_text(text.format("ascii", 3) + "0 0 0\n1 0 0\n0 1 0\n3 0 1 7\n")
+    (tmp_path / "a.ply").write_text(ply_head(3, faces=1) + "0 0 0\n1 0 0\n0 1 0\n3 0 1 7\n")
     refused(tmp_path / "a.ply", "vertex 7 of 3")
 
 
@@ -210,7 +204,7 @@ def test_gltf_cycles_and_compression(tmp_path: Path) -> None:
 
 def test_broken_part_folders(tmp_path: Path, ball: Mesh) -> None:
     write_mesh(ball, tmp_path / "link_0.ply")
-    (tmp_path / "link_1.ply").write_text(HEAD.format("ascii", 0))
+    (tmp_path / "link_1.ply").write_text(ply_head(0))
     with pytest.raises(InputFileError, match=r"link_1\.ply.*neither points nor faces"):
         read_part_files(tmp_path)
     for text in ("{", "[]", "{}", '{"parts": []}', '{"parts": [3]}',
@@ -256,9 +250,8 @@ def samples(tmp_path: Path, textured: Mesh, cloud: PointCloud) -> list[Path]:
         " ".join(f"{v:.6g}" for v in r) for r in np.column_stack([small.points, small.colors])
     )
     (folder / "cloud.xyz").write_text(rows)
-    (folder / "ascii.ply").write_text(
-        HEAD.format("ascii", 60) + re.sub(r"( \d+){3}$", "", rows, flags=re.M)
-    )
+    bare = re.sub(r"( \d+){3}$", "", rows, flags=re.M)
+    (folder / "ascii.ply").write_text(ply_head(60) + bare)
     head = "FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH 60\nHEIGHT 1\nPOINTS 60\nDATA {}\n"
     (folder / "cloud.pcd").write_bytes(head.format("binary").encode() + small.points.tobytes())
     np.savez(folder / "cloud.npz", points=small.points)

@@ -4,7 +4,6 @@ format, read back by other programs."""
 from __future__ import annotations
 
 import io
-import json
 import re
 import shutil
 from pathlib import Path
@@ -28,10 +27,12 @@ from model.geometry.splitting import Plane, split, split_faces
 from model.io.asset_cache import load_asset, save_asset
 from model.io.assets.asset_folder import write_asset
 from model.io.assets.reader import load_object
-from model.io.export.registry import export, losses_of
+from model.io.export.formats import losses_of
+from model.io.export.registry import export
 from model.io.open_asset import open_asset
 from model.scenes.jobs import ASSETS, MJCF
 from model.scenes.scene_xml import Stand, write_scene_mjcf
+from tests.builders import read_glb, write_glb
 
 FORMATS = ("urdf", "ros", "sdf", "glb", "usd", "mjcf")
 GLOW = (1.0, 0.5, 0.25)
@@ -60,19 +61,13 @@ def same(image: Image.Image | bytes | str | Path, name: str) -> bool:
 
 def rewritten(path: Path, change: object) -> None:
     """A GLB with another JSON; trimesh writes neither scale nor strength."""
-    data = path.read_bytes()
-    length = int.from_bytes(data[12:16], "little")
-    tree, rest = json.loads(data[20 : 20 + length]), data[20 + length :]
+    tree, binary = read_glb(path.read_bytes())
     change(tree)  # type: ignore[operator]
-    text = json.dumps(tree).encode()
-    text += b" " * (-len(text) % 4)
-    head = b"glTF" + (2).to_bytes(4, "little") + (20 + len(text) + len(rest)).to_bytes(4, "little")
-    path.write_bytes(head + len(text).to_bytes(4, "little") + b"JSON" + text + rest)
+    write_glb(path, tree, binary)
 
 
 def tree_of(path: Path) -> dict:
-    data = path.read_bytes()
-    return json.loads(data[20 : 20 + int.from_bytes(data[12:16], "little")])
+    return read_glb(path.read_bytes())[0]
 
 
 @pytest.fixture(scope="module")

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import re
-import struct
 from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree as ET
@@ -23,16 +21,18 @@ from model.core.geometry import Material, Mesh, PointCloud
 from model.core.joint import Joint, Mimic
 from model.core.shapes import Primitive, Solid
 from model.core.tree import KinematicTree
-from model.data.folders import read_mjcf
+from model.data.folders import MjcfFolder
 from model.io.assets.asset_folder import write_asset
 from model.io.assets.reader import load_object, mujoco_problems, object_from_links, reading_notes
 from model.io.export import registry
+from model.io.export.formats import documented
 from model.io.export.registry import Exporter, export, exporter_names, load_exporter, write_object
 from model.io.export.urdf import losses_of
 from model.io.open_asset import open_asset
 from model.io.readback import read_back
 from model.io.urdf.writer import read_urdf
 from model.physics.simulation_values import Physics, PhysicsSettings, physics_of, whose_shapes
+from tests.builders import read_glb
 
 TREE = KinematicTree(
     ("base", "door", "link_2", "helper", "link_3", "link_4"),
@@ -368,13 +368,6 @@ def test_mjcf_joint_kinds_and_ranges(exported):
     assert joints["slide"] == ("slide", "0 0.3")
 
 
-def glb_tree(path: Path) -> tuple[dict, bytes]:
-    data = path.read_bytes()
-    assert data[:4] == b"glTF" and struct.unpack_from("<I", data, 8)[0] == len(data)
-    (length,) = struct.unpack_from("<I", data, 12)
-    return json.loads(data[20 : 20 + length]), data[28 + length :]
-
-
 def glb_array(tree: dict, binary: bytes, index: int) -> np.ndarray:
     entry = tree["accessors"][index]
     view = tree["bufferViews"][entry["bufferView"]]
@@ -404,7 +397,7 @@ def glb_worlds(tree: dict, changed: dict[int, dict[str, np.ndarray]]) -> dict[st
 
 
 def test_glb_animations_are_the_joints(exported, obj):
-    tree, binary = glb_tree(exported["glb"][0])
+    tree, binary = read_glb(exported["glb"][0].read_bytes())
     names = [a["name"] for a in tree["animations"]]
     assert names == ["all joints", "hinge", "turn <&>", "slide"]
     up = np.eye(4)
@@ -426,19 +419,19 @@ def test_glb_animations_are_the_joints(exported, obj):
 
 
 def test_glb_holds_a_shared_texture_once(exported):
-    tree, _ = glb_tree(exported["glb"][0])
+    tree, _ = read_glb(exported["glb"][0].read_bytes())
     # Viewers keep a picture for each entry, whatever bytes it names; two parts have this one.
     assert len(tree["images"]) == len(tree["textures"]) == 1
     assert [m["name"] for m in tree["materials"]].count("pic") == 1
 
 
 def test_metallic_and_roughness_are_in_every_format(exported):
-    tree, _ = glb_tree(exported["glb"][0])
+    tree, _ = read_glb(exported["glb"][0].read_bytes())
     surfaces = {m["name"]: m["pbrMetallicRoughness"] for m in tree["materials"]}
     assert [surfaces["red"][f"{k}Factor"] for k in ("metallic", "roughness")] == [0.75, 0.25]
     model = mujoco.MjModel.from_xml_path(str(exported["mjcf"][0]))
     assert {0.75, -1.0} == set(model.mat_metallic) and 0.25 in model.mat_roughness
-    parts = {p.link: p for p in read_mjcf(exported["mjcf"][0]).object.parts}
+    parts = {p.link: p for p in MjcfFolder(exported["mjcf"][0].parent).load("object").object.parts}
     assert parts["link_base"].mesh.materials[0].metallic == 0.75
     for name in ("urdf", "sdf"):
         mtl = exported[name][0].parent / "meshes" / "base.mtl"
@@ -450,7 +443,7 @@ def test_metallic_and_roughness_are_in_every_format(exported):
 
 
 def test_glb_keyframes_never_turn_the_long_way(exported):
-    tree, binary = glb_tree(exported["glb"][0])
+    tree, binary = read_glb(exported["glb"][0].read_bytes())
     for animation in tree["animations"]:
         for channel in animation["channels"]:
             if channel["target"]["path"] == "rotation":
@@ -535,3 +528,9 @@ def test_real_objects_can_be_exported(shared_data, tmp_path, name, format):
     assert read_back(format, files[0], obj, configurations=2).problems == ()
     if format == "glb":
         assert len(trimesh.load_scene(files[0]).geometry) >= len(obj.parts)
+
+
+def test_the_document_has_the_tables_of_formats():
+    text = (Path(__file__).parents[3] / "docs/formats.md").read_text()
+    for table in documented():
+        assert "\n".join(table) in text, "\n".join(table)

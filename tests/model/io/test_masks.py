@@ -13,7 +13,7 @@ from model.core.asset import Asset
 from model.core.errors import InputFileError
 from model.io.masks import read_masks, with_masks
 from model.io.open_asset import open_asset
-from tests.builders import cabinet_cloud, cabinet_mesh
+from tests.builders import cabinet_cloud, cabinet_mesh, ply_head
 
 CABINET = cabinet_mesh(2)
 """A body (0), two doors (1, 2) with a knob each; +z up, 0.8 m high."""
@@ -86,13 +86,11 @@ def partslip(folder: Path, part_names: dict[str, tuple[int, ...]]) -> Path:
         for label in labels:
             rgb[cloud.labels == label] = rng.random(3)
         rgb = (rgb * 255).astype(np.uint8)
-        rows = ["ply", "format ascii 1.0", f"element vertex {len(xyz)}"]
-        rows += [f"property float {a}" for a in "xyz"]
-        rows += [f"property uchar {c}" for c in ("red", "green", "blue")] + ["end_header"]
-        rows += [
+        head = ply_head(len(xyz), "float x y z", "uchar red green blue")
+        rows = [
             " ".join([*(f"{v:f}" for v in p), *map(str, c)]) for p, c in zip(xyz, rgb, strict=True)
         ]
-        (folder / "instance_seg" / f"{name}.ply").write_text("\n".join(rows) + "\n")
+        (folder / "instance_seg" / f"{name}.ply").write_text(head + "\n".join(rows) + "\n")
     return folder
 
 
@@ -170,18 +168,18 @@ def test_an_archive_with_instances_kinds_and_names(scan: Path, tmp_path: Path) -
 @pytest.mark.parametrize("element", ["vertex", "face"])
 def test_a_property_of_a_ply(element: str, scan: Path, tmp_path: Path) -> None:
     mesh = y_up(trimesh_of())
-    rows = ["ply", "format ascii 1.0", f"element vertex {len(mesh.vertices)}"]
-    rows += [f"property float {a}" for a in "xyz"]
-    rows += ["property int part_id"] * (element == "vertex")
-    rows += [f"element face {len(mesh.faces)}", "property list uchar int vertex_indices"]
-    rows += ["property int part_id"] * (element == "face") + ["end_header"]
+    part = "int part_id"
+    fields = ["float x y z", *[part] * (element == "vertex")]
+    head = ply_head(
+        len(mesh.vertices), *fields, faces=len(mesh.faces), more=part if element == "face" else ""
+    )
     label = [[p] for p in CABINET.labels] if element == "face" else [[]] * len(mesh.faces)
     of_vertex = np.repeat(CABINET.labels, 3)  # no two faces share one
     more = [[p] for p in of_vertex] if element == "vertex" else [[]] * len(mesh.vertices)
-    rows += [" ".join(map(str, [*v, *m])) for v, m in zip(mesh.vertices, more, strict=True)]
+    rows = [" ".join(map(str, [*v, *m])) for v, m in zip(mesh.vertices, more, strict=True)]
     rows += [" ".join(map(str, [3, *f, *m])) for f, m in zip(mesh.faces, label, strict=True)]
     path = tmp_path / "labelled.ply"
-    path.write_text("\n".join(rows) + "\n")
+    path.write_text(head + "\n".join(rows) + "\n")
     asset, _ = parts_of(scan, path)
     assert agrees(asset, CABINET.labels, 0.95)
 

@@ -18,14 +18,13 @@ from model.geometry.sampling import face_colors
 from model.io.model_files import find_assets
 from model.io.open_asset import open_asset, read_part_files
 from model.io.write import write_cloud, write_mesh
+from tests.builders import ply_head
 
 
 def ply(path: Path, cloud: PointCloud, style: str) -> Path:
     """A coloured cloud as other programs write it."""
     code = {"ascii": None, "binary_little_endian": "<", "binary_big_endian": ">"}[style]
-    head = f"ply\nformat {style} 1.0\ncomment made elsewhere\nelement vertex {len(cloud)}\n"
-    head += "".join(f"property float {n}\n" for n in ("x", "y", "z", "nx", "ny", "nz"))
-    head += "".join(f"property uchar {n}\n" for n in ("red", "green", "blue")) + "end_header\n"
+    head = ply_head(len(cloud), "float x y z nx ny nz", "uchar red green blue", style=style)
     if code is None:
         rows = np.column_stack([cloud.points, cloud.normals, cloud.colors])
         body = "\n".join(" ".join(f"{v:.9g}" for v in row) for row in rows).encode()
@@ -49,14 +48,12 @@ def test_ply_clouds_in_every_encoding(tmp_path: Path, cloud: PointCloud, style: 
 def test_confidences_of_points_are_read(tmp_path: Path, rng: np.random.Generator) -> None:
     """A scanner's field, a splat's opacity (a logit), and the maps of a reconstruction network."""
     xyz, logits = rng.random((40, 3)), rng.normal(0, 3, 40)
-    names = ("x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity")
-    head = "ply\nformat ascii 1.0\nelement vertex 40\n"
-    for fields, column in ((names, logits), (("x", "y", "z", "confidence"), np.abs(logits))):
-        colors = np.zeros((40, len(fields) - 4))
+    splat = "float x y z f_dc_0 f_dc_1 f_dc_2 opacity"
+    for fields, column in ((splat, logits), ("float x y z confidence", np.abs(logits))):
+        colors = np.zeros((40, len(fields.split()) - 5))
         rows = np.column_stack([xyz, colors, column])
-        text = "".join(f"property float {n}\n" for n in fields) + "end_header\n"
         body = "\n".join(" ".join(f"{v:.9g}" for v in row) for row in rows)
-        (tmp_path / "scan.ply").write_text(head + text + body)
+        (tmp_path / "scan.ply").write_text(ply_head(40, fields) + body)
         got = open_asset(tmp_path / "scan.ply").cloud
         assert got is not None and got.confidence is not None
         wanted = 1 / (1 + np.exp(-logits)) if "opacity" in fields else column
@@ -73,11 +70,7 @@ def test_confidences_of_points_are_read(tmp_path: Path, rng: np.random.Generator
 
 def test_ply_polygons_of_different_sizes_ascii_and_binary(tmp_path: Path) -> None:
     """A square pyramid: one quadrilateral and four triangles, with colours at the faces."""
-    head = (
-        "ply\nformat {} 1.0\nelement vertex 5\nproperty double x\nproperty double y\n"
-        "property double z\nelement face 5\nproperty list uchar int vertex_indices\n"
-        "property uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n"
-    )
+    head = ply_head(5, "double x y z", faces=5, more="uchar red green blue", style="{}")
     points = [(0, 0, 0), (2, 0, 0), (2, 2, 0), (0, 2, 0), (1, 1, 1)]
     faces = [(0, 3, 2, 1), (0, 1, 4), (1, 2, 4), (2, 3, 4), (3, 0, 4)]
     text = "\n".join(" ".join(map(str, p)) for p in points) + "\n"
@@ -380,10 +373,9 @@ def test_surveyed_scans_keep_their_detail(tmp_path: Path, rng: np.random.Generat
 
 
 def test_gaussian_splats_and_float_colours(tmp_path: Path) -> None:
-    head = "ply\nformat ascii 1.0\nelement vertex 4\n"
-    head += "".join(f"property float {n}\n" for n in ("x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2"))
+    head = ply_head(4, "float x y z f_dc_0 f_dc_1 f_dc_2")
     rows = "0 0 0 1.772454 0 -1.772454\n" * 2 + "1 1 1 0 0 0\n0 1 0 0 0 0\n"
-    (tmp_path / "s.ply").write_text(head + "end_header\n" + rows)
+    (tmp_path / "s.ply").write_text(head + rows)
     got = open_asset(tmp_path / "s.ply").cloud
     assert got is not None and got.colors is not None
     np.testing.assert_allclose(got.colors[0].astype(int), [255, 128, 0], atol=1)

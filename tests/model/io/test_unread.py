@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import struct
 from collections.abc import Callable
 from pathlib import Path
@@ -20,6 +19,7 @@ from model.io.robot_xml import MJCF, URDF, XmlSchema
 from model.io.urdf.reader import read_urdf_model
 from model.scenes.readers.lisdf import SDF
 from model.scenes.registry import read_scene
+from tests.builders import ply_head, write_glb
 
 URDF_TEXT = """<robot name="r"><material name="red"><color rgba="1 0 0 1"/></material>
 <link name="a"><inertial><origin xyz="0 0 0"/><mass value="1"/>
@@ -126,17 +126,12 @@ def test_what_an_sdf_world_has_beside_is_told(tmp_path: Path) -> None:
 def glb(tree: dict, path: Path) -> Path:
     points = struct.pack("<9f", 0, 0, 0, 1, 0, 0, 0, 1, 0)
     whole = {
-        "asset": {"version": "2.0"}, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}],
+        "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}],
         "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
         "accessors": [{"bufferView": 0, "componentType": 5126, "type": "VEC3", "count": 3}],
         "bufferViews": [{"buffer": 0, "byteLength": 36}], "buffers": [{"byteLength": 36}],
     }  # fmt: skip
-    text = json.dumps(whole | tree).encode()
-    text += b" " * (-len(text) % 4)
-    size = 28 + len(text) + len(points)
-    head = struct.pack("<4sIIII", b"glTF", 2, size, len(text), 0x4E4F534A)
-    path.write_bytes(head + text + struct.pack("<II", len(points), 0x004E4942) + points)
-    return path
+    return write_glb(path, whole | tree, points)
 
 
 def test_unknown_extensions_of_gltf_are_named_and_required_ones_refused(tmp_path: Path) -> None:
@@ -173,9 +168,7 @@ def test_an_index_is_reported_as_it_is_written(kind: str, number: str, tmp_path:
         rows = "".join(f"v {c}\n" for c in corners)
         path.write_text(f"{rows}f 1 2 3\nf 1 2 {number}\n")
     elif kind == "ply":
-        head = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\n"
-        head += "property float z\nelement face 2\nproperty list uchar int vertex_indices\n"
-        path.write_text("\n".join([f"{head}end_header", *corners, "3 0 1 2", f"3 0 1 {number}"]))
+        path.write_text(ply_head(3, faces=2) + "\n".join([*corners, "3 0 1 2", f"3 0 1 {number}"]))
     else:
         pytest.importorskip("collada")
         path.write_text(f"<COLLADA><p>0 1 {number}</p></COLLADA>")

@@ -15,7 +15,7 @@ from model.core.articulated_object import ArticulatedObject, Inertial, Part
 from model.core.geometry import Mesh
 from model.core.joint import JOINT_TYPES, Joint, Mimic
 from model.core.tree import KinematicTree
-from model.io.urdf.writer import link_origins, read_urdf_model, to_urdf_text, write_urdf
+from model.io.urdf.writer import link_origins, read_urdf_model, to_urdf_text
 
 TETRAHEDRON = Mesh(
     np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]]) * 0.1,
@@ -73,7 +73,7 @@ def test_yourdfpy_and_mujoco_agree_with_pose(tmp_path_factory, obj, seed):
     logging.getLogger("yourdfpy.urdf").setLevel(logging.ERROR)
     path = tmp_path_factory.mktemp("urdf") / "object.urdf"
     inertials = dict.fromkeys(obj.tree.links, UNIT)
-    write_urdf(obj, path, {}, inertials=inertials, mujoco_visuals=False)
+    path.write_text(to_urdf_text(obj, inertials=inertials, mujoco_visuals=False))
     robot = yourdfpy.URDF.load(str(path), load_meshes=False, build_scene_graph=True)
     assert robot.validate()
     model = mujoco.MjModel.from_xml_path(str(path))
@@ -99,7 +99,7 @@ def test_yourdfpy_and_mujoco_agree_with_pose(tmp_path_factory, obj, seed):
 def test_reading_back_gives_the_same_tree(tmp_path_factory, obj):
     path = tmp_path_factory.mktemp("urdf") / "object.urdf"
     files = {p.link: [f"meshes/{p.link}.obj"] for p in obj.parts}
-    write_urdf(obj, path, files)
+    path.write_text(to_urdf_text(obj, files))
     model = read_urdf_model(path)
     assert model.notes == ()
     assert model.name == obj.name

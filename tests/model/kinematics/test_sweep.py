@@ -13,10 +13,9 @@ from model.core.articulated_object import ArticulatedObject, Part
 from model.core.errors import KinematicsError
 from model.core.geometry import Mesh, PointCloud
 from model.core.joint import Joint, Mimic
-from model.core.tree import KinematicTree
 from model.kinematics.surface import surface_of
 from model.kinematics.sweep import free_range, sweep_joint, sweep_path
-from tests.builders import box, two
+from tests.builders import box, linked, slide, two
 
 KINDS = ("mesh", "badly wound", "cloud")
 BOARD = 0.02
@@ -200,14 +199,11 @@ def test_a_way_through_joint_space_meets_what_no_joint_meets_alone():
     floor = part("base", "mesh", box([-1, -1, -0.2], [1, 1, -0.1]))
     left = part("link_1", "mesh", box([-0.8, 0, 0], [-0.05, 0.02, 1]))
     right = part("link_2", "mesh", box([0.05, 0, 0], [0.8, 0.02, 1]))
-    tree = KinematicTree(
-        ("base", "link_1", "link_2"),
-        (
-            Joint("a", "prismatic", "base", "link_1", (1, 0, 0), lower=0, upper=0.09),
-            Joint("b", "prismatic", "base", "link_2", (-1, 0, 0), lower=0, upper=0.09),
-        ),
+    doors = (
+        slide("a", "link_1", 0.09, parent="base"),
+        slide("b", "link_2", 0.09, -1, parent="base"),
     )
-    obj = ArticulatedObject("x", (floor, left, right), tree)
+    obj = linked(doors, floor, left, right)
     assert not sweep_joint(obj, "a").collides.any()
     assert not sweep_joint(obj, "b").collides.any()
     way = [{"a": t, "b": t} for t in np.linspace(0, 0.09, 10)]
@@ -222,16 +218,12 @@ def test_a_way_through_joint_space_meets_what_no_joint_meets_alone():
 
 def test_what_hangs_on_the_joint_moves_along():
     """The handle on the door hits the wall before the door does."""
-    tree = KinematicTree(
-        ("link_0", "link_1", "link_2"),
-        (
-            Joint("j", "revolute", "link_0", "link_1", lower=0, upper=2),
-            Joint("fix", "fixed", "link_1", "link_2"),
-        ),
+    joints = (
+        Joint("j", "revolute", "link_0", "link_1", lower=0, upper=2),
+        Joint("fix", "fixed", "link_1", "link_2"),
     )
-    scene = door_and_wall("mesh")
     handle = part("link_2", "mesh", box([0.6, 0, 0.9], [0.7, 0.06, 1.1]))
-    obj = ArticulatedObject("x", (*scene.parts, handle), tree)
+    obj = linked(joints, *door_and_wall("mesh").parts, handle)
     upper = math.degrees(free_range(obj, "j")[1])
     assert 80 < upper < 89
     sweep = sweep_joint(obj, "j", samples=101)
@@ -241,24 +233,15 @@ def test_what_hangs_on_the_joint_moves_along():
 
 def test_a_follower_counts_too():
     """Two sliding doors that mimic each other meet in the middle."""
-    left = box([-1, 0, 0], [-0.2, 0.02, 1])
-    right = box([0.2, 0, 0], [1, 0.02, 1])
-    floor = box([-2, -1, -0.2], [2, 1, -0.1])
-    tree = KinematicTree(
-        ("base", "link_1", "link_2"),
-        (
-            Joint("a", "prismatic", "base", "link_1", (1, 0, 0), lower=0, upper=1),
-            Joint(
-                "b", "prismatic", "base", "link_2", (-1, 0, 0), lower=0, upper=1, mimic=Mimic("a")
-            ),
-        ),
+    follower = slide("b", "link_2", 1, -1, parent="base", mimic=Mimic("a"))
+    obj = linked(
+        (slide("a", "link_1", 1, parent="base"), follower),
+        part("base", "mesh", box([-2, -1, -0.2], [2, 1, -0.1])),
+        part("link_1", "mesh", box([-1, 0, 0], [-0.2, 0.02, 1])),
+        part("link_2", "mesh", box([0.2, 0, 0], [1, 0.02, 1])),
     )
-    parts = tuple(
-        part(n, "mesh", m) for n, m in (("base", floor), ("link_1", left), ("link_2", right))
-    )
-    obj = ArticulatedObject("x", parts, tree)
     assert free_range(obj, "a")[1] == pytest.approx(0.2, abs=1e-3)
-    alone = obj.tree.with_joint(replace(tree.joints[1], mimic=None))
+    alone = obj.tree.with_joint(replace(follower, mimic=None))
     assert free_range(replace(obj, tree=alone), "a")[1] == pytest.approx(0.4, abs=1e-3)
 
 

@@ -14,8 +14,8 @@ from model.core.errors import GeometryError, InputFileError
 from model.core.joint import motion
 from model.io.assets.asset_folder import write_asset
 from model.io.assets.reader import TREE, load_object, reading_notes
+from model.io.export.formats import losses_of
 from model.io.export.mjcf import MjcfExporter
-from model.io.export.registry import losses_of
 from model.io.export.usd import UsdExporter
 from model.physics import affordances
 from model.physics.affordances import find_affordances, opened_range

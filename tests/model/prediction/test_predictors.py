@@ -7,8 +7,12 @@ from pathlib import Path
 import pytest
 
 from app.cli.main import main
+from model.core.articulated_object import SegmentedObject
 from model.core.errors import ConfigurationError
+from model.data.procedural.generate import make
 from model.prediction import registry as predictors
+from model.prediction.ablation import SWITCHES
+from model.prediction.geometric import roles
 from model.prediction.geometric.predictor import GeometricPredictor
 from model.prediction.registry import Predictor
 
@@ -23,6 +27,23 @@ def test_every_name_loads_and_fits_the_port() -> None:
 def test_an_unknown_name_lists_those_that_are_there() -> None:
     with pytest.raises(ConfigurationError, match="geometric"):
         predictors.load_predictor("telepathic")
+
+
+@pytest.mark.parametrize("mechanism", SWITCHES)
+def test_a_predictor_without_a_mechanism_still_writes_a_tree(mechanism: str) -> None:
+    obj = make("Laptop", 11, 0).object
+    segmented = SegmentedObject(obj.name, obj.parts, obj.category)
+    found = predictors.load_predictor(f"without:{mechanism}").predict(segmented)
+    assert found.tree is not None and not found.problems
+    assert f"without:{mechanism}" in found.backend
+
+
+def test_what_is_left_out_is_there_again_afterwards_and_must_have_a_name() -> None:
+    before = roles.named_mechanism
+    test_a_predictor_without_a_mechanism_still_writes_a_tree("names")
+    assert roles.named_mechanism is before
+    with pytest.raises(ConfigurationError, match="no mechanism 'luck'"):
+        predictors.load_predictor("without:luck")
 
 
 class _Point:

@@ -17,6 +17,7 @@ from model.scenes.asset_parts import known_parts
 from model.scenes.registry import read_scene, recognised
 from model.scenes.scene import Scene, SceneObjectError
 from model.scenes.unpacking import Unpacked, placed_frame, unpack
+from tests.builders import ply_head, read_glb
 from tests.model.scenes import scenes_made as made
 
 
@@ -114,11 +115,9 @@ def test_a_broken_node_is_told_and_the_rest_goes_on(
 
 def _gltf_tree(path: Path) -> dict:
     """The tree with its buffer inside, as text."""
-    data = path.read_bytes()
-    size = int.from_bytes(data[12:16], "little")
-    tree = json.loads(data[20 : 20 + size])
-    binary = base64.b64encode(data[28 + size :]).decode()
-    tree["buffers"][0]["uri"] = f"data:application/octet-stream;base64,{binary}"
+    tree, binary = read_glb(path.read_bytes())
+    text = base64.b64encode(binary).decode()
+    tree["buffers"][0]["uri"] = f"data:application/octet-stream;base64,{text}"
     return tree
 
 
@@ -277,12 +276,9 @@ def test_labels_inside_the_ply_and_faces_of_a_mesh(tmp_path: Path) -> None:
     more = np.concatenate([corners, corners + [3, 0, 0]])
     rows = [f"{x} {y} {z} {int(i >= at)}" for i, (x, y, z) in enumerate(more)]
     other = [" ".join(["3", *(str(int(v) + at) for v in f.split()[1:])]) for f in faces]
-    head = ["ply", "format ascii 1.0", f"element vertex {len(rows)}", "property float x",
-            "property float y", "property float z", "property int instance",
-            f"element face {2 * len(faces)}", "property list uchar int vertex_indices",
-            "end_header"]  # fmt: skip
+    head = ply_head(len(rows), "float x y z", "int instance", faces=2 * len(faces))
     path = tmp_path / "room.ply"
-    path.write_text("\n".join([*head, *rows, *faces, *other]) + "\n")
+    path.write_text(head + "\n".join([*rows, *faces, *other]) + "\n")
     scene, found = unpacked(path, tmp_path / "out")
     assert [o.id for o in scene.objects] == ["object 0", "object 1"]
     mesh = open_asset(found.files[scene.objects[0].asset or ""]).mesh

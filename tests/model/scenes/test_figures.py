@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from model.core.articulated_object import ArticulatedObject, Part
-from model.core.geometry import Mesh
+from model.core.geometry import Mesh, affine
 from model.core.joint import Joint
 from model.core.tree import KinematicTree
 from model.io.assets.asset_folder import write_asset
-from model.scenes.asset_parts import known_parts, scaled, scaled_tree
+from model.scenes.asset_parts import known_parts, scaled
 from model.scenes.jobs import ANNOTATE, PREDICTED, usability
 from tests.app.test_scene_command import convert
 from tests.builders import boxes
@@ -44,7 +44,7 @@ def test_an_object_works_where_every_joint_is_right(
     found = known_parts(tmp_path / "cab")
     assert found.truth is not None
     factor = np.array(factors)
-    right = scaled_tree(found.truth, factor)
+    right = found.truth.moved(affine(np.diag(factor)))
     made_ = ArticulatedObject("cabinet", scaled(found.parts, factor), right)
     assert usability(made_, found, factor, PREDICTED) is True
     assert usability(made_, found, factor, ANNOTATE) is False
@@ -64,7 +64,7 @@ def test_a_mirrored_object_moves_as_its_mirror_picture() -> None:
     whole = cabinet()
     factor = np.array([-2.0, 2.0, 2.0])
     mirror = np.diag([*factor, 1.0])
-    parts, tree = scaled(whole.parts, factor), scaled_tree(whole.tree, factor)
+    parts, tree = scaled(whole.parts, factor), whole.tree.moved(affine(np.diag(factor)))
     for q in ({"hinge": 1.1, "slide": 0.3}, {"hinge": 0.4, "slide": 0.0}):
         posed = whole.tree.pose(q)
         seen = tree.pose({**q, "slide": 2 * q["slide"]})

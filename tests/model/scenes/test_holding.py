@@ -46,9 +46,9 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> tuple[ArticulatedObject
     obj = cabinet(DOOR, DRAWER)
     out = tmp_path_factory.mktemp("scene")
     physics = physics_of(obj, PhysicsSettings(collision=None))
-    for name, exporter in ((MJCF, MjcfExporter()), ("sdf", SdfExporter())):
+    for name, exporter in ((".", UrdfExporter()), (MJCF, MjcfExporter()), ("sdf", SdfExporter())):
         folder = out / ASSETS / "cab" / name
-        folder.mkdir(parents=True)
+        folder.mkdir(parents=True, exist_ok=True)
         exporter.export(obj, folder, physics=physics)
     return obj, out
 
@@ -57,18 +57,18 @@ def test_the_friction_is_that_of_the_object_as_it_stands(
     written: tuple[ArticulatedObject, Path],
 ) -> None:
     obj, out = written
-    file = out / ASSETS / "cab" / MJCF / "object.xml"
-    assert frictions(file, standing(0.0), {}) == {}, "upright it is what the asset says"
+    asset = out / ASSETS / "cab"
+    assert frictions(asset, standing(0.0), {}) == {}, "upright it is what the asset says"
     physics = physics_of(obj, PhysicsSettings(collision=None))
     world = standing(0.35)
-    found = frictions(file, world, {})
+    found = frictions(asset, world, {})
     for joint in obj.tree.joints:
         load = holding_load(obj.tree, physics.inertials, joint, world[2, :3])
         assert load > 1.0 and found[joint.name] == pytest.approx(1.5 * load, rel=1e-4)
     weight = 9.81 * physics.inertials["drawer"].mass
     assert found["slide"] == pytest.approx(1.5 * weight * math.sin(0.35), rel=1e-3)
     # Tilted the other way gravity shuts it, and nothing is to be held.
-    assert frictions(file, standing(-0.35), {})["slide"] == pytest.approx(0.5)
+    assert frictions(asset, standing(-0.35), {})["slide"] == pytest.approx(0.5)
 
 
 def test_the_urdf_of_a_tilted_object_has_its_friction(
@@ -81,10 +81,10 @@ def test_the_urdf_of_a_tilted_object_has_its_friction(
     UrdfExporter().export(obj, folder, physics=physics)
     tilted_object = SceneObject("c", "c", standing(0.35), np.ones(3))
     outcome = Outcome(tilted_object, Decision(True), state=PREDICTED, key="cab")
-    file = out / ASSETS / "cab" / MJCF / "object.xml"
-    upright = frictions(file, standing(0.0), {})
+    asset = out / ASSETS / "cab"
+    upright = frictions(asset, standing(0.0), {})
     assert standing_urdf(outcome, 3, tmp_path, upright) == "assets/cab/object.urdf"
-    tilted = frictions(file, standing(0.35), {})
+    tilted = frictions(asset, standing(0.35), {})
     assert standing_urdf(outcome, 3, tmp_path, tilted) == "assets/cab/scene_3.urdf"
     told = read_urdf_model(folder / "scene_3.urdf").declared.dynamics
     for name, friction in tilted.items():
@@ -95,9 +95,9 @@ def test_the_urdf_of_a_tilted_object_has_its_friction(
 def test_a_tilted_cabinet_stays_shut_in_mujoco(written: tuple[ArticulatedObject, Path]) -> None:
     mujoco = pytest.importorskip("mujoco")
     _, out = written
-    file, world = out / ASSETS / "cab" / MJCF / "object.xml", standing(0.35)
+    asset, world = out / ASSETS / "cab", standing(0.35)
     moved = {}
-    for id, friction in (("bare", {}), ("held", frictions(file, world, {}))):
+    for id, friction in (("bare", {}), ("held", frictions(asset, world, {}))):
         path = write_scene_mjcf("s", [Stand(id, "cab", world, friction=friction)], out, "s.xml")
         model = mujoco.MjModel.from_xml_path(str(path))
         data = mujoco.MjData(model)
@@ -117,8 +117,8 @@ def test_what_follows_another_joint_is_read_too(tmp_path: Path) -> None:
     )  # fmt: skip
     obj = cabinet(DOOR, follows)
     physics = physics_of(obj, PhysicsSettings(collision=None))
-    MjcfExporter().export(obj, tmp_path, physics=physics)
+    UrdfExporter().export(obj, tmp_path, physics=physics)
     world = standing(0.35)
-    found = frictions(tmp_path / "object.xml", world, {})
+    found = frictions(tmp_path, world, {})
     load = holding_load(obj.tree, physics.inertials, DOOR, world[2, :3])
     assert found["swing"] == pytest.approx(1.5 * load, rel=1e-4)

@@ -16,9 +16,8 @@ for _name in ("transformers", "accelerate"):
 
 from app.cli.main import main  # noqa: E402
 from model.core.errors import ConfigurationError, InputFileError  # noqa: E402
-from model.data.datasets import training_ids  # noqa: E402
 from model.data.procedural.generate import GenerateSettings, generate  # noqa: E402
-from model.data.registry import recognised  # noqa: E402
+from model.data.registry import recognised, training_ids  # noqa: E402
 from model.prediction.arti4urdf.answer import JSON_END, parse_answer, write_answer  # noqa: E402
 from model.prediction.arti4urdf.checkpoints import ENCODER_PREFIX, load_tokenizer  # noqa: E402
 from model.prediction.arti4urdf.full_model import SPECIAL_TOKENS  # noqa: E402

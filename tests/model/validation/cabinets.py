@@ -5,9 +5,8 @@ from __future__ import annotations
 import trimesh
 
 from model.core.articulated_object import ArticulatedObject, Part
-from model.core.joint import Joint
-from model.core.tree import KinematicTree
-from tests.builders import box, part
+from model.core.joint import Joint, Mimic
+from tests.builders import box, linked, part, slide
 
 W = 0.02
 """Boards."""
@@ -52,8 +51,31 @@ DOOR = Joint(
 DRAWER = Joint("drawer", "prismatic", "link_0", "link_2", (0, -1, 0), lower=0, upper=0.28)
 
 
+BOARD = part("link_0", box([0, 0, -0.05], [1, 0.5, 0]), name="base")
+PUSHER = slide("pusher", "link_1", 0.3)
+
+
+def followers(multiplier: float) -> ArticulatedObject:
+    """Two blocks on a board; the second follows the first, and has 0.1 m to go."""
+    return linked(
+        (slide("a", "link_1", 0.1), slide("b", "link_2", 0.1, mimic=Mimic("a", multiplier))),
+        BOARD,
+        part("link_1", box([0.1, 0.1, 0], [0.2, 0.2, 0.1])),
+        part("link_2", box([0.1, 0.3, 0], [0.2, 0.4, 0.1])),
+    )
+
+
+def pushed(stop: Joint) -> ArticulatedObject:
+    """A drawer that runs into a block, which ``stop`` holds and no joint connects to it."""
+    return linked(
+        (PUSHER, stop),
+        BOARD,
+        part("link_1", box([0.1, 0.1, 0.001], [0.2, 0.2, 0.1]), name="drawer"),
+        part("link_2", box([0.3, 0.1, 0.001], [0.33, 0.13, 0.03]), name="stop"),
+    )
+
+
 def cabinet(door: Joint = DOOR, drawer: Joint = DRAWER, *more: trimesh.Trimesh):
     """The cabinet; ``more`` belongs to the carcass."""
-    parts = (part("link_0", *carcass(), *more, name="carcass"), door_part(), drawer_part())
-    tree = KinematicTree(("link_0", "link_1", "link_2"), (door, drawer))
-    return ArticulatedObject("cabinet", parts, tree)
+    body = part("link_0", *carcass(), *more, name="carcass")
+    return linked((door, drawer), body, door_part(), drawer_part(), name="cabinet")

@@ -14,10 +14,9 @@ from model.core.errors import GeometryError, KinematicsError
 from model.core.geometry import Mesh, PointCloud
 from model.core.joint import Joint
 from model.core.progress import Cancelled
-from model.core.tree import KinematicTree
 from model.validation.report import Severity
 from model.validation.runner import validate
-from tests.builders import box, part, two
+from tests.builders import box, linked, part, slide, two
 from tests.model.validation.cabinets import DOOR, DRAWER, W, cabinet
 
 
@@ -285,8 +284,7 @@ def buttons(count: int) -> ArticulatedObject:
         low = [0.02 * k + 0.004, 0.01, 0.0]
         parts.append(part(f"link_{k + 1}", box(low, [low[0] + 0.012, 0.03, 0.01])))
         joints.append(Joint(f"j{k}", "prismatic", "link_0", f"link_{k + 1}", lower=0, upper=0.004))
-    tree = KinematicTree(tuple(p.link for p in parts), tuple(joints))
-    return ArticulatedObject("buttons", tuple(parts), tree)
+    return linked(joints, *parts)
 
 
 def test_dozens_of_joints_are_all_judged():
@@ -300,21 +298,15 @@ def test_what_meets_only_together_is_told_of_both():
     left = part("link_1", box([-0.8, 0, 0], [-0.05, 0.02, 1]), name="leaf")
     right = part("link_2", box([0.05, 0, 0], [0.8, 0.02, 1]), name="leaf")
     rail = part("link_0", box([-1, -0.05, -0.1], [1, 0.05, 0]))
-    tree = KinematicTree(
-        ("link_0", "link_1", "link_2"),
-        (
-            Joint("a", "prismatic", "link_0", "link_1", (1, 0, 0), lower=0, upper=0.09),
-            Joint("b", "prismatic", "link_0", "link_2", (-1, 0, 0), lower=0, upper=0.09),
-        ),
-    )
-    report = judge(ArticulatedObject("x", (rail, left, right), tree))
+    obj = linked((slide("a", "link_1", 0.09), slide("b", "link_2", 0.09, -1)), rail, left, right)
+    report = judge(obj)
     for name in ("a", "b"):
         found = report.of(name)
         kinds = [f.kind for f in found.findings]
         assert kinds == ["combination"]
         assert set(found.worst.q) == {"a", "b"}
         assert "Leaf 1 and leaf 2 collide" in found.message
-    assert judge(ArticulatedObject("x", (rail, left, right), tree)).joints == report.joints
+    assert judge(obj).joints == report.joints
 
 
 def test_a_drawer_behind_a_door_is_free_once_the_door_is_open():

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 
 from model.core.articulated_object import ArticulatedObject
-from model.core.joint import Joint, Mimic
+from model.core.joint import Joint
 from model.core.shapes import hull_of
-from model.core.tree import KinematicTree
 from model.physics.simulation_values import Physics, physics_of
 from model.validation import physics
 from model.validation.physics import run_physics
 from model.validation.report import Severity
 from model.validation.runner import validate
-from tests.model.validation.cabinets import DOOR, DRAWER, box, cabinet, part
+from tests.builders import box, slide
+from tests.model.validation.cabinets import DOOR, DRAWER, cabinet, followers, pushed
 
 pytest.importorskip("mujoco")
 
@@ -46,53 +46,18 @@ def test_the_size_of_the_object_plays_no_part(size):
     assert not said.exploded
 
 
-def pair(multiplier: float) -> ArticulatedObject:
-    """Two blocks on a board; the second follows the first, and has 0.1 m to go."""
-    tree = KinematicTree(
-        ("link_0", "link_1", "link_2"),
-        (
-            Joint("a", "prismatic", "link_0", "link_1", (1, 0, 0), lower=0, upper=0.1),
-            Joint(
-                "b", "prismatic", "link_0", "link_2", (1, 0, 0), lower=0, upper=0.1,
-                mimic=Mimic("a", multiplier),
-            ),
-        ),
-    )  # fmt: skip
-    parts = (
-        part("link_0", box([0, 0, -0.05], [1, 0.5, 0])),
-        part("link_1", box([0.1, 0.1, 0], [0.2, 0.2, 0.1])),
-        part("link_2", box([0.1, 0.3, 0], [0.2, 0.4, 0.1])),
-    )
-    return ArticulatedObject("pair", parts, tree)
-
-
 def test_a_follower_that_is_sent_beyond_its_limits_is_told():
-    good = run_physics(pair(1.0))
+    good = run_physics(followers(1.0))
     assert not good.exploded and not good.missed and not good.drifted
-    bad = run_physics(pair(20.0))
+    bad = run_physics(followers(20.0))
     assert bad.missed.keys() | bad.exploded.keys()
-    report = validate(pair(20.0))
+    report = validate(followers(20.0))
     found = [f for j in report.joints for f in j.findings if f.kind == "physics"]
     assert found and found[0].message.startswith("MuJoCo: ")
 
 
 def test_what_is_pushed_out_of_its_limits_is_told_with_how_far_and_by_what():
-    tree = KinematicTree(
-        ("link_0", "link_1", "link_2"),
-        (
-            Joint("pusher", "prismatic", "link_0", "link_1", (1, 0, 0), lower=0, upper=0.3),
-            Joint("pushed", "prismatic", "link_0", "link_2", (1, 0, 0), lower=0, upper=0.02),
-        ),
-    )
-    parts = (
-        part("link_0", box([0, 0, -0.05], [1, 0.5, 0])),
-        part("link_1", box([0.1, 0.1, 0.001], [0.2, 0.2, 0.1])),
-        part("link_2", box([0.3, 0.1, 0.001], [0.33, 0.13, 0.03])),
-    )
-    named = tuple(
-        replace(p, name=n) for p, n in zip(parts, ("base", "drawer", "stop"), strict=True)
-    )
-    obj = ArticulatedObject("pushed", named, tree)
+    obj = pushed(slide("pushed", "link_2", 0.02))
     said = run_physics(obj, physics_of(obj))
     assert set(said.exploded) == {"pushed"}
     assert re.fullmatch(

@@ -10,8 +10,7 @@ import pytest
 from app.cli.check import CheckTask, check_one, summary
 from model.core.articulated_object import ArticulatedObject
 from model.core.errors import ConfigurationError
-from model.core.joint import Joint, Mimic
-from model.core.tree import KinematicTree
+from model.core.joint import Joint
 from model.evaluation.joint_metrics import ObjectScore, execute
 from model.evaluation.report import score_from_json, score_to_json
 from model.evaluation.summary import summarise
@@ -21,7 +20,8 @@ from model.physics.simulation_values import PhysicsSettings, physics_of, rough_p
 from model.validation.engines import ENGINES, STEP, Drive, load_of, require_engines
 from model.validation.physics import run_physics
 from model.validation.runner import validate
-from tests.model.validation.cabinets import box, cabinet, part
+from tests.builders import box, linked, part
+from tests.model.validation.cabinets import cabinet, followers, pushed
 
 pytest.importorskip("mujoco")
 sapien = pytest.importorskip("sapien")
@@ -40,19 +40,15 @@ def test_a_good_cabinet_with_its_shapes_moves_freely():
 
 def chain() -> ArticulatedObject:
     """A slide on a turning arm with a skew axis, each off the origin."""
-    tree = KinematicTree(
-        ("base", "arm", "slide"),
+    return linked(
         (
             Joint("turn", "revolute", "base", "arm", (1, 2, 2), (0.1, 0.2, 0.3), -1.0, 2.0),
             Joint("push", "prismatic", "arm", "slide", (0, 0.6, 0.8), (0.3, 0, 0), 0.0, 0.4),
         ),
-    )
-    parts = (
         part("base", box([0, 0, 0], [0.1, 0.1, 0.1])),
         part("arm", box([0.1, 0.2, 0.3], [0.5, 0.3, 0.4])),
         part("slide", box([0.3, 0.3, 0.5], [0.4, 0.5, 0.6])),
     )
-    return ArticulatedObject("chain", parts, tree)
 
 
 @pytest.mark.parametrize("kind", ["revolute", "continuous"])
@@ -100,51 +96,17 @@ def test_a_weight_falls_as_far_as_gravity_takes_it():
     assert engine.q[0] == pytest.approx(0.5 * 9.81 * (100 * STEP) ** 2, rel=0.02)
 
 
-def pushed() -> ArticulatedObject:
-    """A drawer that runs into a block, which no joint connects to it."""
-    tree = KinematicTree(
-        ("link_0", "link_1", "link_2"),
-        (
-            Joint("pusher", "prismatic", "link_0", "link_1", (1, 0, 0), lower=0, upper=0.3),
-            Joint("post", "fixed", "link_0", "link_2"),
-        ),
-    )
-    parts = (
-        part("link_0", box([0, 0, -0.05], [1, 0.5, 0])),
-        part("link_1", box([0.1, 0.1, 0.001], [0.2, 0.2, 0.1])),
-        part("link_2", box([0.3, 0.1, 0.0], [0.33, 0.13, 0.03])),
-    )
-    return ArticulatedObject("pushed", parts, tree)
+BLOCKED = pushed(Joint("post", "fixed", "link_0", "link_2"))
 
 
 def test_what_shapes_block_is_told_with_the_place_and_the_engine():
-    made = physics_of(pushed(), PhysicsSettings(CollisionSettings("hull")))
-    said = run_physics(pushed(), made, engine="sapien")
+    made = physics_of(BLOCKED, PhysicsSettings(CollisionSettings("hull")))
+    said = run_physics(BLOCKED, made, engine="sapien")
     stop = said.stops["pusher"]
     assert said.missed["pusher"] > 0.5
     assert (stop.other, stop.where[0]) == ("link_2", pytest.approx(0.3, abs=0.01))
-    free = run_physics(
-        pushed(), replace(made, overlapping=(("link_1", "link_2"),)), engine="sapien"
-    )
+    free = run_physics(BLOCKED, replace(made, overlapping=(("link_1", "link_2"),)), engine="sapien")
     assert not free.missed
-
-
-def followers(multiplier: float) -> ArticulatedObject:
-    """Two blocks on a board; the second follows the first, and has 0.1 m to go."""
-    mimic = Mimic("a", multiplier)
-    tree = KinematicTree(
-        ("link_0", "link_1", "link_2"),
-        (
-            Joint("a", "prismatic", "link_0", "link_1", (1, 0, 0), lower=0, upper=0.1),
-            Joint("b", "prismatic", "link_0", "link_2", (1, 0, 0), lower=0, upper=0.1, mimic=mimic),
-        ),
-    )
-    parts = (
-        part("link_0", box([0, 0, -0.05], [1, 0.5, 0])),
-        part("link_1", box([0.1, 0.1, 0], [0.2, 0.2, 0.1])),
-        part("link_2", box([0.1, 0.3, 0], [0.2, 0.4, 0.1])),
-    )
-    return ArticulatedObject("pair", parts, tree)
 
 
 @pytest.mark.parametrize("engine", ["mujoco", "sapien"])
@@ -188,7 +150,7 @@ def test_engines_that_are_not_there_are_refused_by_name(monkeypatch):
 
 
 def test_findings_of_one_engine_count_for_it_alone():
-    report = validate(pushed(), engines=("mujoco", "sapien"), fixes=False)
+    report = validate(BLOCKED, engines=("mujoco", "sapien"), fixes=False)
     runs = (report.physics, *report.others)
     assert [run.engine for run in runs] == ["MuJoCo", "SAPIEN"]
     found = [f for j in report.joints for f in j.findings if f.engine == "SAPIEN"]

@@ -148,7 +148,9 @@ def fan(rng: np.random.Generator) -> ProceduralObject:
     )
     add_blades(rotor, rotor_at, int(rng.integers(3, 6)), 0.02, 0.86 * r, 0.3 * r, skin, axis=1)
     if rng.random() < 0.6:
-        controls.knob(b, head, (0, 0.05, cz + 0.056), 0.012, 0.02, dark, skin, face="up", style=0)
+        controls.knob(
+            b, head, (0, 0.05, cz + 0.056), (0.012, 0.02), (dark, skin), face="up", style=0
+        )
     for k in range(int(rng.integers(0, 4))):
         at = ((k - 1) * 0.03, -0.5 * r, 0.022)
         controls.push_button(b, base, at, (0.016, 0.016, 0.005), dark, face="up")

@@ -401,10 +401,8 @@ def switch(rng: np.random.Generator) -> ProceduralObject:
                 b,
                 plate,
                 (x, -t / 2, cz),
-                0.016,
-                0.016,
-                plain("dial", (246, 246, 244)),
-                GREY,
+                (0.016, 0.016),
+                (plain("dial", (246, 246, 244)), GREY),
                 style=int(rng.integers(3)),
                 limits=(0.0, 4.7),
             )

@@ -109,7 +109,7 @@ def cupboard(
     spec: Cupboard, palette: Palette, rng: np.random.Generator, *, mirrored: bool = False
 ) -> ProceduralObject:
     """Build a cupboard; ``mirrored`` hinges doors in the right half on their right."""
-    b = Builder("StorageFurniture", rng)
+    b = Builder("StorageFurniture", rng, palette)
     w, d, _h = spec.size
     body = b.base("furniture_body")
     bottom = spec.leg_height
@@ -123,7 +123,7 @@ def cupboard(
     for cell in spec.cells:
         right = mirrored and cell.area.center[0] > 0
         look = replace(spec, hinge="right") if right else spec
-        moving += _close(b, body, cell, look, palette, inside)
+        moving += _close(b, body, cell, look, inside)
     rest = {}
     for part, share in zip(moving, spec.open_by, strict=False):
         if share > 0:
@@ -157,9 +157,7 @@ def _inside(body: Body, cell: Cell, spec: Cupboard, palette: Palette) -> None:
         body.add(shelf, palette.body, "shelf", grain=0)
 
 
-def _close(
-    b: Builder, body: Body, cell: Cell, spec: Cupboard, palette: Palette, inside: m.Surface
-) -> list[Body]:
+def _close(b: Builder, body: Body, cell: Cell, spec: Cupboard, inside: m.Surface) -> list[Body]:
     """The doors or the drawer of one compartment."""
     w, d, h = spec.size
     t, bottom, thick = spec.wall, spec.leg_height, 0.018
@@ -189,7 +187,6 @@ def _close(
                 face,
                 y,
                 min(0.92 * deep, 0.55),
-                palette,
                 inner=clear,
                 style="plain" if face.height < 0.24 else spec.front,
                 handle_style=spec.handle,
@@ -201,26 +198,19 @@ def _close(
         ]
     if cell.use == "flap":
         return [
-            m.door(
-                b,
-                body,
-                face,
-                y,
-                replace(look, hinge="bottom", swing=np.pi / 2, handle_at=0.5),
-                palette,
-            )
+            m.door(b, body, face, y, replace(look, hinge="bottom", swing=np.pi / 2, handle_at=0.5))
         ]
     low = a.center[1] < 0.9
     look = replace(look, handle_at=0.85 if low and a.height > 0.5 else 0.5)
     if cell.use == "door":
-        return [m.door(b, body, face, y, replace(look, hinge=spec.hinge), palette)]
+        return [m.door(b, body, face, y, replace(look, hinge=spec.hinge))]
     if cell.use == "two_doors":
         middle = a.center[0]
         left = replace(face, x1=middle - spec.gap / 2)
         right = replace(face, x0=middle + spec.gap / 2)
         return [
-            m.door(b, body, left, y, replace(look, hinge="left"), palette),
-            m.door(b, body, right, y, replace(look, hinge="right"), palette),
+            m.door(b, body, left, y, replace(look, hinge="left")),
+            m.door(b, body, right, y, replace(look, hinge="right")),
         ]
     return []
 
@@ -262,7 +252,7 @@ def storage_furniture(rng: np.random.Generator) -> ProceduralObject:
 def table(rng: np.random.Generator) -> ProceduralObject:
     """A desk with drawers under its top, perhaps a pedestal with a door, or on casters."""
     b = Builder("Table", rng)
-    palette = furniture_palette(rng)
+    b.palette = palette = furniture_palette(rng)
     w, d, h = (float(v) for v in rng.uniform((0.8, 0.5, 0.68), (1.6, 0.8, 0.78)))
     base = b.base("table_body")
     t = 0.025
@@ -290,25 +280,18 @@ def table(rng: np.random.Generator) -> ProceduralObject:
         r = m.Opening(float(a), float(z), low, low + tall)
         clear = m.Opening(float(a) + wall / 2, float(z) - wall / 2, low + 0.001, low + tall)
         m.drawer(
-            b, base, r.shrunk(0.0025), y - 0.001, 0.8 * deep, palette, inner=clear,
-            handle_style=handle, inside=wood("birch"), thickness=0.016, handle_length=0.1,
+            b, base, r.shrunk(0.0025), y - 0.001, 0.8 * deep, inner=clear,
+            handle_style=handle, inside=wood("birch"), thickness=0.016, handle_length=0.1
         )  # fmt: skip
     for side in pedestals:
-        _pedestal(b, base, side, w, d, low - 0.01, palette, handle, rng)
+        _pedestal(b, base, side, w, d, low - 0.01, handle)
     return b.build()
 
 
 def _pedestal(
-    b: Builder,
-    base: Body,
-    side: int,
-    w: float,
-    d: float,
-    top: float,
-    palette: Palette,
-    handle: m.HandleStyle,
-    rng: np.random.Generator,
+    b: Builder, base: Body, side: int, w: float, d: float, top: float, handle: m.HandleStyle
 ) -> None:
+    palette = b.palette
     width, bottom = min(0.4, 0.36 * w), 0.09
     x0 = side * (w / 2 - 0.085) - (width if side > 0 else 0)
     r = m.Opening(x0, x0 + width, bottom, top)
@@ -323,28 +306,28 @@ def _pedestal(
     base.add(s.box(size, (r.center[0], y + deep - wall / 2, r.center[1])), palette.body, "back")
     clear = replace(r.shrunk(wall), z1=r.z1 - 0.004)
     cells = [Cell("door", r)]
-    if rng.random() < 0.5:
-        levels = np.linspace(bottom, top, int(rng.integers(2, 4)) + 1)
+    if b.rng.random() < 0.5:
+        levels = np.linspace(bottom, top, int(b.rng.integers(2, 4)) + 1)
         cells = [Cell("drawer", replace(r, z0=float(a), z1=float(z))) for a, z in pairwise(levels)]
     for cell in cells:
         if cell.use == "door":
             hinge = "left" if side < 0 else "right"
             spec = m.DoorSpec(hinge, 1.7, "plain", handle, 0.12, handle_at=0.8)
-            m.door(b, base, r.shrunk(0.002), y - 0.001, spec, palette)
+            m.door(b, base, r.shrunk(0.002), y - 0.001, spec)
         else:
             inner = m.Opening(
                 clear.x0, clear.x1, max(cell.area.z0, clear.z0), min(cell.area.z1, clear.z1)
             )
             m.drawer(
-                b, base, cell.area.shrunk(0.002), y - 0.001, 0.8 * deep, palette, inner=inner,
-                handle_style=handle, inside=wood("birch"), handle_length=0.1,
+                b, base, cell.area.shrunk(0.002), y - 0.001, 0.8 * deep, inner=inner,
+                handle_style=handle, inside=wood("birch"), handle_length=0.1
             )  # fmt: skip
 
 
 def cart(rng: np.random.Generator) -> ProceduralObject:
     """A trolley with shelves or a tray on four casters, perhaps with drawers."""
     b = Builder("Cart", rng)
-    palette = plastic_palette(rng)
+    b.palette = palette = plastic_palette(rng)
     frame = metal(("steel", "white", "dark")[rng.integers(3)])
     w, d, h = (float(v) for v in rng.uniform((0.4, 0.32, 0.55), (0.9, 0.5, 0.95)))
     wheel = float(rng.uniform(0.03, 0.055))
@@ -361,7 +344,6 @@ def cart(rng: np.random.Generator) -> ProceduralObject:
                 body,
                 (*spot, low),
                 wheel,
-                palette,
                 rubber(),
                 swivel=swivels[1 + (y > 0)],
                 heading=float(rng.random() * 6.28) if swivels[1 + (y > 0)] else np.pi / 2,
@@ -384,7 +366,7 @@ def cart(rng: np.random.Generator) -> ProceduralObject:
         if z1 - z0 > 0.1:
             r = m.Opening(-w / 2 + 0.035, w / 2 - 0.035, z0, z1)
             m.drawer(
-                b, body, r, -d / 2 + 0.014, 0.85 * d, palette, inner=r.shrunk(0.002),
-                handle_style="bar", inside=palette.front, thickness=0.012,
+                b, body, r, -d / 2 + 0.014, 0.85 * d, inner=r.shrunk(0.002),
+                handle_style="bar", inside=palette.front, thickness=0.012
             )  # fmt: skip
     return b.build()

@@ -168,11 +168,7 @@ def usb(rng: np.random.Generator) -> ProceduralObject:
     """A stick with a cap, a swivelling cover, or a plug that slides out."""
     b = Builder("USB", rng)
     skin = any_plastic(rng)
-    w, length, t = (
-        float(rng.uniform(0.016, 0.022)),
-        float(rng.uniform(0.032, 0.045)),
-        float(rng.uniform(0.0085, 0.0105)),
-    )
+    w, length, t = map(float, rng.uniform((0.016, 0.032, 0.0085), (0.022, 0.045, 0.0105)))
     plug = (0.012, 0.0118, 0.0045)
     lift = t / 2 + 0.002
     body = b.base("usb_body")
@@ -258,7 +254,7 @@ def scissors(rng: np.random.Generator) -> ProceduralObject:
         at = (-back - loop_r[k] * stretch * 0.9, y, lift + 0.0002 * sign)
         half.add(ring.scaled((stretch, 1, 1)).moved(at), grip, "handle")
     at = (0, 0, lift + t + 0.001)
-    halves[0].add(s.cylinder(0.0045, 0.002, segments=18, bevel=0.0004).moved(at), steel, "screw")
+    halves[0].add(s.cylinder(0.0045, 0.002, segments=18, bevel=0.0004).moved(at), steel, "pivot")
     rest = float(rng.uniform(0.2, 0.8)) * opening
     made = b.build({"link_1": rest})
     return made

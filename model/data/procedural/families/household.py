@@ -39,7 +39,7 @@ def lever_handle(b: Builder, door: Body, at: np.ndarray, side: float, surface: S
 def door(rng: np.random.Generator) -> ProceduralObject:
     """A door in its frame, or two, with levers or knobs."""
     b = Builder("Door", rng)
-    palette = furniture_palette(rng)
+    b.palette = palette = furniture_palette(rng)
     double = rng.random() < 0.25
     w = float(rng.uniform(1.3, 1.7) if double else rng.uniform(0.72, 1.0))
     h, jamb, thick = float(rng.uniform(1.95, 2.2)), float(rng.uniform(0.05, 0.09)), 0.04
@@ -63,8 +63,8 @@ def door(rng: np.random.Generator) -> ProceduralObject:
         if double:
             r = replace(r, x1=-gap / 2) if side < 0 else replace(r, x0=gap / 2)
         spec = m.DoorSpec(hinge, float(rng.uniform(1.4, 2.2)), style, None, thickness=thick)
-        look = Palette(palette.body, palette.front, metal_, metal_, palette.dark)
-        panel = m.door(b, frame, r, -deep / 2 + thick, spec, look)
+        b.palette = replace(palette, accent=metal_, metal=metal_)
+        panel = m.door(b, frame, r, -deep / 2 + thick, spec)
         at = np.array([(r.x1 if side < 0 else r.x0) + side * 0.07, -deep / 2, 1.02])
         kind = rng.random()
         if kind < 0.55:
@@ -90,7 +90,7 @@ def window(rng: np.random.Generator) -> ProceduralObject:
     """Sashes that swing, tip or slide in a frame."""
     b = Builder("Window", rng)
     paint = one_color(rng, PAINTS[:6]) if rng.random() < 0.7 else wood("oak")
-    palette = Palette(paint, paint, metal("steel"), metal("steel"), paint)
+    b.palette = palette = Palette(paint, paint, metal("steel"), metal("steel"), paint)
     w, h = (float(v) for v in rng.uniform((0.7, 0.8), (1.5, 1.5)))
     bar, deep = float(rng.uniform(0.05, 0.08)), 0.08
     frame = b.base("window_frame")
@@ -103,7 +103,7 @@ def window(rng: np.random.Generator) -> ProceduralObject:
     kind = ("casement", "slide", "hung", "awning")[rng.integers(4)]
     thick = 0.034
     if kind in ("slide", "hung"):
-        _sliding_sashes(b, frame, area, (w, h), kind == "hung", palette)
+        _sliding_sashes(b, frame, area, (w, h), kind == "hung")
         return b.build()
     count = 1 if kind == "awning" or w < 0.9 else 2
     rest = {}
@@ -114,7 +114,7 @@ def window(rng: np.random.Generator) -> ProceduralObject:
         )
         spec = m.DoorSpec(side, float(rng.uniform(0.9, 1.6)), "glass", None, thickness=thick)
         opening = r.shrunk(0.003)
-        sash = m.door(b, frame, opening, -deep / 2 + thick + 0.004, spec, palette, name="window")
+        sash = m.door(b, frame, opening, -deep / 2 + thick + 0.004, spec, name="window")
         end = r.x1 - 0.022 if side == "left" else r.x0 + 0.022
         at = np.array(
             [
@@ -139,9 +139,7 @@ def window(rng: np.random.Generator) -> ProceduralObject:
     return b.build(rest)
 
 
-def _sliding_sashes(
-    b: Builder, frame: Body, area: m.Opening, size: Vector, upright: bool, palette: Palette
-) -> None:
+def _sliding_sashes(b: Builder, frame: Body, area: m.Opening, size: Vector, upright: bool) -> None:
     """Two sashes, one before the other; only the front one has a handle."""
     w, h = size
     thick, border = 0.034, 0.045
@@ -161,14 +159,14 @@ def _sliding_sashes(
             travel = 0.85 * (w / 2 - overlap)
         y = -0.002 if k == 0 else thick + 0.002
         sash = b.slide("window", frame, axis, 0.0, travel, (r.center[0], y, r.center[1]))
-        m.panel(sash, r.shrunk(0.002), y, thick, "glass", palette, border=border)
+        m.panel(sash, r.shrunk(0.002), y, thick, "glass", b.palette, border=border)
         if k == 0 or not upright:
             grip = m.handle("lip", 0.12, 0.012)
             z = r.z0 + 0.02 if upright else r.center[1]
             x = r.center[0] if upright else (r.x0 + 0.02 if k == 0 else r.x1 - 0.02)
             if k == 0:
                 solids = m.place(grip, (x, y - thick, z), roll=np.pi / 2 if upright else 0.0)
-                m.add(sash, solids, palette.accent, "handle")
+                m.add(sash, solids, b.palette.accent, "handle")
 
 
 def box(rng: np.random.Generator) -> ProceduralObject:
@@ -225,7 +223,9 @@ def safe(rng: np.random.Generator) -> ProceduralObject:
     """A steel box with a thick door, a dial or a keypad, and a handle that turns."""
     b = Builder("Safe", rng)
     skin = plain("safe", PAINTS[3:][rng.integers(len(PAINTS) - 3)])
-    palette = Palette(skin, skin, metal("steel"), metal("steel"), plain("dark", (36, 38, 42)))
+    b.palette = palette = Palette(
+        skin, skin, metal("steel"), metal("steel"), plain("dark", (36, 38, 42))
+    )
     w, d, h = (float(v) for v in rng.uniform((0.3, 0.28, 0.25), (0.6, 0.5, 0.8)))
     wall, thick = float(rng.uniform(0.02, 0.045)), float(rng.uniform(0.025, 0.05))
     body = b.base("safe_body")
@@ -242,14 +242,14 @@ def safe(rng: np.random.Generator) -> ProceduralObject:
     r = r.shrunk(wall + 0.003) if inset else r.shrunk(0.001)
     y = -d / 2 + thick if inset else -d / 2 - 0.002
     spec = m.DoorSpec(side, float(rng.uniform(1.4, 1.9)), "plain", None, thickness=thick)
-    door_ = m.door(b, body, r, y, spec, palette)
+    door_ = m.door(b, body, r, y, spec)
     front = y - thick
     free = 1 if side == "left" else -1
     cx, cz = r.center
     mark = plain("mark", (240, 240, 240))
     if rng.random() < 0.6:
         offset = (cx + free * 0.12 * w, front, cz + 0.12 * h)
-        controls.knob(b, door_, offset, 0.032, 0.025, palette.dark, mark, style=2)
+        controls.knob(b, door_, offset, (0.032, 0.025), (palette.dark, mark), style=2)
     else:
         for i in range(3):
             for j in range(3):
@@ -317,7 +317,8 @@ def suitcase(rng: np.random.Generator) -> ProceduralObject:
     grip = s.rounded_box((0.36 * w + 0.04, 0.022, 0.026), 0.009, rim=0.006)
     handle.add(grip.moved((0, y, bottom + h + 0.03)), plain("grip", (40, 40, 44)), "grip")
     spinner = rng.random() < 0.6
-    palette = Palette(skin, skin, metal("dark"), metal("dark"), plain("dark", (40, 40, 44)))
+    dark = plain("dark", (40, 40, 44))
+    b.palette = Palette(skin, skin, metal("dark"), metal("dark"), dark)
     spots = [(-1, -0.6), (1, -0.6), (-1, 0.6), (1, 0.6)] if spinner else [(-1, 0.6), (1, 0.6)]
     for sx, sy in spots:
         parent = lid if sy < 0 else body
@@ -327,7 +328,6 @@ def suitcase(rng: np.random.Generator) -> ProceduralObject:
             parent,
             top,
             wheel,
-            palette,
             rubber(),
             swivel=spinner,
             heading=float(rng.random() * 6.28) if spinner else 0.0,
@@ -369,7 +369,7 @@ def trash_can(rng: np.random.Generator) -> ProceduralObject:
         lid.add(s.loft(loops), dark if rng.random() < 0.5 else skin, "lid")
         offset = (0, d / 2 + 0.004, top + 0.002)
         lid.add(s.along(s.cylinder(0.006, 0.35 * w, segments=12), 0).moved(offset), dark, "hinge")
-        _pedal_or_wheels(b, body, w, d, dark, rng)
+        _pedal_or_wheels(b, body, w, d, dark)
         if rng.random() < 0.25:
             rest[lid.link] = float(rng.uniform(0.1, 1.2))
     elif kind < 0.8:
@@ -408,15 +408,13 @@ def trash_can(rng: np.random.Generator) -> ProceduralObject:
     return b.build(rest)
 
 
-def _pedal_or_wheels(
-    b: Builder, body: Body, w: float, d: float, dark: Surface, rng: np.random.Generator
-) -> None:
-    if rng.random() < 0.5:
+def _pedal_or_wheels(b: Builder, body: Body, w: float, d: float, dark: Surface) -> None:
+    if b.rng.random() < 0.5:
         pedal = b.hinge("pedal", body, (1, 0, 0), (0, -d / 2 + 0.12 * d, 0.014), 0.0, 0.1)
         reach = 0.1 * d + 0.05
         center = (0, -d / 2 - reach / 2 + 0.05 * d + 0.003, 0.0145)
         pedal.add(s.box((0.3 * w, reach, 0.006), center, 0.001), metal("steel"), "pedal")
-    elif rng.random() < 0.4:
+    elif b.rng.random() < 0.4:
         for side in (-1, 1):
             at = (side * (0.35 * w + 0.012), d / 2 - 0.02, 0.05)
             wheel = b.spin("wheel", body, (1, 0, 0), at)

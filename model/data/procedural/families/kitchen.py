@@ -101,7 +101,7 @@ class OvenSpec:
 
 def build_oven(spec: OvenSpec, palette: Palette, rng: np.random.Generator) -> ProceduralObject:
     """An oven, with a cooktop where it has burners."""
-    b = Builder("Oven", rng)
+    b = Builder("Oven", rng, palette)
     w, d, h = spec.size
     body = b.base("oven_body")
     bottom = spec.feet
@@ -130,38 +130,29 @@ def build_oven(spec: OvenSpec, palette: Palette, rng: np.random.Generator) -> Pr
         m.DoorSpec(
             "bottom", np.pi / 2, "window", spec.handle, 0.76 * w, 0.045, 0.5, 0.05, thick - 0.002
         ),
-        palette,
     )
     if spec.drawer:
-        _warming_drawer(b, body, w, d, bottom, low + 0.001 - spec.gap, thick, palette)
-    _oven_knobs(b, body, spec, palette, front - thick, bottom + h - spec.fascia / 2)
+        _warming_drawer(b, body, w, d, bottom, low + 0.001 - spec.gap, thick)
+    _oven_knobs(b, body, spec, front - thick, bottom + h - spec.fascia / 2)
     if spec.burners:
         _cooktop(body, w, d, bottom + h, spec.burners, palette)
     return b.build({door.link: spec.door_open} if spec.door_open else None)
 
 
 def _warming_drawer(
-    b: Builder,
-    body: Body,
-    w: float,
-    d: float,
-    bottom: float,
-    low: float,
-    thick: float,
-    palette: Palette,
+    b: Builder, body: Body, w: float, d: float, bottom: float, low: float, thick: float
 ) -> None:
     front = -d / 2
     part = b.slide("drawer", body, (0, -1, 0), 0.0, 0.3, (0, front, (bottom + low) / 2))
     r = m.Opening(-w / 2 + 0.002, w / 2 - 0.002, bottom + 0.004, low - 0.001)
-    m.panel(part, r, front - 0.002, thick - 0.002, "plain", palette)
+    m.panel(part, r, front - 0.002, thick - 0.002, "plain", b.palette)
     grip = m.handle("lip", 0.5 * w, 0.025)
     solids = m.place(grip, (0, front - thick, low - 0.03), roll=np.pi / 2)
-    m.add(part, solids, palette.accent, "handle")
+    m.add(part, solids, b.palette.accent, "handle")
 
 
-def _oven_knobs(
-    b: Builder, body: Body, spec: OvenSpec, palette: Palette, y: float, z: float
-) -> None:
+def _oven_knobs(b: Builder, body: Body, spec: OvenSpec, y: float, z: float) -> None:
+    palette = b.palette
     w = spec.size[0]
     middle = spec.display and spec.knobs % 2 == 0
     xs = np.linspace(-0.42, 0.42, spec.knobs) * w if spec.knobs > 1 else np.array([0.25 * w])
@@ -183,10 +174,8 @@ def _oven_knobs(
             b,
             body,
             (float(x), y, z),
-            radius,
-            0.026,
-            palette.accent,
-            mark,
+            (radius, 0.026),
+            (palette.accent, mark),
             style=spec.knob_style,
             limits=spec.knob_limits,
         )
@@ -233,7 +222,7 @@ def oven(rng: np.random.Generator) -> ProceduralObject:
 def microwave(rng: np.random.Generator) -> ProceduralObject:
     """A door beside a panel of buttons or knobs, perhaps a turntable."""
     b = Builder("Microwave", rng)
-    palette = appliance_palette(rng)
+    b.palette = palette = appliance_palette(rng)
     w, d, h = (float(v) for v in rng.uniform((0.42, 0.32, 0.24), (0.6, 0.46, 0.36)))
     bottom, wall, thick = 0.012, 0.025, 0.028
     panel_width = float(rng.uniform(0.18, 0.26)) * w
@@ -264,9 +253,7 @@ def microwave(rng: np.random.Generator) -> ProceduralObject:
         0.03,
         thick - 0.002,
     )
-    m.door(
-        b, body, m.Opening(-w / 2, split - 0.0015, bottom, bottom + h), front - 0.002, look, palette
-    )
+    m.door(b, body, m.Opening(-w / 2, split - 0.0015, bottom, bottom + h), front - 0.002, look)
     cx = fascia.center[0]
     size = (0.75 * panel_width, 0.004, 0.14 * h)
     center = (cx, face - 0.001, bottom + 0.87 * h)
@@ -278,10 +265,8 @@ def microwave(rng: np.random.Generator) -> ProceduralObject:
                 b,
                 body,
                 (cx, face, bottom + z * h),
-                0.3 * panel_width,
-                0.02,
-                palette.accent,
-                mark,
+                (0.3 * panel_width, 0.02),
+                (palette.accent, mark),
                 style=int(rng.integers(3)),
                 limits=(0.0, 4.71) if rng.random() < 0.5 else None,
             )
@@ -326,7 +311,7 @@ def build_refrigerator(
     gap: float = 0.004,
 ) -> ProceduralObject:
     """A refrigerator of one of the layouts that :func:`refrigerator` names; ``gap`` in metres."""
-    b = Builder("Refrigerator", rng)
+    b = Builder("Refrigerator", rng, palette)
     w, d, h = size
     body = b.base("refrigerator_body")
     bottom, wall, thick = 0.04, 0.045, float(rng.uniform(0.045, 0.07))
@@ -367,7 +352,7 @@ def build_refrigerator(
 
     def close(r: m.Opening, hinge: m.Side, at: float) -> None:
         spec = replace(look, hinge=hinge, handle_at=at)
-        part = m.door(b, body, r.shrunk(gap / 2), front - 0.006, spec, palette)
+        part = m.door(b, body, r.shrunk(gap / 2), front - 0.006, spec)
         seal = s.frame((r.width - 0.05, r.height - 0.05), (r.width - 0.09, r.height - 0.09), 0.005)
         part.add(seal.moved((r.center[0], front - 0.0035, r.center[1])), rubber(), "gasket")
         moving.append(part)
@@ -380,7 +365,7 @@ def build_refrigerator(
         close(top, side, 0.15 if cut else 0.6)
     if cut and layout == "french":
         count = int(rng.integers(1, 3))
-        _freezer_drawers(b, body, zones[0], front, thick, inner, hollow, palette, style, count)
+        _freezer_drawers(b, body, zones[0], front, thick, inner, hollow, style, count)
     elif cut:
         close(zones[0], side, 0.85)
     rest = {moving[-1].link: min(ajar, look.swing)} if ajar else None
@@ -395,7 +380,6 @@ def _freezer_drawers(
     thick: float,
     inner: float,
     hollow: float,
-    palette: Palette,
     style: m.HandleStyle,
     count: int,
 ) -> None:
@@ -409,6 +393,6 @@ def _freezer_drawers(
             min(float(z), zone.z1 - 0.025) - 0.002,
         )
         m.drawer(
-            b, body, r, front - 0.006, 0.75 * hollow, palette, inner=cell, handle_style=style,
-            thickness=thick, inside=INSIDE, travel=0.8, handle_length=0.6,
+            b, body, r, front - 0.006, 0.75 * hollow, inner=cell, handle_style=style,
+            thickness=thick, inside=INSIDE, travel=0.8, handle_length=0.6
         )  # fmt: skip

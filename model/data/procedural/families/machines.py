@@ -61,7 +61,7 @@ def camera(rng: np.random.Generator) -> ProceduralObject:
     controls.push_button(b, body, at, (0.011, 0.011, 0.003), metal("steel"), face="up", round_=True)
     for k in range(int(rng.integers(0, 3))):
         at = ((0.32 - 0.6 * k) * w + (0.06 * w if k else 0), 0.1 * d, h)
-        controls.knob(b, body, at, 0.008, 0.007, GREY, LIGHT, face="up", style=2)
+        controls.knob(b, body, at, (0.008, 0.007), (GREY, LIGHT), face="up", style=2)
     if rng.random() < 0.5:
         x0 = -0.22 * w
         origin = (x0, d / 2 + 0.0035, h / 2)
@@ -159,9 +159,15 @@ def toaster(rng: np.random.Generator) -> ProceduralObject:
         at = (x + 0.0156, y, z)
         lever.add(s.rounded_box(size, 0.006, rim=0.004).moved(at), palette.accent, "lever")
     controls.knob(
-        b, body, (w / 2, 0.3 * d, lift + 0.13 * h), 0.016, 0.014, palette.accent, LIGHT,
-        face="right", style=int(rng.integers(3)), limits=(0.0, 4.4),
-    )  # fmt: skip
+        b,
+        body,
+        (w / 2, 0.3 * d, lift + 0.13 * h),
+        (0.016, 0.014),
+        (palette.accent, LIGHT),
+        face="right",
+        style=int(rng.integers(3)),
+        limits=(0.0, 4.4),
+    )
     for k in range(int(rng.integers(0, 4))):
         at = (w / 2, -0.3 * d, lift + (0.2 + 0.14 * k) * h)
         controls.push_button(b, body, at, (0.014, 0.014, 0.004), LIGHT, face="right", round_=True)
@@ -231,10 +237,8 @@ def coffee_machine(rng: np.random.Generator) -> ProceduralObject:
             b,
             body,
             (0.25 * w, face, z),
-            0.018,
-            0.018,
-            palette.accent,
-            LIGHT,
+            (0.018, 0.018),
+            (palette.accent, LIGHT),
             style=int(rng.integers(3)),
             limits=(0.0, 3.1) if rng.random() < 0.5 else None,
         )

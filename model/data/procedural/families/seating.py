@@ -25,7 +25,7 @@ def office_chair(
 ) -> ProceduralObject:
     """A swivel chair: star base with casters, a column that lifts, a seat that turns."""
     b = Builder("Chair", rng)
-    palette = plastic_palette(rng)
+    b.palette = plastic_palette(rng)
     frame = metal("dark") if rng.random() < 0.5 else metal("steel")
     base = b.base("leg")
     arms = int(rng.choice([4, 5, 5, 5, 6]))
@@ -45,7 +45,7 @@ def office_chair(
         top = (reach * np.cos(a) * 0.97, reach * np.sin(a) * 0.97, tip_z - 0.008)
         if casters:
             heading = float(rng.random() * 6.28)
-            controls.caster(b, base, top, wheel, palette, rubber(), heading=heading)
+            controls.caster(b, base, top, wheel, rubber(), heading=heading)
     seat_z = float(rng.uniform(0.42, 0.5))
     profile = [
         (0.0225, hub_z + 0.02),
@@ -60,9 +60,7 @@ def office_chair(
     at = (0, 0, (seat_z + hub_z + 0.07) / 2 - 0.02)
     seat.add(s.cylinder(0.0215, height, segments=16).moved(at), metal("steel"), "column")
     cloth = fabric(_cloth(rng))
-    _swivel_seat(
-        b, seat, seat_z, frame, cloth, rng, bool(rng.random() < 0.85) if back is None else back
-    )
+    _swivel_seat(b, seat, seat_z, frame, cloth, bool(rng.random() < 0.85) if back is None else back)
     return b.build()
 
 
@@ -85,14 +83,9 @@ def cushion(width: float, depth: float, thick: float) -> s.Solid:
 
 
 def _swivel_seat(
-    b: Builder,
-    seat: Body,
-    z: float,
-    frame: Surface,
-    cloth: Surface,
-    rng: np.random.Generator,
-    back: bool,
+    b: Builder, seat: Body, z: float, frame: Surface, cloth: Surface, back: bool
 ) -> None:
+    rng = b.rng
     w, d = (float(v) for v in rng.uniform((0.42, 0.42), (0.52, 0.5)))
     seat.add(s.box((0.18, 0.22, 0.03), (0, 0, z - 0.03), 0.004), frame, "plate")
     seat.add(cushion(w, d, 0.085).moved((0, 0, z + 0.025)), cloth, "cushion")
@@ -175,11 +168,7 @@ def folding_chair(rng: np.random.Generator) -> ProceduralObject:
     color = PLASTICS[rng.integers(len(PLASTICS))]
     bar, pad = metal(("steel", "dark", "white")[rng.integers(3)]), plain("pad", color)
     w = float(rng.uniform(0.38, 0.46))
-    seat_z, top, foot = (
-        float(rng.uniform(0.42, 0.46)),
-        float(rng.uniform(0.76, 0.88)),
-        float(rng.uniform(0.24, 0.3)),
-    )
+    seat_z, top, foot = map(float, rng.uniform((0.42, 0.76, 0.24), (0.46, 0.88, 0.3)))
     r = 0.011
     front = b.base("leg")
     half = w / 2
@@ -212,21 +201,14 @@ def folding_chair(rng: np.random.Generator) -> ProceduralObject:
     at = pin + 0.8 * down
     rear.add(s.along(s.cylinder(0.8 * r, 2 * rear_half, segments=12), 0).moved(at), bar, "bar")
     hinge = along_front(seat_z - 0.02)
-    _folding_seat(b, front, hinge, rear_half - 1.6 * r, pad, bar, float(lean), rng)
+    _folding_seat(b, front, hinge, rear_half - 1.6 * r, pad, bar, float(lean))
     return b.build()
 
 
 def _folding_seat(
-    b: Builder,
-    front: Body,
-    hinge: np.ndarray,
-    half: float,
-    pad: Surface,
-    bar: Surface,
-    lean: float,
-    rng: np.random.Generator,
+    b: Builder, front: Body, hinge: np.ndarray, half: float, pad: Surface, bar: Surface, lean: float
 ) -> None:
     seat = b.hinge("seat", front, (-1, 0, 0), hinge, 0.0, float(np.pi / 2 - lean) * 0.9)
-    depth = float(rng.uniform(0.3, 0.36))
+    depth = float(b.rng.uniform(0.3, 0.36))
     board = s.rounded_box((2 * half, depth, 0.018), 0.04, rim=0.006)
     seat.add(board.moved(hinge + np.array([0, -depth / 2 + 0.03, 0.004])), pad, "seat")

@@ -28,7 +28,7 @@ def basket(width: float, depth: float, height: float) -> s.Solid:
 def dishwasher(rng: np.random.Generator) -> ProceduralObject:
     """A door that folds down, racks that slide out, buttons above."""
     b = Builder("Dishwasher", rng)
-    palette = appliance_palette(rng)
+    b.palette = palette = appliance_palette(rng)
     w, d, h = (float(v) for v in rng.uniform((0.45, 0.52, 0.76), (0.6, 0.6, 0.84)))
     bottom, wall, thick = 0.08, 0.03, 0.03
     body = b.base("dishwasher_body")
@@ -47,7 +47,6 @@ def dishwasher(rng: np.random.Generator) -> ProceduralObject:
         m.Opening(-w / 2 + 0.001, w / 2 - 0.001, bottom + 0.002, top - 0.003),
         front - 0.002,
         m.DoorSpec("bottom", np.pi / 2, "plain", style, 0.7 * w, 0.04, 0.5, 0.06, thick),
-        palette,
     )
     count = int(rng.integers(2, 7))
     if strip:
@@ -62,10 +61,8 @@ def dishwasher(rng: np.random.Generator) -> ProceduralObject:
             b,
             body,
             (0.4 * w, front - thick, top + strip / 2),
-            0.028,
-            0.022,
-            palette.accent,
-            plain("mark", (230, 230, 230)),
+            (0.028, 0.022),
+            (palette.accent, plain("mark", (230, 230, 230))),
             style=int(rng.integers(3)),
         )
     for k in range(int(rng.integers(1, 3))):
@@ -80,7 +77,7 @@ def dishwasher(rng: np.random.Generator) -> ProceduralObject:
 def washing_machine(rng: np.random.Generator) -> ProceduralObject:
     """A front loader: round door, drum, detergent drawer, programme knob and buttons."""
     b = Builder("WashingMachine", rng)
-    palette = appliance_palette(rng)
+    b.palette = palette = appliance_palette(rng)
     w, d, h = (float(v) for v in rng.uniform((0.55, 0.48, 0.8), (0.65, 0.6, 0.9)))
     bottom, strip = 0.02, 0.12
     body = b.base("washingmachine_body")
@@ -92,7 +89,7 @@ def washing_machine(rng: np.random.Generator) -> ProceduralObject:
         for y in (-1, 1):
             at = (x * 0.42 * w, y * 0.4 * d, bottom / 2 + 0.002)
             body.add(s.cylinder(0.02, bottom + 0.004, segments=12).moved(at), palette.dark, "foot")
-    _porthole(b, body, radius, front, cz, palette, rng)
+    _porthole(b, body, radius, front, cz)
     drum = b.spin("drum", body, (0, 1, 0), (0, 0, cz))
     r = 0.93 * radius
     profile = [
@@ -110,7 +107,7 @@ def washing_machine(rng: np.random.Generator) -> ProceduralObject:
         fin = s.box((0.03, 0.45 * d, 0.16 * r), (0, front + 0.05 + 0.3 * d, 0.86 * r), 0.004)
         drum.add(fin.turned((0, 1, 0), 2.094 * k).moved((0, 0, cz)), metal("steel"), "fin")
     zs = bottom + h - strip / 2
-    _washing_controls(b, body, w, front, zs, strip, palette, rng)
+    _washing_controls(b, body, w, front, zs, strip)
     return b.build()
 
 
@@ -159,15 +156,8 @@ def _round_opening(
     body.add(s.box(size, (0, 0, bottom + h + 0.009), 0.005), palette.body, "top")
 
 
-def _porthole(
-    b: Builder,
-    body: Body,
-    radius: float,
-    front: float,
-    cz: float,
-    palette: Palette,
-    rng: np.random.Generator,
-) -> None:
+def _porthole(b: Builder, body: Body, radius: float, front: float, cz: float) -> None:
+    palette, rng = b.palette, b.rng
     outer, thick = 1.18 * radius, 0.04
     side = -1 if rng.random() < 0.6 else 1
     hinge_x = side * (outer + 0.012)
@@ -201,15 +191,9 @@ def _porthole(
 
 
 def _washing_controls(
-    b: Builder,
-    body: Body,
-    w: float,
-    front: float,
-    z: float,
-    strip: float,
-    palette: Palette,
-    rng: np.random.Generator,
+    b: Builder, body: Body, w: float, front: float, z: float, strip: float
 ) -> None:
+    palette, rng = b.palette, b.rng
     face = front - 0.012
     if rng.random() < 0.85:
         r = m.Opening(-0.47 * w, -0.2 * w, z - 0.4 * strip, z + 0.38 * strip)
@@ -225,10 +209,8 @@ def _washing_controls(
         b,
         body,
         (0.0, face, z),
-        0.03,
-        0.025,
-        metal("white"),
-        palette.dark,
+        (0.03, 0.025),
+        (metal("white"), palette.dark),
         style=int(rng.integers(3)),
         limits=None if rng.random() < 0.7 else (-2.6, 2.6),
     )
@@ -246,11 +228,7 @@ def toilet(rng: np.random.Generator) -> ProceduralObject:
     white = plain("ceramic", (240, 240, 238))
     seat_skin = white if rng.random() < 0.6 else wood("oak")
     body = b.base("toilet_body")
-    h, length, w = (
-        float(rng.uniform(0.36, 0.42)),
-        float(rng.uniform(0.42, 0.5)),
-        float(rng.uniform(0.34, 0.39)),
-    )
+    h, length, w = map(float, rng.uniform((0.36, 0.42, 0.34), (0.42, 0.5, 0.39)))
     a = np.arange(36) * 2 * np.pi / 36
     egg = np.stack([0.5 * w * np.cos(a), 0.5 * length * np.sin(a) * (1 - 0.08 * np.sin(a))], 1)
 

@@ -1,7 +1,5 @@
 """Parts in, tree out: with weights that know nothing, odd inputs, settled joints."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -16,20 +14,14 @@ from model.core.progress import BY_DEFAULT, NAMES, with_threads
 from model.data.procedural.generate import make
 from model.evaluation.joint_metrics import parents
 from model.prediction.arti4urdf import decoding
-from model.prediction.arti4urdf import vocabulary as v
 from model.prediction.arti4urdf.answer import parse_answer
+from model.prediction.arti4urdf.choosing import HybridSettings
 from model.prediction.arti4urdf.decoding import decode
 from model.prediction.arti4urdf.network import ArtiModel, token_tensors
-from model.prediction.arti4urdf.predictor import (
-    Arti4UrdfPredictor,
-    HybridSettings,
-    geometric_prior,
-    make_prompt,
-)
-from model.prediction.arti4urdf.structure import MECHANISMS, RANKS, read_structure
+from model.prediction.arti4urdf.predictor import Arti4UrdfPredictor, make_prompt
+from model.prediction.arti4urdf.structure import read_structure
 from model.prediction.builder import load_confidence
 from model.prediction.geometric.predictor import GeometricPredictor
-from tests.model.prediction.geometric.archetypes import cooktop
 
 
 def _parts(family: str, index: int = 0) -> SegmentedObject:
@@ -127,18 +119,6 @@ def test_a_settled_joint_may_turn_the_tree_of_the_hybrid_over(tiny_model: ArtiMo
     found = predictor.predict(segmented, locked=(settled,)).tree
     assert found is not None and found.joint_of[first.root] == settled
     assert {p.link for p in segmented.parts} <= set(found.links)
-
-
-def test_what_a_wrong_name_leaves_open_is_decided_by_the_shape() -> None:
-    """A knob that somebody calls a button is likelier to spin than to be a lever or a rocker."""
-    thing = cooktop().segmented()
-    parts = tuple(replace(p, name="button" if p.name == "knob" else p.name) for p in thing.parts)
-    structure = read_structure(SegmentedObject("cooktop", parts))
-    prior = geometric_prior(structure)
-    knob = next(i for i, p in enumerate(parts) if p.name == "button")
-    slots = dict(zip(MECHANISMS, prior[knob][v.SLOT_IDS][::RANKS], strict=True))
-    assert max(slots, key=lambda m: slots[m]) == "press"
-    assert slots["spin"] > max(slots["lever"], slots["toggle"]) + 0.5
 
 
 def _cloud(points: np.ndarray, link: str) -> Part:

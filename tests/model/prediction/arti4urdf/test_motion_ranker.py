@@ -13,6 +13,8 @@ from model.core.errors import InputFileError
 from model.core.joint import same_motion
 from model.data.procedural.generate import make
 from model.prediction.arti4urdf import vocabulary as v
+from model.prediction.arti4urdf.choosing import HybridSettings, geometric_prior
+from model.prediction.arti4urdf.decoding import Answer
 from model.prediction.arti4urdf.decoding import same_motion as same_motions
 from model.prediction.arti4urdf.motion_ranker import (
     NAMES,
@@ -23,12 +25,7 @@ from model.prediction.arti4urdf.motion_ranker import (
     other_motions,
 )
 from model.prediction.arti4urdf.network import ArtiModel
-from model.prediction.arti4urdf.predictor import (
-    Arti4UrdfPredictor,
-    HybridSettings,
-    geometric_prior,
-    make_prompt,
-)
+from model.prediction.arti4urdf.predictor import Arti4UrdfPredictor, make_prompt
 from model.prediction.arti4urdf.structure import RANKS, read_structure
 from model.segmentation.models import Trees
 from model.training.arti4urdf import motions
@@ -53,6 +50,11 @@ def oven():
     return structure, prompt, geometric_prior(structure), same_motions(prompt)
 
 
+def _answer(predictor: Arti4UrdfPredictor, thing) -> Answer:
+    structure, prompt, rules, _ = thing
+    return predictor.answer(prompt, structure, {}, predictor.prior(structure, rules, {}))
+
+
 def test_features_do_not_change_when_the_object_is_turned_about_the_vertical(oven) -> None:
     _, prompt, rules, same = oven
     network = np.zeros((2, v.SIZE))
@@ -66,9 +68,7 @@ def test_features_do_not_change_when_the_object_is_turned_about_the_vertical(ove
 
 def test_a_clear_preference_overrules_and_a_locked_part_stays(oven, tiny_model: ArtiModel) -> None:
     structure, prompt, rules, same = oven
-    answer = Arti4UrdfPredictor(tiny_model, hybrid=HybridSettings()).answer(
-        prompt, structure, {}, rules
-    )
+    answer = _answer(Arti4UrdfPredictor(tiny_model, hybrid=HybridSettings()), oven)
     moving = [i for i, d in enumerate(answer.decisions) if d.slot >= 0]
     slides = MotionRanker(stump("turns", 0.5, 4.0, -4.0))
     assert any(v.TYPES[answer.decisions[i].type] != "prismatic" for i in moving)
@@ -85,7 +85,7 @@ def test_a_clear_preference_overrules_and_a_locked_part_stays(oven, tiny_model: 
 def test_other_motions_come_by_their_odds_and_differ(oven, tiny_model: ArtiModel) -> None:
     structure, prompt, rules, same = oven
     predictor = Arti4UrdfPredictor(tiny_model, hybrid=HybridSettings())
-    answer = predictor.answer(prompt, structure, {}, rules)
+    answer = _answer(predictor, oven)
     after = MotionRanker(stump("turns", 0.5, 0.1, -0.1))(
         answer, structure, prompt.arrays, rules, same
     )
@@ -116,9 +116,7 @@ def test_a_faint_preference_and_another_candidate_with_the_same_motion_change_no
     oven, tiny_model: ArtiModel
 ) -> None:
     structure, prompt, rules, same = oven
-    answer = Arti4UrdfPredictor(tiny_model, hybrid=HybridSettings()).answer(
-        prompt, structure, {}, rules
-    )
+    answer = _answer(Arti4UrdfPredictor(tiny_model, hybrid=HybridSettings()), oven)
     faint = MotionRanker(stump("turns", 0.5, 0.1, -0.1))
     assert faint(answer, structure, prompt.arrays, rules, same).decisions == answer.decisions
     ranks = MotionRanker(stump("rank", 0.5, 0.0, 0.0))
@@ -131,6 +129,9 @@ def test_of_one_motion_the_candidate_is_taken_that_the_rules_prefer() -> None:
     odds = np.array([-3, 2, 1], np.float32)
     assert rank.chosen(0, odds, np.array([0.0, -5.0, -1.0]), same) == 2
     assert rank.chosen(1, odds, np.array([0.0, -5.0, -1.0]), same) == 1
+    votes = np.log([1.0, 0.05, 0.05])
+    assert rank.chosen(1, odds, np.array([0.0, -5.0, -1.0]), same, votes) == 1, "one is too few"
+    assert rank.chosen(1, odds, np.array([0.0, -5.0, -1.0]), same, 3 * votes) == 0
 
 
 def test_the_shipped_weights_read_these_features_and_others_are_refused(tmp_path: Path) -> None:
@@ -173,8 +174,8 @@ def test_parts_of_a_procedural_object_hold_its_true_motions() -> None:
 
 
 def test_the_network_s_odds_exclude_what_was_not_asked(oven, tiny_model: ArtiModel) -> None:
-    structure, prompt, rules, _ = oven
-    answer = Arti4UrdfPredictor(tiny_model).answer(prompt, structure, {}, rules)
+    structure = oven[0]
+    answer = _answer(Arti4UrdfPredictor(tiny_model), oven)
     odds = network_odds(answer, answer.root)
     assert not np.isfinite(odds).any()
     moving = next(i for i, d in enumerate(answer.decisions) if d.slot >= 0)

@@ -13,8 +13,8 @@ pytest.importorskip("torch", reason="torch is not installed")
 from model.core.articulated_object import ArticulatedObject, SegmentedObject
 from model.core.joint import Joint
 from model.core.tree import KinematicTree
-from model.data.datasets import GroundTruth
 from model.data.procedural.generate import COMPOSITE, make
+from model.data.registry import GroundTruth
 from model.prediction.arti4urdf.answer import parse_answer, rounded, write_answer
 from model.prediction.arti4urdf.text_script import AnswerScript, Numbers, OneOf, as_written
 

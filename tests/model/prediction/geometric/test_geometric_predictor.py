@@ -14,8 +14,8 @@ from model.core.geometry import Mesh, PointCloud
 from model.core.joint import Joint
 from model.core.progress import Cancelled
 from model.core.tree import KinematicTree
-from model.data.datasets import GroundTruth
 from model.data.procedural.generate import make
+from model.data.registry import GroundTruth
 from model.evaluation.joint_metrics import axis_angle
 from model.evaluation.run import Corruption, corrupt
 from model.prediction.geometric.mechanisms import BUILDERS

@@ -83,8 +83,7 @@ def draw(
     """
     view = view or View()
     if bounds is None:
-        each = np.stack([p.bounds for p in obj.parts])
-        bounds = np.stack([each[:, 0].min(0), each[:, 1].max(0)])
+        bounds = obj.bounds
     camera = _Camera(view, bounds)
     posed = obj.pose(q or {})
     rng = np.random.default_rng(seed)

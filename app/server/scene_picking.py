@@ -1,5 +1,5 @@
-"""Leaving out parts of an open scan, and cutting objects out of it or out of an object of the open
-scene, such as a refrigerator out of an unlabelled room.
+"""Picking objects out of an object of the open scene, such as a refrigerator out of an unlabelled
+room.
 """
 
 from __future__ import annotations
@@ -8,13 +8,14 @@ import hashlib
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from app.server import prepare_tasks, scene_tasks
+from app.server import scene_tasks
 from app.server.jobs import CLICKS
-from app.server.open_object import OpenObject
+from app.server.object_context import ObjectContext
+from app.server.prepare_tasks import Crop, Removal
+from app.server.preparing import pick_out
 from app.server.scene_state import SceneState
 from app.server.scene_tasks import SceneItem
 from app.server.workers import READ_SECONDS
@@ -25,101 +26,8 @@ from model.scenes.scene import Decision, FloatArray, ObjectDescription, SceneObj
 from model.scenes.values import pose, rotation_from_quaternion
 from sessions import commands as cmd
 from sessions.checks import clean_text
-from sessions.document import Document
-from sessions.scene_commands import PickOut, Position, Quaternion
-
-
-def leave_out(obj: OpenObject, what: str, part: int, who: str) -> None:
-    """Leave out the floor and the walls ("floor and walls"), or one part ("part")."""
-    asset, doc = obj.need_asset(), obj.document
-    _need_whole_faces(doc)
-    left_out = None if doc.left_out is None else doc.left_out.elements
-    if what == "part":
-        labels = obj.source().labels
-        arguments: tuple[Any, ...] = (labels, part, left_out)
-        function: Callable[..., prepare_tasks.Removal] = prepare_tasks.leave_out_part
-    else:
-        function, arguments = prepare_tasks.floor_and_walls, (left_out,)
-    job = obj.services.workers.reading.submit(
-        function,
-        asset.folder,
-        obj.services.workspace,
-        *arguments,
-        on_progress=obj.jobs.progress("room"),
-        priority=6,
-        preempted_by=CLICKS,
-    )
-
-    def keep(removal: prepare_tasks.Removal) -> None:
-        name = doc.part_names.get(part, f"part {part}") if what == "part" else what
-        obj.do(cmd.LeaveOut(removal.elements, removal.count, name), who)
-
-    obj.start("room", job, keep)
-    obj.changed()
-
-
-def cut_out(obj: OpenObject, part: int, who: str, done: Callable[[int], None]) -> None:
-    """Make one part an object of its own in the queue; ``done`` gets its id."""
-    asset, doc = obj.need_asset(), obj.document
-    name = f"{asset.name}_{doc.part_names.get(part) or f'part_{part}'}"
-
-    def keep(crop: prepare_tasks.Crop) -> None:
-        new = obj.services.queue.add([crop.path])[0]
-        placed = cmd.Placed(str(asset.path), asset.sha256, crop.elements, crop.position)
-        obj.services.hub.session(new).do(placed, who)
-        out = cmd.CropOut(crop.name, str(crop.path), crop.elements, crop.count, crop.position)
-        obj.do(out, who)
-        done(new)
-
-    _cut(obj, prepare_tasks.cut_out, (), part, name, keep)
-
-
-def pick_out(
-    obj: OpenObject, copy: Path, part: int, name: str, keep: Callable[[prepare_tasks.Picked], None]
-) -> None:
-    """Write one part and the rest for the scene; ``keep`` gets both.
-
-    Args:
-        copy: folder of the working copy that is open.
-    """
-    _cut(obj, prepare_tasks.pick_out, (copy,), part, name, keep)
-
-
-def _cut(
-    obj: OpenObject,
-    function: Callable[..., Any],
-    first: tuple[Any, ...],
-    part: int,
-    name: str,
-    keep: Callable[[Any], None],
-) -> None:
-    asset, doc = obj.need_asset(), obj.document
-    _need_whole_faces(doc)
-    if not doc.segmentation_current:
-        raise CommandError("the parts are still being computed; try again in a moment")
-    job = obj.services.workers.reading.submit(
-        function,
-        *first,
-        asset.folder,
-        obj.services.workspace,
-        obj.source(doc).labels,
-        part,
-        None if doc.left_out is None else doc.left_out.elements,
-        name,
-        on_progress=obj.jobs.progress("room"),
-        priority=6,
-        preempted_by=CLICKS,
-    )
-    obj.start("room", job, keep)
-    obj.changed()
-
-
-def _need_whole_faces(doc: Document) -> None:
-    # Left out and cut out elements are those of the file.
-    if doc.face_cuts:
-        raise CommandError(
-            "faces were split by a cut: undo it first, then cut again in the new object"
-        )
+from sessions.document import Position, Quaternion
+from sessions.scene_commands import PickOut
 
 
 class Picking:
@@ -148,7 +56,7 @@ class Picking:
             done(record.id)
             return
 
-        def keep(border: prepare_tasks.Removal | None) -> None:
+        def keep(border: Removal | None) -> None:
             if border is not None and not live.state.seq:
                 live.do(cmd.LeaveOut(border.elements, border.count, "floor and walls"), "scene")
             done(record.id)
@@ -166,7 +74,13 @@ class Picking:
         scene.changed()
 
     def take_out(
-        self, obj: OpenObject, id: str, part: int, name: str, who: str, done: Callable[[str], None]
+        self,
+        obj: ObjectContext,
+        id: str,
+        part: int,
+        name: str,
+        who: str,
+        done: Callable[[str], None],
     ) -> None:
         """Make a part of the object ``id``, open as ``obj``, an object of its own.
 
@@ -185,23 +99,23 @@ class Picking:
             raise CommandError("it was read with other axes or units than the scene: undo that")
         words = clean_text(name, 60, "what it is") or "object"
 
-        def keep(found: prepare_tasks.Picked) -> None:
-            stands = world @ pose(np.asarray(found.crop.position))
+        def keep(crop: Crop) -> None:
+            stands = world @ pose(np.asarray(crop.position))
             fresh = self._free(words)
             command = PickOut(
                 id,
                 fresh,
                 words,
-                str(found.crop.path),
-                str(found.rest),
-                found.crop.count,
+                str(crop.path),
+                str(crop.rest),
+                crop.count,
                 *_position_and_rotation(stands),
                 *_position_and_rotation(world),
             )
             scene.live.do(command, who)
             done(fresh)
 
-        pick_out(obj, item.copy, part, words, keep)
+        pick_out(obj, part, words, item.copy, keep)
 
     def _free(self, name: str) -> str:
         taken = {*self._scene.items, *(p.object for p in self._scene.document.picked)}

@@ -8,7 +8,7 @@ from multiprocessing.connection import Connection
 
 import pytest
 
-from model.evaluation.pool import in_processes
+from model.core.pool import in_processes
 
 
 @pytest.mark.parametrize("method", ["fork", "spawn"])
