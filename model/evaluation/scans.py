@@ -54,6 +54,8 @@ AXIS, LINE = 0.15, 0.06
 """Radians between the axes, and diagonals from the true axis line, up to which a joint is right."""
 LEVEL = np.radians(2)
 """Radians up to which up counts as found."""
+SQUARE, SIZED = np.radians(0.5), 0.01
+"""Radians to a quarter turn, and share of the object's size, up to which its frame is right."""
 CLEAN_POINTS, KEPT = 20_000, 0.995
 """Points of a clean scan, and the share of them from which it counts as kept."""
 
@@ -92,6 +94,8 @@ class ScanScore:
     Attributes:
         id, frame: of the object, and how it was delivered.
         up_error: radians; 0 where up was given.
+        yaw_error: radians to the nearest quarter turn of the object's own axes.
+        size_error: greatest difference of an extent from the true one, as a share of it.
         kept: share of the object's points that preparing keeps.
         iou: after each round, of the moving parts that are seen.
         clicks, drops: how many, and how many of them lowered the mean IoU by more than
@@ -105,6 +109,8 @@ class ScanScore:
     id: str
     frame: Frame
     up_error: float = 0.0
+    yaw_error: float = 0.0
+    size_error: float = 0.0
     kept: float = 0.0
     iou: tuple[float, ...] = ()
     clicks: int = 0
@@ -165,7 +171,7 @@ def _clean(config: ScansConfig, name: str, frame: Frame, truth: ArticulatedObjec
     weight = np.clip(np.asarray(cloud.normals) @ side / np.linalg.norm(side), CLEAN[frame], 1.0)
     chosen = rng.choice(len(cloud), CLEAN_POINTS, replace=False, p=weight / weight.sum())
     found = prepare(Asset("clean", cloud=cloud.take(np.sort(chosen))))
-    return ScanScore(name, frame, found.levelling.tilt, len(found.kept) / CLEAN_POINTS)
+    return ScanScore(name, frame, found.levelling.tilt, kept=len(found.kept) / CLEAN_POINTS)
 
 
 def _scored(
@@ -187,6 +193,12 @@ def _scored(
 
     asset, object_from_truth, kept, up_error = _delivered(frame, truth, scan)
     lap()
+    x, y, _ = object_from_truth[:3, 0]
+    yaw_error = abs((np.arctan2(y, x) + np.pi / 4) % (np.pi / 2) - np.pi / 4)
+    extents = [np.ptp(bounds, axis=0) for bounds in (asset.bounds, truth.bounds)]
+    found_size, true_size = ([*sorted(e[:2]), e[2]] for e in extents)
+    size_error = float(np.max(np.abs(np.divide(found_size, true_size) - 1)))
+    frame_errors = up_error, float(yaw_error), size_error
     of_object = float((scan.kind[kept] == OBJECT).sum() / max((scan.kind == OBJECT).sum(), 1))
     part_of = part_numbers(truth)
     index = scan.part[kept]
@@ -198,7 +210,7 @@ def _scored(
     rounds = visible_rounds(session, picture, labels, 3)
     lap()
     if not rounds.iou:
-        return ScanScore(name, frame, up_error, of_object, problem="no moving part is seen")
+        return ScanScore(name, frame, *frame_errors, of_object, problem="no moving part is seen")
     names = {int(part_of[k]): p.name for k, p in enumerate(truth.parts) if p.name}
     parts = split(asset, rounds.labels, names)
     guess = load_predictor(config.predictor).predict(
@@ -208,9 +220,10 @@ def _scored(
     seen = [p for p in rounds.parts if p != BASE]
     right, joints, extra = joints_right(truth, part_of, seen, guess.tree, object_from_truth)
     return ScanScore(
-        name, frame, up_error, of_object, rounds.iou, rounds.clicks, rounds.drops, joints, right,
-        extra, tuple(round(s, 3) for s in seconds),
-    )  # fmt: skip
+        *(name, frame, *frame_errors, of_object),
+        *(rounds.iou, rounds.clicks, rounds.drops, joints, right, extra),
+        tuple(round(s, 3) for s in seconds),
+    )
 
 
 def _delivered(
@@ -301,6 +314,9 @@ def table(scores: Sequence[ScanScore]) -> Iterator[dict[str, float | str]]:
         clicked = [s for s in rows if s.iou]
         row: dict[str, float | str] = {"frame": frame, "objects": len(rows)}
         row["up within 2°"] = float(np.mean([s.up_error <= LEVEL for s in rows]))
+        if frame not in CLEAN:
+            row["yaw within 0.5°"] = float(np.mean([s.yaw_error <= SQUARE for s in rows]))
+            row["size within 1 %"] = float(np.mean([s.size_error <= SIZED for s in rows]))
         row["kept"] = float(np.mean([s.kept for s in rows]))
         row[f"kept {KEPT:.1%}"] = float(np.mean([s.kept >= KEPT for s in rows]))
         if frame in CLEAN:

@@ -141,6 +141,25 @@ def test_repeated_points_do_not_hide_the_others() -> None:
     assert len(sampled(cloud, None)[0]) > 0.5 * len(sampled(points, None)[0])
 
 
+@pytest.mark.parametrize("degrees", [0.0, 17.3])
+def test_the_object_is_squared_whatever_it_stands_on(degrees: float) -> None:
+    rng = np.random.default_rng(0)
+    floor = np.column_stack([rng.uniform(-1.2, 1.2, (8000, 2)), np.zeros(8000)])
+    points = np.concatenate([0.8 * _scanned(_CUBE, 8000, 0.3) * [1, 0.75, 1.5], floor])
+    turn = Rotation.from_euler("z", degrees, degrees=True).as_matrix()
+    cloud = PointCloud((points @ turn.T).astype(np.float32))
+    found = prepare(Asset("scan", cloud=cloud), PrepareSettings(up=(0, 0, 1)))
+    np.testing.assert_allclose(np.ptp(found.asset.bounds, axis=0)[:2], [0.8, 0.6], atol=2e-3)
+    np.testing.assert_allclose(found.object_from_source[:3, :3] @ turn, np.eye(3), atol=4e-3)
+
+
+def test_a_round_object_is_not_turned() -> None:
+    tube, _ = trimesh.sample.sample_surface(trimesh.creation.cylinder(0.3, 0.5), 20_000, seed=1)
+    cloud = PointCloud(tube.astype(np.float32))
+    found = prepare(Asset("scan", cloud=cloud), PrepareSettings(up=(0, 0, 1)))
+    np.testing.assert_allclose(found.object_from_source[:3, :3], np.eye(3), atol=1e-6)
+
+
 def test_many_outliers_are_left_to_a_person() -> None:
     rng = np.random.default_rng(0)
     points = _scanned(_CUBE, 20_000, 1.0)
