@@ -32,7 +32,6 @@ SLOW = (
     "tests/model/physics/test_simulated.py",
     "tests/model/physics/test_affordances.py",
     "tests/model/evaluation/test_robot_bench.py",
-    "tests/model/segmentation/test_local_refinement.py",
     "tests/app/test_scene_command.py",
     "tests/app/test_scene_formats.py",
     "tests/app/test_cli.py",

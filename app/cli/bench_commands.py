@@ -77,6 +77,9 @@ class SegmentBench(LimitedBench):
     offset: int | None = option("object at which the subset begins", "N")
     parts: int | None = option("most parts of an object", "N", parse=count)
     first: Literal["deepest", "random"] | None = option("place of the first click")
+    without: tuple[str, ...] = option(
+        "leave out each of these mechanisms by itself, or all in turn", "NAME...", ()
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -94,8 +94,7 @@ class BenchRow:
         guesses: for each object, proposed parts, those with an IoU over a half with a moving part,
             moving parts, and those found so.
         seen: for each object and round of visible clicks, the IoU of visible pixels and of all.
-        reachable: best IoU of each part that any choice of superpoints gives; local refinement
-            may exceed it.
+        reachable: best IoU of each part that any choice of superpoints gives.
         moves: whether each part moves; bases don't.
         left_out: which objects could not be read, and why.
     """
@@ -199,7 +198,7 @@ def run(config: BenchConfig, progress: Progress = no_progress) -> BenchReport:
         segmenter = load_segmenter(name)
         for data in config.sets:
             row = BenchRow(name, data)
-            for number, item in enumerate(_objects(config, data, row.left_out)):
+            for number, item in enumerate(bench_objects(config, data, row.left_out)):
                 progress(number / max(config.limit or 79, 1) % 1.0, f"{name}: {item.name}")
                 begin, busy = time.perf_counter(), time.process_time()
                 session = segmenter.encode(item.asset)
@@ -222,7 +221,10 @@ def run(config: BenchConfig, progress: Progress = no_progress) -> BenchReport:
     return report
 
 
-def _objects(config: BenchConfig, data: DataSet, left_out: list[str]) -> Iterator[BenchObject]:
+def bench_objects(
+    config: BenchConfig, data: DataSet, left_out: list[str] | None
+) -> Iterator[BenchObject]:
+    """Objects of a data set; ``left_out`` as of :func:`.dataset_objects`."""
     common = (config.points, config.limit, config.least, config.parts)
     if data == "room":
         rooms = config.data / "scans" / "scannet"

@@ -12,6 +12,6 @@ The way of a click to labels, in six files:
 
 The stages: encode (``nodes``, ``graph``, ``superpoints``, ``encoding``), propose (``proposals``,
 ``plane_boxes``, ``boxes``, ``fronts``, ``front_rectangles``), describe (``mask_features``,
-``object_features``), score (``scores``), finish (``labels``, ``facets``, ``local_refinement``).
+``object_features``), score (``scores``), finish (``labels``, ``facets``).
 ``mask_tools``, ``all_parts`` and ``similar`` make masks by other means than clicks.
 """

@@ -232,9 +232,8 @@ def propose_parts(
 ) -> PartSegmentation:
     """A first guess of all parts, to start from.
 
-    Superpoints vote for the masks that a first click on them may mean; see :mod:`.mask_votes`. Of
-    an object, the best parts that exclude each other are proposed; of a room, its objects, see
-    :func:`_room_objects`. The rest is the base.
+    Superpoints vote for the masks that a first click on them may mean. Of an object, the best parts
+    that exclude each other are proposed; of a room, its objects. The rest is the base.
 
     Args:
         seeds: superpoints that vote.

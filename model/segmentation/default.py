@@ -9,9 +9,7 @@ models choose the one most like a part. Parts exclude each other.
 from __future__ import annotations
 
 import hashlib
-import itertools
 import time
-from collections.abc import Iterator
 
 from cachetools import LRUCache
 
@@ -21,7 +19,6 @@ from model.segmentation.arrays import Bool, Int16
 from model.segmentation.encoding import Encoding, encode
 from model.segmentation.graph import shipped_edge_model
 from model.segmentation.labels import LabelFinisher
-from model.segmentation.local_refinement import LocalRefinement
 from model.segmentation.prompt_steps import ClickStep, Step, resolve, surface_steps
 from model.segmentation.prompts import Click, PartSegmentation, Prompts
 from model.segmentation.scores import InputDomain, shipped_moving_scorers, shipped_scorers
@@ -41,7 +38,6 @@ class DefaultSession:
 
     Attributes:
         asset, encoding, solver: as given.
-        refinement: of small parts of an object; None in a room.
         finisher: from superpoints to labels.
         moving: first clicks mean parts that move; see :meth:`including_base`.
     """
@@ -53,17 +49,12 @@ class DefaultSession:
         solver: PartSolver,
         *,
         moving: bool = True,
-        refine: bool = True,
     ) -> None:
-        """``refine``: answer clicks on small parts of an object on nodes."""
         self.asset = asset
         self.encoding = encoding
         self.solver = solver
         self.moving = moving
-        self.refinement: LocalRefinement | None = None
-        if refine and solver.axes is not None:
-            self.refinement = LocalRefinement(encoding, solver.axes)
-        self.finisher = LabelFinisher(asset, encoding, self.refinement)
+        self.finisher = LabelFinisher(asset, encoding)
         self._updates = StateUpdates(encoding, solver, self.finisher, moving)
         self._all = float(self.finisher.weight.sum())
         self._states: LRUCache[bytes, SessionState] = LRUCache(STATES_CACHED)
@@ -89,13 +80,16 @@ class DefaultSession:
         state = self._state(steps)
         if part not in state.scored or part not in state.parts:
             return []
+        scored, mask = state.scored[part], state.parts[part].mask
+        assert mask is not None
+        masks, size = scored.proposals.masks, self.encoding.superpoints.size
         weight = self.finisher.weight
         out: list[Bool] = []
         shown = [self._labels(steps, state) == part]
-        for other in self._alternatives(state, part):
+        for index in offered(masks, scored.scores, mask, size, ALTERNATIVES + _SPARE):
             if len(out) == ALTERNATIVES:
                 break
-            mask = self._labels(steps, other) == part
+            mask = self._labels(steps, state.with_mask(part, masks[index])) == part
             # Attached handles make masks with and without them equal.
             if weight @ mask <= _ALL * self._all and not any(
                 look_alike(mask, one, weight) for one in shown
@@ -103,26 +97,6 @@ class DefaultSession:
                 shown.append(mask)
                 out.append(mask)
         return out
-
-    def _alternatives(self, state: SessionState, part: int) -> Iterator[SessionState]:
-        """``state`` with other masks of ``part``, most useful first: those of its refinement and of
-        the whole object in turn.
-        """
-        scored, mask = state.scored[part], state.parts[part].mask
-        assert mask is not None
-        masks, size = scored.proposals.masks, self.encoding.superpoints.size
-        index = offered(masks, scored.scores, mask, size, ALTERNATIVES + _SPARE)
-        whole = (state.with_mask(part, masks[i]) for i in index)
-        refined = state.refined.get(part)
-        if refined is None or self.refinement is None:
-            yield from whole
-            return
-        near = (state.with_refined(part, one) for one in self.refinement.alternatives(refined))
-        # A small answer on a mesh is mostly a whole shell; people rather mean what holds it.
-        turns = (near, whole) if self.asset.mesh is None else (whole, near)
-        for other in itertools.chain.from_iterable(itertools.zip_longest(*turns)):
-            if other is not None:
-                yield other
 
     def preview(self, superpoint: int) -> Bool:
         """(C,) the superpoints that a first click on one of them would take."""
@@ -134,7 +108,7 @@ class DefaultSession:
         )
 
     def _labels(self, steps: tuple[Step, ...], state: SessionState) -> Int16:
-        return self.finisher.labels(steps, state.parts, state.refined)
+        return self.finisher.labels(steps, state.parts)
 
     def _state(self, steps: tuple[Step, ...]) -> SessionState:
         steps = surface_steps(steps)

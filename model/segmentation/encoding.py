@@ -167,8 +167,7 @@ _COLUMNS = 512
 class RandomWalk:
     """Factorised walks with one reach for each of ``LEAKS``."""
 
-    def __init__(self, superpoints: Superpoints, *, at_once: bool = True) -> None:
-        """``at_once``: factorise now, not when a column is first asked for."""
+    def __init__(self, superpoints: Superpoints) -> None:
         links = superpoints.links
         apart = np.linalg.norm(superpoints.center[links.a] - superpoints.center[links.b], axis=1)
         typical = float(np.median(apart)) if len(apart) else 1.0
@@ -176,11 +175,16 @@ class RandomWalk:
         matrix = adjacency(len(superpoints), links.a, links.b, weight)
         degree = np.asarray(matrix.sum(1)).ravel()
         median = float(np.median(degree)) if len(links.a) else 1.0
-        self._matrix, self._degree, self._unit = matrix, degree, max(median, 1e-9)
-        self._factors: dict[int, SuperLU] = {}
-        if at_once:
-            for reach in range(len(LEAKS)):
-                self._factor(reach)
+        unit = max(median, 1e-9)
+        self._factors: list[SuperLU] = [
+            splu(
+                (diags(degree + leak * unit) - matrix).tocsc(),
+                permc_spec="MMD_AT_PLUS_A",
+                diag_pivot_thresh=0.0,
+                options={"SymmetricMode": True},
+            )
+            for leak in LEAKS
+        ]
         self._count = len(superpoints)
         self._a, self._b, self._weight, self._size = links.a, links.b, weight, superpoints.size
         self._columns: LRUCache[tuple[int, int], Future[Float]] = LRUCache(_COLUMNS)
@@ -207,17 +211,7 @@ class RandomWalk:
     def _solve(self, superpoint: int, reach: int) -> Float:
         unit = np.zeros(self._count)
         unit[superpoint] = 1
-        return self._factor(reach).solve(unit).astype(np.float32)
-
-    def _factor(self, reach: int) -> SuperLU:
-        if reach not in self._factors:
-            self._factors[reach] = splu(
-                (diags(self._degree + LEAKS[reach] * self._unit) - self._matrix).tocsc(),
-                permc_spec="MMD_AT_PLUS_A",
-                diag_pivot_thresh=0.0,
-                options={"SymmetricMode": True},
-            )
-        return self._factors[reach]
+        return self._factors[reach].solve(unit).astype(np.float32)
 
     def sweep(self, field: Float, most: int = 5) -> Bool:
         """Level sets of a field through whose border the walk leaks least, at several sizes.

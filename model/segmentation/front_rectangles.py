@@ -84,12 +84,14 @@ class Front:
         u, v = np.flatnonzero(self.region.any(1)), np.flatnonzero(self.region.any(0))
         return int(u[0]), int(u[-1]), int(v[0]), int(v[-1])
 
-    def vertical(self, v0: int, v1: int) -> Float:
-        """(U,) mean evidence of a vertical line at each column, between rows ``v0`` and ``v1``."""
+    def vertical(self, v0: int | Int64, v1: int | Int64) -> Float:
+        """(U,) mean evidence of a vertical line at each column, between rows ``v0`` and ``v1``;
+        (U, R) for R ranges of rows.
+        """
         return _mean(self.columns[:, v1 + 1, -2:] - self.columns[:, v0, -2:])[..., 0]
 
-    def horizontal(self, u0: int, u1: int) -> Float:
-        """(V,) the same of horizontal lines."""
+    def horizontal(self, u0: int | Int64, u1: int | Int64) -> Float:
+        """(V,) the same of horizontal lines; (R, V) for R ranges of columns."""
         return _mean(self.rows[u1 + 1, :, -2:] - self.rows[u0, :, -2:])[..., 0]
 
     def sides(self, rects: Rects, reach: int = 1) -> Float:
@@ -135,8 +137,7 @@ class Front:
     def within(self, rects: Rects) -> Float32:
         """(R, 2) the strongest vertical and horizontal line within each rectangle."""
         u0, u1, v0, v1 = rects.T
-        vertical = _mean(self.columns[:, v1 + 1, -2:] - self.columns[:, v0, -2:])[..., 0]
-        horizontal = _mean(self.rows[u1 + 1, :, -2:] - self.rows[u0, :, -2:])[..., 0].T
+        vertical, horizontal = self.vertical(v0, v1), self.horizontal(u0, u1).T
         return np.stack(
             [_highest(vertical, u0 + 3, u1 - 1), _highest(horizontal, v0 + 3, v1 - 1)], axis=1
         )

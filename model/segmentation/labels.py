@@ -1,8 +1,8 @@
 """Finish labels: from the parts' superpoints to one label per face or point.
 
-In this order: small components (clouds), superpoints that clicks divide, local refinement, the
-majority of each large face's nodes, whole facets and shells, attached shells (meshes), and last the
-prompts themselves, which hold exactly.
+In this order: small components (clouds), superpoints that clicks divide, the majority of each large
+face's nodes, whole facets and shells, attached shells (meshes), and last the prompts themselves,
+which hold exactly.
 
 A small component of the base beside one part alone belongs to that part: a handle in front of a
 door, its window, a hole that the clicks left. A small shell that nobody clicked goes to the part it
@@ -26,7 +26,6 @@ from model.segmentation.arrays import Bool, Float, Float64, Int, Int32, Int64, L
 from model.segmentation.encoding import Encoding
 from model.segmentation.facets import FaceGroups, contacts_of, find_facets, find_small_shells
 from model.segmentation.graph import components
-from model.segmentation.local_refinement import LocalRefinement, RefinedPart
 from model.segmentation.prompt_steps import ClickStep, RegionStep, Step, enforce, surface_steps
 from model.segmentation.prompts import BASE
 from model.segmentation.proposals import PartState
@@ -371,13 +370,9 @@ class LabelFinisher:
         first_of: (E,) the first of the faces that coincide with each one; None without any.
         attached: small shells of a mesh and their neighbours; None for a cloud.
         joins_components: whether small components join the part beside them.
-        refinement: of small parts; None in a room.
     """
 
-    def __init__(
-        self, asset: Asset, encoding: Encoding, refinement: LocalRefinement | None
-    ) -> None:
-        self.refinement = refinement
+    def __init__(self, asset: Asset, encoding: Encoding) -> None:
         self.first_of = None if asset.mesh is None else coincident_faces(asset.mesh)
         self.weight = np.ones(asset.element_count)
         self.attached: AttachedShells | None = None
@@ -392,20 +387,13 @@ class LabelFinisher:
             self.attached = find_attached_shells(asset.mesh, a, b)
             self._groups = (find_facets(asset.mesh), self.attached.shells)
 
-    def labels(
-        self,
-        steps: tuple[Step, ...],
-        parts: Mapping[int, PartState],
-        refined: Mapping[int, RefinedPart],
-    ) -> Labels:
+    def labels(self, steps: tuple[Step, ...], parts: Mapping[int, PartState]) -> Labels:
         """(E,) labels of the prompts ``steps`` that led to ``parts``."""
         elements = self._encoding.nodes.elements
         on_surface = surface_steps(steps)
         of_superpoint = self.of_superpoints(parts, on_surface)
         of_node = of_superpoint[self._encoding.superpoints.of_node]
         self._divide_superpoints(of_node, of_superpoint, on_surface)
-        if self.refinement is not None:
-            self.refinement.apply(of_node, refined)
         labels = elements.to_elements(of_node)
         if not steps:
             return labels

@@ -21,7 +21,6 @@ from model.segmentation.arrays import Bool, Float, Float64, Int64
 from model.segmentation.default import DefaultSession
 from model.segmentation.graph import MAX_STRENGTH, components
 from model.segmentation.prompt_steps import locate
-from model.segmentation.prompts import Click, Prompts
 
 
 def to_elements(session: DefaultSession, nodes: Bool) -> Bool:
@@ -76,16 +75,10 @@ largest other component counts as nothing."""
 
 
 def hover(session: DefaultSession, position: Position, element: int | None = None) -> Bool:
-    """(E,) what a first click at ``position`` would take; for showing under the pointer.
-
-    A small part is refined, which takes a tenth of a second for each new node.
-    """
+    """(E,) what a first click at ``position`` would take; for showing under the pointer."""
     found, node = locate(session.asset, session.encoding.nodes, position, element)
     superpoints = session.encoding.superpoints
     mask = session.preview(int(superpoints.of_node[node]))
-    if session.refinement is not None and session.refinement.applies_to(mask):
-        x, y, z = (float(v) for v in position)
-        return session.segment(Prompts((Click((x, y, z), 1, True, found),))).labels == 1
     out = to_elements(session, mask[superpoints.of_node])
     out[found] = True
     return out

@@ -185,7 +185,7 @@ def save_trees(trees: Trees, path: Path, config: dict[str, object]) -> None:
 
 
 def load_trees(path: Path, names: tuple[str, ...]) -> Trees:
-    """Read what :func:`save_trees` wrote; arguments and errors as for :func:`.mlp.load_mlp`."""
+    """Read what :func:`save_trees` wrote; arguments and errors as for :func:`load_mlp`."""
     with open_npz(path) as data:
         found, picks = columns(data, "trees_format", FORMAT, path, names)
         return Trees(
@@ -209,7 +209,7 @@ def save_scorer(scorer: Scorer, path: Path, config: dict[str, object]) -> None:
 
 
 def load_scorer(path: Path, names: tuple[str, ...]) -> Scorer:
-    """Read what :func:`save_trees` or :func:`.mlp.save_mlp` wrote; the same errors."""
+    """Read what :func:`save_trees` or :func:`save_mlp` wrote; the same errors."""
     with open_npz(path) as data:
         trees = "trees_format" in data
     return load_trees(path, names) if trees else load_mlp(path, names)

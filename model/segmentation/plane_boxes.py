@@ -370,10 +370,10 @@ class BoxGrid:
         axes: (3, 3) the directions, in rows.
     """
 
-    def __init__(self, superpoints: Superpoints, axes: Float | None = None) -> None:
+    def __init__(self, superpoints: Superpoints) -> None:
         length = np.linalg.norm(superpoints.normal, axis=1, keepdims=True)
         unit = superpoints.normal / np.maximum(length, 1e-9)
-        self.axes = main_directions(unit, superpoints.size) if axes is None else axes
+        self.axes = main_directions(unit, superpoints.size)
         at = superpoints.center @ self.axes.T
         low, side = at.min(0), np.maximum(np.ptp(at, axis=0), 1e-9)
         self.step = side / STEPS

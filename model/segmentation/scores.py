@@ -135,8 +135,8 @@ _STREAK_FREE = 2
 _FAR, _FAR_MOST = 10.0, 3.0
 """A mask that changes more than this times the nodes nearer to the click than the border, by the
 logarithm of the factor, up to a limit."""
-_SMALL_NODES, _SMALL, _SMALL_MOST = 16.0, 3.0, 3.0
-"""A mask of fewer nodes, by the logarithm of the factor, up to a limit."""
+_SMALL_FIRST, _SMALL_NODES, _SMALL, _SMALL_MOST = 32.0, 16.0, 3.0, 3.0
+"""A first answer and a later mask of fewer nodes, by the logarithm of the factor, up to a limit."""
 _DETAIL, _NO_DETAIL = 2e-4, 0.02
 """Shares of the object at which a first answer is a detail, and none any more."""
 
@@ -149,7 +149,6 @@ class Penalties:
         far: of a change far larger than the click's distance from the border.
         large, large_beside: of a first answer that is most of the object: of the first part, and
             beside other parts.
-        small_first: nodes below which a first answer is too small.
         detail: of a first answer that is a detail of the object.
         streak: how much of an ineffective click each further click of one sign counts.
         demand_near: limit of the demanded change, in the nodes nearer than the border.
@@ -158,26 +157,19 @@ class Penalties:
     far: float = 0.3
     large: float = 0.0
     large_beside: float = 0.0
-    small_first: float = 32.0
     detail: float = 0.0
     streak: float = 0.5
     demand_near: float = 2.0
 
     @classmethod
-    def for_object(cls, *, of_mesh: bool, local: bool) -> Penalties:
+    def for_object(cls, *, of_mesh: bool) -> Penalties:
         """Penalties for objects.
 
         Args:
             of_mesh: whole shells come and go, however near to their border a click is.
-            local: in a local refinement, which is there for details.
         """
-        return cls(
-            far=0.0 if of_mesh else cls.far,
-            large=LARGE if of_mesh else 0.0,
-            large_beside=LARGE,
-            small_first=10.0 if local else cls.small_first,
-            detail=0.0 if local else 1.0,
-        )
+        far, large = (0.0, LARGE) if of_mesh else (cls.far, 0.0)
+        return cls(far=far, large=large, large_beside=LARGE, detail=1.0)
 
     @classmethod
     def for_room(cls) -> Penalties:
@@ -208,7 +200,7 @@ class Penalties:
         if beside or moving:
             most = np.clip((held / size.sum() - _LARGE_FROM) / _LARGE_RAMP, 0, 1)
             out += (self.large_beside if beside else self.large) * most
-        out += _small(held, self.small_first)
+        out += _small(held, _SMALL_FIRST)
         larger = np.log(np.maximum(held, 1.0) / (_DETAIL * size.sum()))
         return out + self.detail * (1 - np.clip(larger / np.log(_NO_DETAIL / _DETAIL), 0, 1))
 
@@ -282,16 +274,14 @@ def _nearer_than_border(superpoints: Superpoints, mask: Bool, superpoint: int) -
 
 MOVING_SCORERS = ("first_click_moving.npz", "later_click_moving.npz")
 
-InputDomain = Literal["mesh", "cloud", "local", "room"]
-"""Input domain: a mesh, a cloud, a cloud in a local refinement, or a room."""
+InputDomain = Literal["mesh", "cloud", "room"]
+"""Input domain: a mesh, a cloud, or a room."""
 SCORERS: dict[InputDomain, tuple[str, str]] = {
     "mesh": ("first_click.npz", "later_click.npz"),
     "cloud": ("first_click_cloud.npz", "later_click_cloud.npz"),
-    # Local refinements have no superpoints of several nodes, as the trees learned from.
-    "local": ("first_click.npz", "later_click_close.npz"),
     "room": ("room_first_click.npz", "room_later_click.npz"),
 }
-"""Files of the scorers of first and later clicks. Local refinements of meshes use ``mesh``."""
+"""Files of the scorers of first and later clicks."""
 
 Scorers = tuple[Scorer | None, Scorer | None]
 """Scorers of first and of later clicks."""

@@ -14,7 +14,6 @@ from model.segmentation.arrays import Bool
 from model.segmentation.encoding import Encoding
 from model.segmentation.fronts import BAR_LENGTH
 from model.segmentation.labels import LabelFinisher
-from model.segmentation.local_refinement import RefinedPart
 from model.segmentation.prompt_steps import ClickStep, RegionStep, Step
 from model.segmentation.prompts import BASE
 from model.segmentation.proposals import PartState
@@ -41,27 +40,20 @@ class SessionState:
         parts: masks and clicks of the parts other than the base.
         base: superpoints clicked as base.
         scored: the proposals of the latest click of each part.
-        refined: small parts in their neighbourhoods.
     """
 
     parts: dict[int, PartState] = field(default_factory=dict)
     base: tuple[int, ...] = ()
     scored: dict[int, ScoredProposals] = field(default_factory=dict)
-    refined: dict[int, RefinedPart] = field(default_factory=dict)
 
     def with_mask(self, part: int, mask: Bool) -> SessionState:
-        """The state if ``part`` had other superpoints, without its refinement."""
+        """The state if ``part`` had other superpoints."""
         parts = {
             other: its if its.mask is None else replace(its, mask=its.mask & ~mask)
             for other, its in self.parts.items()
         }
         parts[part] = replace(self.parts.get(part, PartState()), mask=mask)
-        refined = {other: its for other, its in self.refined.items() if other != part}
-        return replace(self, parts=parts, refined=refined)
-
-    def with_refined(self, part: int, refined: RefinedPart) -> SessionState:
-        """The state if ``part`` had another mask in its neighbourhood."""
-        return replace(self, refined={**self.refined, part: refined})
+        return replace(self, parts=parts)
 
 
 class StateUpdates:
@@ -83,8 +75,7 @@ class StateUpdates:
     def after(self, state: SessionState, steps: tuple[Step, ...]) -> SessionState:
         """The state after the last of ``steps``, from that before it.
 
-        Small components and refined parts enter the masks, as the next click is about what the
-        person sees.
+        Small components enter the masks, as the next click is about what the person sees.
         """
         after = self._after_step(state, steps)
         if self._finisher.joins_components and after.parts:
@@ -96,14 +87,7 @@ class StateUpdates:
                 for part, its in after.parts.items()
             }
             after = replace(after, parts=parts)
-        refinement = self._finisher.refinement
-        if refinement is None:
-            return after
-        refined = refinement.after(state.refined, after.parts, steps)
-        parts = dict(after.parts)
-        for part, its in refined.items():
-            parts[part] = replace(parts[part], mask=refinement.coarse_mask(its, parts[part]))
-        return replace(after, parts=parts, refined=refined)
+        return after
 
     def preview(self, superpoint: int) -> Bool:
         """(C,) the superpoints that a first click would take."""
@@ -278,7 +262,7 @@ class StateUpdates:
         masks, part, weight = found.proposals.masks, steps[-1].part, self._finisher.weight
         for index in found.order[:_TRIED]:
             tried = state.with_mask(part, masks[index])
-            labels = self._finisher.labels(steps, tried.parts, tried.refined)
+            labels = self._finisher.labels(steps, tried.parts)
             taken, left = (weight[labels == p].sum() for p in (part, BASE))
             if taken <= NEARLY_ALL * (taken + left):
                 return masks[index]

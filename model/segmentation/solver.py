@@ -2,13 +2,12 @@
 
 Which sources propose, what describes and what penalises depends on the input domain. To add a
 proposal source, write a class with the members of :class:`.ProposalSource` and list it in
-:func:`object_solver` or :func:`room_solver`. A person is offered a few other masks that cover what
+:func:`solver_of`. A person is offered a few other masks that cover what
 the click may mean.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass
 from typing import Self
@@ -17,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import softmax
 
-from model.segmentation.arrays import Bool, Float, Int, Int64, together
+from model.segmentation.arrays import Bool, Float, Int64, together
 from model.segmentation.boxes import Boxes, BoxRanker, RoomBoxes, Shells, shipped_box_model
 from model.segmentation.encoding import Encoding, Hierarchy, RandomWalk
 from model.segmentation.fronts import FrontRectangles, Fronts
@@ -164,7 +163,6 @@ class PartSolver:
         sources: propose masks; the first one are the ``regions``.
         regions: the nested regions of the merge trees.
         moving_parts: scores clicks that mean moving parts; None where fronts aren't laid out.
-        axes: (3, 3) main directions of an object, None in a room.
     """
 
     def __init__(
@@ -180,14 +178,12 @@ class PartSolver:
         regions: Regions | None = None,
         penalties: Penalties | None = None,
         moving_parts: MovingPartScoring | None = None,
-        axes: Float | None = None,
     ) -> None:
         """``sources`` propose besides ``regions``; scorers of None stand for a hand-set rule."""
         self.superpoints = superpoints
         self.describe = describe or MaskDescriber(superpoints, hierarchy)
         self.regions = regions or Regions(superpoints, hierarchy)
         self.moving_parts = moving_parts
-        self.axes = axes
         self.penalties = penalties or Penalties()
         self.sources: tuple[ProposalSource, ...] = (self.regions, *(sources or ()))
         self._walks = Walks(walk, len(superpoints))
@@ -347,51 +343,8 @@ def solver_of(
             sources=(RoomBoxes(superpoints, encoding.room, regions),),
             penalties=Penalties.for_room(),
         )
-    nodes, graph, strength = encoding.nodes, encoding.graph, encoding.strength
-    shell = None
-    if nodes.of_mesh:
-        shell = np.zeros(len(superpoints), np.int32)
-        shell[superpoints.of_node] = nodes.shell
-
-    def fronts_along(axes: Float) -> Fronts:
-        return Fronts(nodes, graph, strength, superpoints, axes)
-
-    return object_solver(
-        superpoints,
-        hierarchy,
-        walk,
-        first,
-        later,
-        shell=shell,
-        of_mesh=nodes.of_mesh,
-        fronts_along=fronts_along if with_fronts or not nodes.of_mesh else None,
-        moving=moving,
-    )
-
-
-def object_solver(
-    superpoints: Superpoints,
-    hierarchy: Hierarchy,
-    walk: RandomWalk,
-    first: Scorer | None,
-    later: Scorer | None,
-    *,
-    shell: Int | None = None,
-    axes: Float | None = None,
-    of_mesh: bool = False,
-    fronts_along: Callable[[Float], Fronts] | None = None,
-    moving: Scorers = (None, None),
-) -> PartSolver:
-    """The solver of superpoints of an object.
-
-    Args:
-        shell: (C,) the shell of each superpoint of a mesh; None also for a part of one.
-        axes: (3, 3) main directions, if known.
-        of_mesh: whether the superpoints lie on faces.
-        fronts_along: lays out fronts for given main directions.
-        moving: scorers of moving parts, used with fronts.
-    """
-    grid = BoxGrid(superpoints, axes)
+    nodes = encoding.nodes
+    grid = BoxGrid(superpoints)
     planes, describe = together(
         lambda: grid.between_planes(superpoints),
         lambda: ObjectDescriber(superpoints, hierarchy, grid),
@@ -399,20 +352,28 @@ def object_solver(
     describe.with_history = later is None or not set(HISTORY_FEATURES).isdisjoint(later.names)
     regions = Regions(superpoints, hierarchy)
     shells = None
-    if shell is not None and len(np.unique(shell)) > 1:
+    if nodes.of_mesh and np.ptp(nodes.shell) > 0:
+        shell = np.zeros(len(superpoints), np.int32)
+        shell[superpoints.of_node] = nodes.shell
         shells = Shells(shell, superpoints.size)
     # On meshes faces separate parts better: there the network made later clicks worse.
-    model = shipped_box_model() if shell is None else None
+    model = None if nodes.of_mesh else shipped_box_model()
     ranker = BoxRanker(planes, grid.place, grid.facing, grid.step, model)
-    sources: list[ProposalSource] = [Boxes(grid, ranker, regions, shells, shell is not None)]
+    sources: list[ProposalSource] = [Boxes(grid, ranker, regions, shells, nodes.of_mesh)]
     moving_parts = None
-    if fronts_along is not None:
-        fronts = fronts_along(grid.axes)
+    if with_fronts or not nodes.of_mesh:
+        fronts = Fronts(nodes, encoding.graph, encoding.strength, superpoints, grid.axes)
         sources.append(FrontRectangles(fronts, grid, shells))
         moving_parts = MovingPartScoring(fronts, superpoints, grid.axes, *moving)
-    local = len(superpoints) >= superpoints.size.sum()
     return PartSolver(
-        superpoints, hierarchy, walk, first, later, describe=describe, regions=regions,
-        sources=tuple(sources), moving_parts=moving_parts, axes=grid.axes,
-        penalties=Penalties.for_object(of_mesh=of_mesh or shell is not None, local=local),
-    )  # fmt: skip
+        superpoints,
+        hierarchy,
+        walk,
+        first,
+        later,
+        describe=describe,
+        regions=regions,
+        sources=tuple(sources),
+        moving_parts=moving_parts,
+        penalties=Penalties.for_object(of_mesh=nodes.of_mesh),
+    )

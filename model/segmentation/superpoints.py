@@ -182,8 +182,7 @@ def build_superpoints(
 ) -> Superpoints:
     """Merge pairs along the weakest edges until about ``target`` clusters are left.
 
-    On clouds with flat colours, clusters of two colours are then split; see
-    :mod:`.superpoint_colors`. Meshes have their shells and materials instead.
+    On clouds with flat colours, clusters of two colours are then split. Meshes have shells instead.
     """
     links = Links(
         graph.a,

@@ -53,6 +53,7 @@ from model.evaluation.scans import run as run_scans
 from model.evaluation.scans import to_json as scans_json
 from model.evaluation.segmentation import BenchConfig, DataSet
 from model.evaluation.segmentation import run as run_segment
+from model.evaluation.segmentation_ablation import ablate
 from model.prediction.arti4urdf.decoding import decode
 from model.prediction.arti4urdf.network import load_weights
 from model.prediction.arti4urdf.predictor import Arti4UrdfPredictor, make_prompt
@@ -269,6 +270,7 @@ def segment_bench(options: SegmentBench, progress: Progress) -> Result:
         offset=options.offset,
         parts=options.parts,
         first=options.first,
+        without=options.without,
     )
 
 
@@ -299,9 +301,12 @@ def bench_segment(
         raise ConfigurationError(f"--data {data} is no folder")
     settings |= {"sets": tuple(chosen), "data": data}
     settings["segmenters"] = tuple(segmenters) if segmenters else None
-    report = run_segment(
-        BenchConfig(**{k: v for k, v in settings.items() if v is not None}), progress
-    )
+    without = settings.pop("without", None)
+    config = BenchConfig(**{k: v for k, v in settings.items() if v is not None})
+    if without:
+        rows = ablate(config, without, progress)
+        return Result(rows, lambda: print_records("Mechanisms left out, and what changes", rows))
+    report = run_segment(config, progress)
     return Result(json.loads(report.to_json()), report.print_table)
 
 

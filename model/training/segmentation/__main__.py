@@ -43,9 +43,9 @@ class Training:
 
     Attributes:
         out: folder for ``edges.npz``, ``boxes.npz``, ``first_click.npz``, ``later_click.npz``,
-            ``first_click_cloud.npz``, ``later_click_cloud.npz``, ``later_click_close.npz``,
-            ``first_click_moving.npz``, ``later_click_moving.npz``, ``part_masks.npz`` and, of
-            rooms, ``room_first_click.npz`` and ``room_later_click.npz``.
+            ``first_click_cloud.npz``, ``later_click_cloud.npz``, ``first_click_moving.npz``,
+            ``later_click_moving.npz``, ``part_masks.npz`` and, of rooms, ``room_first_click.npz``
+            and ``room_later_click.npz``.
         skip: trainings whose models are kept as they are.
         edges, boxes, clicks, clouds, moving, corrective, proposals: their settings.
     """

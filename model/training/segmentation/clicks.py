@@ -1,8 +1,8 @@
 """Train the scorers of clicks on meshes, in rooms and on clouds, by sessions of simulated clicks.
 
 On clouds sessions are played by the project's scorers, and later clicks also have
-``HISTORY_FEATURES``; there are trees, and for local refinements a network. Meshes keep the scorers
-that learned from both: their shells and faces say more.
+``HISTORY_FEATURES``; there are trees. Meshes keep the scorers that learned from both: their shells
+and faces say more.
 """
 
 from __future__ import annotations
@@ -260,15 +260,13 @@ FIRST_FEATURE_NAMES = tuple(n for n in OBJECT_FEATURE_NAMES if n not in HISTORY_
 
 @dataclass(frozen=True)
 class CloudTraining:
-    """Settings that trained ``first_click_cloud.npz``, ``later_click_cloud.npz`` and
-    ``later_click_close.npz``.
+    """Settings that trained ``first_click_cloud.npz`` and ``later_click_cloud.npz``.
 
     Attributes:
         rounds: the objects that are clicked.
         clicks: how they are clicked.
         held_out: every n-th object measures in a fit of its own.
         first, later: how the trees of both are grown.
-        networks: that are fitted and averaged, for local refinements.
     """
 
     rounds: tuple[PlayedRound, ...] = (
@@ -284,7 +282,6 @@ class CloudTraining:
     later: Boosting = field(
         default_factory=lambda: Boosting(trees=800, leaves=31, forests=1, scale=4.0)
     )
-    networks: int = 3
 
 
 def play_rounds(config: CloudTraining) -> tuple[list[Rows], list[Rows]]:
@@ -304,9 +301,7 @@ def train_clouds(config: CloudTraining, folder: Path) -> dict[str, float]:
     for_first, for_later = (folder / name for name in SCORERS["cloud"])
     at_first = partial(fit_trees_to, config=config.first, names=FIRST_FEATURE_NAMES)
     after = partial(fit_trees_to, config=config.later, names=OBJECT_FEATURE_NAMES)
-    local = partial(fit_scorer, networks=config.networks)
     return {
         **fit_and_save(first, config, "first", for_first, at_first),
         **fit_and_save(later, config, "later", for_later, after),
-        **fit_and_save(later, config, "close", folder / SCORERS["local"][1], local),
     }

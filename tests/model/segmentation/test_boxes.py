@@ -16,7 +16,7 @@ from model.segmentation.graph import shipped_edge_model
 from model.segmentation.mask_features import ClickContext
 from model.segmentation.plane_boxes import BoxGrid, main_directions
 from model.segmentation.proposals import CorrectiveClick, PartState, Proposals
-from model.segmentation.solver import PartSolver, object_solver, solver_of
+from model.segmentation.solver import PartSolver, solver_of
 from tests.builders import blocks, spans
 
 DRAWER = 2
@@ -77,7 +77,7 @@ def test_a_drawer_is_on_offer_after_its_front_and_its_back(drawers) -> None:
     encoding, labels = drawers
     made = (encoding.superpoints, encoding.hierarchy, encoding.walk, None, None)
     superpoints = [cell_at(encoding, labels, s) for s in ((0.4, -0.02, 0.3), (0.4, 0.44, 0.3))]
-    with_boxes = best(object_solver(*made), drawers, superpoints)
+    with_boxes = best(solver_of(encoding, None, None), drawers, superpoints)
     assert with_boxes > 0.75
     assert with_boxes > best(PartSolver(*made), drawers, superpoints) + 0.1
 
@@ -85,7 +85,7 @@ def test_a_drawer_is_on_offer_after_its_front_and_its_back(drawers) -> None:
 def test_a_negative_click_cuts_along_a_plane(drawers) -> None:
     """The carcass with a drawer by mistake: a click on the drawer takes all of that off."""
     encoding, labels = drawers
-    solver = object_solver(encoding.superpoints, encoding.hierarchy, encoding.walk, None, None)
+    solver = solver_of(encoding, None, None)
     chosen = np.isin(labels, (1, 2))
     mask = np.bincount(encoding.superpoints.of_node, chosen, len(encoding.superpoints)) > 0.5 * (
         encoding.superpoints.size
@@ -131,11 +131,11 @@ def test_the_network_that_ranks_boxes_is_for_clouds(monkeypatch) -> None:
 
 def test_features_have_their_names_and_are_finite(drawers) -> None:
     encoding, labels = drawers
-    solver = object_solver(encoding.superpoints, encoding.hierarchy, encoding.walk, None, None)
+    solver = solver_of(encoding, None, None)
     superpoint = cell_at(encoding, labels, (0.4, -0.02, 0.3))
-    first = solver.answer(PartState(), superpoint, True, None)
+    first = solver.answer(PartState(), superpoint, True, None, moving=False)
     later = solver.answer(
-        PartState((superpoint,), (), first.best), int(labels.argmin()), False, None
+        PartState((superpoint,), (), first.best), int(labels.argmin()), False, None, moving=False
     )
     for answer in (first, later):
         assert answer.features.shape == (len(answer.proposals), len(solver.describe.names))
@@ -149,8 +149,7 @@ def feature(solver: PartSolver, masks, clicked: ClickContext, name: str) -> list
 
 def test_features_say_on_which_side_of_the_clicks_a_mask_lies(drawers) -> None:
     """Halves of the chest, told by a click in the middle of each."""
-    superpoints, hierarchy, walk = drawers[0].superpoints, drawers[0].hierarchy, drawers[0].walk
-    solver = object_solver(superpoints, hierarchy, walk, None, None)
+    superpoints, solver = drawers[0].superpoints, solver_of(drawers[0], None, None)
     at = superpoints.center @ Rotation.from_euler("z", 0.4).as_matrix()
     across = at[:, 0]
     left, right = (int(np.linalg.norm(at - [x, 0.25, 0.3], axis=1).argmin()) for x in (0.2, 0.6))
@@ -170,8 +169,7 @@ def test_features_say_on_which_side_of_the_clicks_a_mask_lies(drawers) -> None:
 
 
 def test_a_first_click_in_the_middle_is_deep_in_what_it_means(drawers) -> None:
-    superpoints, hierarchy, walk = drawers[0].superpoints, drawers[0].hierarchy, drawers[0].walk
-    solver = object_solver(superpoints, hierarchy, walk, None, None)
+    superpoints, solver = drawers[0].superpoints, solver_of(drawers[0], None, None)
     at = superpoints.center @ Rotation.from_euler("z", 0.4).as_matrix()
     half = at[:, 0] < 0.4
     middle, edge = (
@@ -189,8 +187,7 @@ def test_what_was_clicked_before_tells_masks_apart(drawers) -> None:
     """The chest's left half is meant; a first answer took the right one along, and two clicks in
     the middle of what was too much were needed.
     """
-    superpoints, hierarchy, walk = drawers[0].superpoints, drawers[0].hierarchy, drawers[0].walk
-    solver = object_solver(superpoints, hierarchy, walk, None, None)
+    superpoints, solver = drawers[0].superpoints, solver_of(drawers[0], None, None)
     at = superpoints.center @ Rotation.from_euler("z", 0.4).as_matrix()
     across = at[:, 0]
 

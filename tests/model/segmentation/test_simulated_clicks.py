@@ -1,12 +1,13 @@
 """The click protocol, the benchmark and the training pieces."""
 
 import json
+from unittest.mock import patch
 
 import numpy as np
 import pytest
 
 from model.core.asset import Asset
-from model.core.errors import InputFileError
+from model.core.errors import ConfigurationError, InputFileError
 from model.core.geometry import PointCloud
 from model.data.folders import UrdfFolders
 from model.data.procedural.families import HELD_OUT
@@ -19,6 +20,7 @@ from model.evaluation.segmentation import (
     one_against_the_rest,
     run,
 )
+from model.evaluation.segmentation_ablation import SWITCHES, ablate
 from model.evaluation.segmentation_clicks import BenchObject, dataset_objects
 from model.segmentation.models import Mlp, load_mlp, save_mlp
 from model.segmentation.prompts import (
@@ -149,6 +151,24 @@ def test_bench_says_what_is_offered_without_and_after_one_click():
     assert len(row.reachable) == 2 and 0.8 < summary["cells IoU"] <= 1
     assert summary["cells NoC@80"] == 1 + 19 * np.mean(np.array(row.reachable) < 0.8)
     report.print_table()
+
+
+def test_bench_leaves_out_mechanisms():
+    config = BenchConfig(sets=("procedural",), limit=1, points=6000)
+    names = ("boxes", "penalty of details", "history", "outliers", "trays")
+    whole, *others = ablate(config, names)
+    assert whole["without"] == "nothing" and whole["objects"] == 1
+    assert [row["without"] for row in others] == list(names[:-1]), "a cloud has no trays"
+    assert all(float(v) < 1 for row in others for v in row["visible"].split("/"))
+    with pytest.raises(ConfigurationError, match="'teeth'"):
+        ablate(config, ("teeth",))
+
+
+@pytest.mark.parametrize("name", SWITCHES)
+def test_switches_replace_what_is_there(name: str) -> None:
+    for target, value in SWITCHES[name].replaced.items():
+        with patch(f"model.segmentation.{target}", value):
+            pass
 
 
 def test_bench_on_real_objects(shared_data):
