@@ -38,11 +38,9 @@ HEAVY = {
 MOST_HIDDEN = 30
 """Imports of ours inside functions outside the command line; a comment gives each a reason."""
 
-PRIVATE_WORDS = {
-    *"told crumb crumbs speck specks stray strays relief spoken mend mends mended mending".split(),
-    *"wish wishes workbench desk watched closeup fittings plates retype retyping retyped".split(),
-    *"tints unsure judging judged gate looking beliefs stalled".split(),
-}
+PRIVATE_WORDS = """told crumb crumbs speck specks stray strays relief spoken mend mends mended
+    mending wish wishes workbench desk watched closeup fittings plates retype retyping retyped tints
+    unsure judging judged gate looking beliefs stalled"""
 """Words that may not be part of an identifier; the glossary has the field's word for each."""
 
 WORD_EXCEPTIONS: set[str] = {*"gate gate_proj WORD_EXCEPTIONS PRIVATE_WORDS".split()}
