@@ -130,7 +130,8 @@ def _shares(one: SampledPart, others: Sequence[SampledPart], diagonal: float) ->
 
 
 def _area(surface: Surface) -> float:
-    a, b, c = np.moveaxis(surface.vertices[surface.faces].astype(np.float64), 1, 0)
+    corners = surface.triangles.vertices[surface.triangles.faces]
+    a, b, c = np.moveaxis(corners.astype(np.float64), 1, 0)
     return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()) / 2
 
 

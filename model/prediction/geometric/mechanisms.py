@@ -68,7 +68,7 @@ def slide_out_proposals(context: PartContext) -> list[JointProposal]:
         score += FACING * certainty * float(direction @ front)
         score += OUTWARD * float(direction @ unit(shape.center - base.center))
         depth = _drawer_depth(context, direction)
-        reasons = ["towards the open side"][: covers[k] < 0.3]
+        reasons = ["towards the open side"] if covers[k] < 0.3 else []
         found.append(_slide(direction, shape.center, DRAWER_TRAVEL * depth, score, *reasons))
     return found
 
