@@ -53,7 +53,7 @@ def test_with_a_gpu_it_is_lit_by_its_surroundings(
 ) -> None:
     trimesh.creation.box((0.4, 0.3, 0.2)).export(tmp_path / "one.glb")
     server = start(tmp_path / "one.glb")
-    page = open_page("about:blank", 800, 600)
+    page = open_page("about:blank", 800, 600, color_scheme="light")  # a browser of its own
     page.add_init_script(GPU)
     page.goto(f"{server.url}{COARSE}")
     tab = Tab(page, server).ready()
