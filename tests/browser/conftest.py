@@ -71,29 +71,20 @@ def start(tmp_path: Path, cabinet: tuple[Path, Any]) -> Iterator[Callable[..., A
 
 
 @pytest.fixture
-def open_page(browser: Any) -> Iterator[Callable[..., Any]]:
-    """Open an address in a browser of its own: ``open_page(url)``."""
+def open_tab(browser: Any) -> Iterator[Callable[..., Tab]]:
+    """Open the page of a server: ``open_tab(server)``; several tabs are several browsers."""
     contexts: list[Any] = []
 
-    def begin(url: str, width: int = 1280, height: int = 800, **settings: Any) -> Any:
-        viewport = {"width": width, "height": height}
-        contexts.append(browser.new_context(viewport=viewport, **settings))
+    def begin(
+        server: Any, width: int = 1280, height: int = 800, kind: type[Tab] = Tab, **context: Any
+    ) -> Tab:
+        contexts.append(browser.new_context(viewport={"width": width, "height": height}, **context))
         contexts[-1].set_default_timeout(PAGE_TIMEOUT)
         contexts[-1].add_init_script(FEWER_FRAMES)
         page = contexts[-1].new_page()
-        page.goto(url)
-        return page
+        page.goto(f"{server.url}{COARSE}")
+        return kind(page, server).ready()
 
     yield begin
     for context in contexts:
         context.close()
-
-
-@pytest.fixture
-def open_tab(open_page: Callable[..., Any]) -> Callable[..., Tab]:
-    """Open the page of a server: ``open_tab(server)``; several tabs are several browsers."""
-
-    def begin(server: Any, *size: int, kind: type[Tab] = Tab, **settings: Any) -> Tab:
-        return kind(open_page(f"{server.url}{COARSE}", *size, **settings), server).ready()
-
-    return begin
