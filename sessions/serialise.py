@@ -58,6 +58,7 @@ def state_to_json(state: SessionState) -> dict[str, Any]:
         "version": VERSION,
         "seq": state.seq,
         "past": len(state.past),
+        "opened": state.opened,
         "documents": documents,
         "values": shared.written,
     }
@@ -78,9 +79,9 @@ def state_from_json(data: object) -> SessionState:
             before = _changed(before, item, values, f"state.documents[{i}]")
             documents.append(before)
         past, seq = int(fields["past"]), int(fields["seq"])
-        return SessionState(
-            documents[past], tuple(documents[:past]), tuple(documents[past + 1 :]), seq
-        )
+        former, future = tuple(documents[:past]), tuple(documents[past + 1 :])
+        opened = int(fields.get("opened", 0))  # which earlier versions lack
+        return SessionState(documents[past], former, future, seq, opened)
     except (KeyError, IndexError, TypeError, ValueError) as error:
         raise StoreError(f"the written state is damaged: {error!r}") from error
 

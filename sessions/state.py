@@ -11,6 +11,8 @@ from sessions.document import Document
 from sessions.review import Action, ReviewRecord, ReviewState, Role, transition
 
 MAX_UNDO = 1000
+SOURCE = "source file"
+"""Author of the parts and joints that a file holds."""
 
 
 @dataclass(frozen=True)
@@ -22,17 +24,20 @@ class SessionState:
         past: former documents, oldest first, at most ``MAX_UNDO``.
         future: documents taken back; the next one to redo is last.
         seq: number of the last command that is in it; 0 before the first.
+        opened: number of the first steps, by which the file was opened.
     """
 
     present: Document = field(default_factory=Document)
     past: tuple[Document, ...] = ()
     future: tuple[Document, ...] = ()
     seq: int = 0
+    opened: int = 0
 
     @property
     def can_undo(self) -> bool:
-        """True if there is a step to undo."""
-        return bool(self.past)
+        """True if there is a step to undo; joints that the file holds stay."""
+        steps = (*self.past, self.present)[self.opened : self.opened + 1]
+        return len(self.past) > (self.opened if steps and steps[0].tree is not None else 0)
 
     @property
     def can_redo(self) -> bool:
@@ -42,7 +47,7 @@ class SessionState:
     @property
     def undo_label(self) -> str:
         """Label of undo, as "Undo: add click, part 1"; "" where there is nothing."""
-        return f"Undo: {self.present.label}" if self.past else ""
+        return f"Undo: {self.present.label}" if self.can_undo else ""
 
     @property
     def redo_label(self) -> str:
@@ -140,7 +145,9 @@ class Command:
             edits=before.edits + 1,
             label=self.describe(),
         )
-        return SessionState(after, (*state.past, before)[-MAX_UNDO:], (), state.seq + 1)
+        opens = context.who == SOURCE and len(state.past) == state.opened
+        past = (*state.past, before)[-MAX_UNDO:]
+        return SessionState(after, past, (), state.seq + 1, state.opened + opens)
 
 
 class JobResult(Command):
@@ -162,7 +169,9 @@ class Undo(Command, kind="undo"):
             raise CommandError("there is nothing to undo")
         _check_review_kept(state.present, state.past[-1], context)
         future = (*state.future, state.present)
-        return SessionState(state.past[-1], state.past[:-1], future, state.seq + 1)
+        past = state.past[:-1]
+        opened = min(state.opened, len(past))
+        return SessionState(state.past[-1], past, future, state.seq + 1, opened)
 
 
 @dataclass(frozen=True)
@@ -174,7 +183,8 @@ class Redo(Command, kind="redo"):
             raise CommandError("there is nothing to redo")
         _check_review_kept(state.present, state.future[-1], context)
         past = (*state.past, state.present)[-MAX_UNDO:]
-        return SessionState(state.future[-1], past, state.future[:-1], state.seq + 1)
+        present, future = state.future[-1], state.future[:-1]
+        return replace(state, present=present, past=past, future=future, seq=state.seq + 1)
 
 
 def apply(state: SessionState, command: Command, context: Context) -> SessionState:

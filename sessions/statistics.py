@@ -41,8 +41,8 @@ from sessions.command_log import (
 PAUSE: Final = 30.0
 """Seconds without an act after which a person counts as away: longer than looking at an object from
 all sides takes, shorter than fetching a coffee."""
-SOURCE, MASKS = "source file", "masks of another system"
-"""Authors of the parts and joints that a file holds, and of parts from masks."""
+MASKS = "masks of another system"
+"""Author of parts from masks."""
 SEGMENTER = "segmenter"
 """Author of the segmenter's answers."""
 _SOFTWARE = PROGRAMS | {""}

@@ -32,8 +32,7 @@ from model.prediction.remote_backend import BackendError
 from sessions import commands as cmd
 from sessions.people import Presence
 from sessions.review import transition
-from sessions.state import SessionState
-from sessions.statistics import SOURCE
+from sessions.state import SOURCE, SessionState
 from sessions.store import ObjectRecord, PendingAcceptance
 
 INTERRUPTED = "Its server ended, or another one still works on it. Press Y to accept it"
@@ -215,7 +214,7 @@ class OpenObject(ObjectContext):
         if first or ((self._anew or asset.masks) and not doc.prompts and doc.tree is None):
             self.segmenting.take_source_parts(asset)
         elif asset.masks:
-            self.notify("Masks not used", "It has parts already: undo them to start from masks")
+            self.notify("Masks not used", "It has parts already: remove them to start from masks")
         if self.interrupted:
             self.notify("Not accepted yet", INTERRUPTED, "yellow")
         for warning in asset.warnings:

@@ -22,8 +22,8 @@ from model.core.errors import ArtiworldError, CommandError
 from model.segmentation.prompts import BASE, Click
 from sessions import commands as cmd
 from sessions.document import Document, RegionRef
-from sessions.state import SessionState
-from sessions.statistics import MASKS, SEGMENTER, SOURCE
+from sessions.state import SOURCE, SessionState
+from sessions.statistics import MASKS, SEGMENTER
 from sessions.tool_commands import ToolRegion
 
 T = TypeVar("T")

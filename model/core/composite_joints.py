@@ -159,7 +159,8 @@ def with_composite(
     slides = [j.motion_range for j in joints_now if j.type == "prismatic"]
     gone = set(chain[:-1])
     helpers = free_helpers(child, COMPOSITES[composite.kind].helpers, set(tree.links) - gone)
-    lift = slides[0] if now.kind == "lift_and_swivel" else None
+    along = slides and now.kind != "planar" and "lift_and_swivel" in (now.kind, composite.kind)
+    lift = slides[0] if along else None
     made = composite_joints(composite, base, helpers, slide=lift)
     lost = {j.name for j in joints_now} - {j.name for j in made}
     kept = [

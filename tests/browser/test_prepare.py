@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from app.viewer.words.prepare import APPLY
 from tests.browser.browsing import Tab, wait_until
 from tests.raw_scans import raw_scan
 
@@ -20,6 +21,11 @@ def up_error(tab: Tab, source_from_object: np.ndarray) -> float:
     turn = tab.document.frame.object_from_read[:3, :3]
     z = (turn @ up)[2] / np.cbrt(np.linalg.det(turn))
     return float(np.degrees(np.arccos(np.clip(z, -1, 1))))
+
+
+_GROUND = (
+    "() => window.__viserMutable.nodeRefFromName['/ground'].quaternion.toArray().map(Math.abs)"
+)
 
 
 def tilt(source_from_object: np.ndarray) -> float:
@@ -66,6 +72,8 @@ def test_one_key_levels_and_cleans_a_raw_scan(start: Any, open_tab: Any, tmp_pat
     assert abs(tab.object.asset.element_count - true) < 0.02 * true
     low, high = tab.object.asset.bounds
     np.testing.assert_allclose((low + high)[:2] / 2, 0, atol=0.05 * (high - low).max())
+    tab.drawn()
+    assert tab.page.evaluate(_GROUND)[3] == pytest.approx(1.0), "the grid lies level below it"
     assert tab.document.label == f"level by {tilt(frame):.0f}°; remove support, outliers"
     prepared = tab.object.asset
     tab.page.keyboard.press("Control+z")
@@ -122,8 +130,15 @@ def test_up_by_floor_and_size_by_length(start: Any, open_tab: Any, tmp_path: Pat
     wait_until(lambda: tab.document.frame.scale != 1.0, "scaled")
     assert tab.document.frame.scale == pytest.approx(0.5, rel=0.05)
     read(tab, before)
+    before = tab.object.asset
     tab.key("r")
     wait_until(lambda: tab.document.label.startswith("rotate 90°"), "rotated")
+    before = read(tab, before)
+    tab.drawn()
+    tab.field("Height [m]").fill("0.9")
+    tab.button(APPLY).click()  # takes what is in the fields
+    wait_until(lambda: tab.selection.step == "Annotate", "annotating")
+    assert np.ptp(read(tab, before).bounds[:, 2]) == pytest.approx(0.9, rel=0.05)
 
 
 def test_strokes_remove_and_restore(start: Any, open_tab: Any, tmp_path: Path) -> None:

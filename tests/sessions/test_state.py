@@ -16,7 +16,8 @@ from model.core.tree import KinematicTree, holds_part
 from model.segmentation.prompts import Click
 from sessions import commands as cmd
 from sessions.document import PartInfo, acceptance_problems, prompts_key, review_problems
-from sessions.state import MAX_UNDO, Context, SessionState, apply
+from sessions.serialise import state_from_json, state_to_json
+from sessions.state import MAX_UNDO, SOURCE, Context, SessionState, apply
 
 REF = "ab" * 32
 OTHER_REF = "cd" * 32
@@ -86,6 +87,18 @@ def test_labels_are_no_step_and_keep_the_way_forward():
     state = run(cmd.Redo(), state=state)
     assert len(state.present.prompts) == 2
     assert state.present.needs_labels
+
+
+def test_the_joints_of_a_file_are_not_undone(predicted):
+    source, edit = Context(SOURCE, ME.at), cmd.SetCategory("box")
+    merged = apply(SessionState(), edit, source)
+    assert merged.can_undo, "parts alone, which the names of meshes gave, are"
+    opened = apply(SessionState(predicted.present), edit, source)
+    assert not opened.can_undo and opened.undo_label == ""
+    edited = run(cmd.SetCategory("lamp"), state=opened)
+    assert edited.can_undo and not run(cmd.Undo(), state=edited).can_undo
+    assert state_from_json(state_to_json(edited)) == edited
+    assert state_from_json({**state_to_json(edited), "opened": 0}).opened == 0
 
 
 def test_undo_and_redo_walk_over_everything(predicted, cabinet):

@@ -67,7 +67,7 @@ def add_floor(
 ) -> None:
     """Draw the grid below something as wide as ``span``; ``fade`` times that it is gone."""
     cell = float(10.0 ** np.floor(np.log10(span)) / 2)
-    scene.add_grid(
+    grid = scene.add_grid(
         name,
         width=4 * span,
         height=4 * span,
@@ -80,6 +80,8 @@ def add_floor(
         infinite_grid=True,
         fade_distance=fade * span,
     )
+    # viser sends no default pose, and the page keeps that of the node it replaces.
+    grid.wxyz = -np.asarray(wxyz)
 
 
 def may_be_a_room(bounds: npt.NDArray[np.floating]) -> bool:

@@ -58,6 +58,7 @@ class PrepareStep:
         self._marks = PrepareMarks(tab, picture, self._handle_released)
         self._handle = False
         self._length: float | None = None
+        self._typed = False  # a size that nothing has taken yet
         self._shown_for: Any = None
         self._marked_for: Any = None
         self._switched: Any = None
@@ -97,6 +98,7 @@ class PrepareStep:
         self._usual.on_click(lambda _: act(self._use_usual))
         clean.on_click(lambda e: act(lambda: self._clean(e.target.value)))
         tab.on_update(self._unit, self._unit_chosen)
+        tab.on_update(self._size, self._size_typed)
         for widget in (*self._kinds.values(), self._confidence, self._crop, *self._sides):
             tab.on_update(widget, tab.invalidate)
 
@@ -105,6 +107,7 @@ class PrepareStep:
     def _forget(self) -> None:
         """Another object is opened."""
         self._handle, self._length, self._switched = False, None, None
+        self._typed = False
         self._marked_for = None
 
     def _reset_marks(self, raw: bool = False) -> None:
@@ -122,7 +125,7 @@ class PrepareStep:
     def asset_shown(self) -> None:
         """Note that the picture was drawn anew."""
         self._marks.forget()
-        self._handle, self._length = False, None
+        self._handle, self._length, self._typed = False, None, False
 
     def noticed(self, obj: OpenObject) -> bool:
         """True if the object needs preparing, as far as is known."""
@@ -211,7 +214,10 @@ class PrepareStep:
         obj = tab.selection.need_object()
         odd = _odd_size(obj)
         metres = None if odd is None or odd.unit is None else UNITS[odd.unit]
-        frame, marks = self._frame(obj), self._marked(obj)
+        frame, marks, size = self._frame(obj), self._marked(obj), ""
+        if self._typed:
+            ratio, size = self._asked_size(obj)
+            frame, metres, self._typed = np.diag([ratio, ratio, ratio, 1.0]) @ frame, None, False
 
         def done() -> None:
             tab.act(lambda: tab.selection.set_step("Annotate"))
@@ -219,7 +225,7 @@ class PrepareStep:
         if np.array_equal(frame, np.eye(4)) and marks == Marks() and metres is None:
             done()
         else:
-            self._prepare(obj, frame, marks, done, metres)
+            self._prepare(obj, frame, marks, done, metres, size)
 
     def remove_marked(self) -> None:
         """Remove what is grey; the object stays as it lies."""
@@ -237,11 +243,13 @@ class PrepareStep:
         marks: Marks,
         done: Callable[[], None],
         metres: float | None = None,
+        size: str = "",
     ) -> None:
         found = obj.preparing.current
-        still = found is None or np.array_equal(frame, np.eye(4))
+        still = found is None or np.array_equal(frame, np.diag(frame.diagonal()))
         tilt = 0.0 if still or found is None else found.levelling.tilt
-        text = words.applied(tilt, marks.kinds, marks.box is not None or marks.confidence > 0)
+        more = marks.box is not None or marks.confidence > 0
+        text = words.applied(tilt, marks.kinds, more, size)
         obj.preparing.apply(frame, marks, text, self._tab.user, done, metres=metres)
 
     def _clean(self, action: str) -> None:
@@ -307,7 +315,7 @@ class PrepareStep:
         points = np.array(places)
         if kind == "length":
             self._length = float(np.linalg.norm(points[1] - points[0]))
-            self._size.value = round(self._length, 4)
+            self._size.value, self._typed = round(self._length, 4), False
             self._tab.invalidate()
             return
         up = points[1] - points[0]
@@ -338,12 +346,18 @@ class PrepareStep:
         if action == words.SCALE_ACTIONS[1]:
             self.measure()
             return
+        self._rescale(*self._asked_size(self._tab.selection.need_object()))
+
+    def _size_typed(self) -> None:
+        self._typed = True
+        self._tab.invalidate()
+
+    def _asked_size(self, obj: OpenObject) -> tuple[float, str]:
+        """Factor that gives the object the size in the field, and the words for it."""
         size = float(self._size.value)
-        obj = self._tab.selection.need_object()
         if self._length is not None:
-            self._rescale(size / self._length, words.measured(f"{size:g}"))
-        else:
-            self._rescale(size / self._height(obj), words.resized(f"{size:g}"))
+            return size / self._length, words.measured(f"{size:g}")
+        return size / self._height(obj), words.resized(f"{size:g}")
 
     def measure(self) -> None:
         """Ask for two points whose distance is known."""
@@ -359,7 +373,7 @@ class PrepareStep:
     def _rescale(self, ratio: float, what: str) -> None:
         if not (np.isfinite(ratio) and ratio > 0):
             raise CommandError(words.BAD_SIZE)
-        self._length = None
+        self._length, self._typed = None, False
         preparing = self._tab.selection.need_object().preparing
         preparing.turn(np.diag([ratio, ratio, ratio, 1.0]), what, self._tab.user)
 
@@ -386,8 +400,8 @@ class PrepareStep:
         self._mark_by_default(obj)
         found = obj.preparing.current
         frame, marks = self._frame(obj), self._marked(obj)
-        now = (id(obj.asset), id(found), frame.tobytes(), marks, self._handle, self._length,
-               obj.document, tuple(obj.busy))  # fmt: skip
+        here = (self._handle, self._length, self._typed)
+        now = (id(obj.asset), id(found), frame.tobytes(), marks, here, obj.document, (*obj.busy,))
         if now == self._shown_for:
             return
         self._shown_for = now
@@ -431,7 +445,7 @@ class PrepareStep:
             put(side, visible=bool(self._crop.value))
         height = self._height(obj)
         put(self._size, label=words.HEIGHT if self._length is None else words.LENGTH)
-        if self._length is None:
+        if self._length is None and not self._typed:
             put(self._size, value=round(height, 3))
         odd = unusual_height(self._category(), height)
         put(self._usual, visible=odd is not None)
@@ -443,7 +457,7 @@ class PrepareStep:
             if abs(scale - doc.unit_scale) < 1e-9:
                 put(self._unit, value=word)
         put(self._hint, content="\n\n".join(lines))
-        offers = marks != Marks() or not np.array_equal(self._frame(obj), np.eye(4))
+        offers = self._typed or marks != Marks() or not np.array_equal(self._frame(obj), np.eye(4))
         put(self._apply, label=words.APPLY if offers else words.CONTINUE)
         note = [] if doc.left_out is None else [words.removed(doc.left_out.count)]
         note += [

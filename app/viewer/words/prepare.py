@@ -56,9 +56,9 @@ def also(kinds: dict[int, int]) -> str:
     return f"Found: {' · '.join(names)}." if names else ""
 
 
-def applied(tilt: float, kinds: tuple[int, ...], more: bool) -> str:
-    """Label of a step for undo: radians of tilt, kinds removed, whether more is."""
-    parts = [f"level by {np.degrees(tilt):.0f}°"] if tilt else []
+def applied(tilt: float, kinds: tuple[int, ...], more: bool, size: str = "") -> str:
+    """Label of a step for undo: radians of tilt, kinds removed, whether more is, the size given."""
+    parts = [f"level by {np.degrees(tilt):.0f}°"] * bool(tilt) + [size] * bool(size)
     removed = [KINDS[k].lower() for k in kinds] + ["marked points"] * more
     if removed:
         parts.append(f"remove {', '.join(removed)}")

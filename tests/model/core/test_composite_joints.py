@@ -61,6 +61,12 @@ def test_what_slid_turns_as_often_as_its_travel_needs():
     assert (own.type, own.lower, own.upper) == ("revolute", 0.0, pytest.approx(6 * math.pi))
 
 
+def test_what_slid_keeps_its_travel_as_a_lift():
+    slide = replace(HINGE, type="prismatic", lower=0.0, upper=0.627)
+    lift = next(j for j in turned("lift_and_swivel", 0.0, slide).joints if j.slides)
+    assert (lift.lower, lift.upper) == (0.0, 0.627)
+
+
 @pytest.mark.parametrize("kind", COMPOSITE_KINDS)
 def test_each_kind_is_recognised_and_can_be_taken_back(kind):
     tree = turned(kind, motions(kind).pitch)
