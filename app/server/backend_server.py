@@ -28,7 +28,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 from app.server.jobs import Job, JobFailed, WorkerProcess
 from app.server.login import Login
-from app.server.network import MAX_SOCKETS, OncePerMinute, OnceProtocol, limited
+from app.server.network import MAX_SOCKETS, OncePerMinute, OnceProtocol, limited, refusal
 from model.core.errors import ArtiworldError
 from model.core.progress import Progress, no_progress
 from model.prediction.registry import Predictor, load_predictor
@@ -154,7 +154,7 @@ class Backend:
         app = FastAPI(title="ArtiWorld backend", docs_url=None, redoc_url=None, openapi_url=None)
         app.add_api_route(HEALTH_PATH, self.health, methods=["GET"], response_model=None)
         app.add_api_route(PREDICT_PATH, self.predict, methods=["POST"], response_model=None)
-        app.add_exception_handler(HTTPException, _refusal)
+        app.add_exception_handler(HTTPException, refusal)
         return app
 
     async def health(self, request: Request) -> Response:
@@ -263,7 +263,3 @@ def _last_line(job: Job[Any]) -> bytes:
 
 def _line(**values: Any) -> bytes:
     return json.dumps(values, ensure_ascii=False, allow_nan=False).encode() + b"\n"
-
-
-async def _refusal(_: Request, error: Any) -> Response:
-    return JSONResponse({"error": error.detail}, error.status_code)

@@ -20,6 +20,8 @@ from typing import Any, ClassVar, cast
 
 from starlette.datastructures import Headers
 from starlette.exceptions import HTTPException
+from starlette.requests import Request
+from starlette.responses import JSONResponse
 from starlette.types import Message, Receive
 from uvicorn.config import Config
 from uvicorn.protocols.http.h11_impl import H11Protocol
@@ -157,6 +159,12 @@ class OncePerMinute(logging.Filter):
             self._last.clear()
         self._last[kind] = now
         return True
+
+
+async def refusal(_: Request, error: Any) -> JSONResponse:
+    """Return the answer of an ``HTTPException``: its status, and its text as ``error``."""
+    text = str(error.detail).lower() if error.status_code in (404, 405) else error.detail
+    return JSONResponse({"error": text}, error.status_code)
 
 
 LEAST_RATE = 4096.0

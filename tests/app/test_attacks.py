@@ -5,8 +5,10 @@ from __future__ import annotations
 import ipaddress
 import json
 import socket
+import sqlite3
 import threading
 from collections.abc import Iterator
+from contextlib import closing
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 
@@ -430,8 +432,8 @@ def test_a_webhook_is_retried_ever_later_and_given_up(hooked) -> None:
         assert delivery.attempts == attempt + 1 and (hooks.all()[0].failed == 0) == (attempt < 7)
         hooks.failed(delivery, "no answer")
         assert hooks.claim() is None, "it waits"
-        with hooks._database.writing() as connection:
-            connection.exec_driver_sql("UPDATE deliveries SET due = ''")
+        with closing(sqlite3.connect(store.workspace / "artiworld.db")) as database, database:
+            database.execute("UPDATE deliveries SET due = ''")
         delivery = hooks.claim() or delivery
     assert (hooks.all()[0].waiting, hooks.all()[0].failed) == (0, 1)
 

@@ -19,6 +19,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from app.client import ApiError
+from app.server.acceptances import AssetDrafts
 from app.server.api import guard
 from app.server.server import Server
 from model.core.errors import NoSpaceError
@@ -293,7 +294,7 @@ def test_an_acceptance_that_finds_no_room_is_refused_at_once(
     with monkeypatch.context() as patch:
         patch.setattr(state.store, "end_acceptance", full)
         saving = state.workers.saving
-        patch.setattr(state._services.drafts, "finish", lambda *_: saving.submit(functions.no_room))
+        patch.setattr(AssetDrafts, "finish", lambda *_: saving.submit(functions.no_room))
         with pytest.raises(ApiError, match="check space") as caught:
             rob.accept(id, override="a test", warnings_seen=True)
         assert id in state.store.pending_acceptances()

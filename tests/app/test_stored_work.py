@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import shutil
 import socket
+import sqlite3
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import pytest
 import trimesh
 
-from app.server import object_queue
+from app.server import app_state, object_queue
 from app.server.api import project
 from app.server.api.project import WebhookSender
 from app.server.app_state import AppState
@@ -133,8 +135,8 @@ def test_after_its_last_try_a_message_is_set_aside_in_sight(hooked) -> None:
     hooks = store.people.webhooks
     while (delivery := hooks.claim()) is not None:
         hooks.failed(type(delivery)(**(vars(delivery) | {"attempts": 1})), "no answer")
-    with store.people.webhooks._database.writing() as connection:
-        connection.exec_driver_sql("UPDATE deliveries SET due = '', attempts = 7")
+    with closing(sqlite3.connect(store.workspace / "artiworld.db")) as database, database:
+        database.execute("UPDATE deliveries SET due = '', attempts = 7")
     delivery = hooks.claim()
     hooks.failed(delivery, "gone")
     seen = next(h for h in hooks.all() if h.id == delivery.webhook)
@@ -171,7 +173,9 @@ def test_presence_and_sync_go_on_and_managers_see_what_fails(
     state.presence.enter("one tab", 2, account)
     state.presence.enter("other tab", 3, account)
     entered: list[int] = []
-    monkeypatch.setattr(state.presence._work, "enter", poisoned(lambda i, _: entered.append(i), 2))
+    enter = poisoned(lambda i, _: entered.append(i), 2)
+    monkeypatch.setattr(state.store.people.work, "enter", enter)
+    monkeypatch.setattr(app_state, "HEARTBEAT_SECONDS", -1.0)
     other = Store(state.workspace)
     sessions = [state.session(i) for i in (1, 2, 3)]
     LiveSession(other, 3).do(SetCategory("Crate"), "ann")
@@ -180,7 +184,6 @@ def test_presence_and_sync_go_on_and_managers_see_what_fails(
     behind = {i: 99 if i == 1 else state.store.load(i).seq for i in (1, 2, 3)}
     monkeypatch.setattr(state.store, "last_commands", lambda: behind)
     for _ in range(progress.MOST_TRIES):
-        state.presence._said = -1e9
         state.sync_remote()
     assert sessions[2].document.category == "Crate" and 3 in entered
     monkeypatch.undo()
@@ -195,15 +198,12 @@ def test_lists_and_pictures_go_on(server: Server, state: AppState, monkeypatch) 
     state.store.append(2, SetCategory("Box"), "ann", state.store.object(2).seq)
     state.queue.refresh(2)
     monkeypatch.setattr(state.store, "load", poisoned(state.store.load, 2))
-    monkeypatch.setattr(state.review_order, "_known", {})
     records = state.queue.records()
     assert state.review_order.confidence(records[1]) == 0.5
     assert len(state.gallery.rows({})["rows"]) == 3
-    with state.gallery._lock:
-        state.gallery._drawn.clear()
-        state.gallery._drawing.clear()
     assert state.gallery.thumbnail(2) is None
-    assert [path for (i, _), (_, path) in state.gallery._drawn.items() if i == 2] == [None]
+    wait_until(lambda: state.gallery.thumbnail(3), "another's picture")
+    assert state.gallery.thumbnail(2) is None
 
 
 def test_a_file_that_raises_is_unreadable_and_the_others_are_queued(

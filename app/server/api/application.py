@@ -21,7 +21,7 @@ from app.server.api.project import project_router, statistics_router, webhooks_r
 from app.server.api.sessions import reviews_router, sessions_router
 from app.server.app_state import AppState
 from app.server.entrance import Entrance, Origins
-from app.server.network import API
+from app.server.network import API, refusal
 from model.core.errors import ArtiworldError, CommandError, NoSpaceError, StoreError, no_space
 from sessions.accounts import TooManyAttempts
 from sessions.review import NotPermittedError
@@ -81,7 +81,7 @@ def make_application(app_state: AppState, entrance: Entrance, origins: Origins) 
     app.add_api_route(f"{API}/docs/{{name}}", _document, include_in_schema=False)
     app.add_exception_handler(ArtiworldError, _refused)
     app.add_exception_handler(OSError, _failed)
-    app.add_exception_handler(HTTPException, _http_error)
+    app.add_exception_handler(HTTPException, refusal)
     app.add_exception_handler(RequestValidationError, _invalid)
     limit = app_state.config.max_upload_mb * 1_000_000
     return ApiGuard(app, origins, entrance, f"{API}/objects", limit)
@@ -117,11 +117,6 @@ def _failed(request: Request, error: Any) -> Response:
     if (full := no_space(error.filename or "the workspace", error)) is None:
         raise error
     return _refused(request, full)
-
-
-def _http_error(request: Request, error: Any) -> Response:
-    status, detail = error.status_code, error.detail
-    return JSONResponse({"error": str(detail).lower() if status in (404, 405) else detail}, status)
 
 
 def _invalid(request: Request, error: Any) -> Response:
