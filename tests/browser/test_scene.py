@@ -132,9 +132,8 @@ def test_open_choose_work_in_place_accept_and_save(
     )
     tab.button("Stop (Space)").click()
     wait_until(lambda: not tab.scene.motion.playing, "and stop")
-    choose = tab.scene.choice.choose
-    accept = tab.button("Accept (Y)").first
-    wait_until(lambda: accept.is_visible() or choose("cabinet 1"), "the cabinet is chosen")
+    accept, choice = tab.button("Accept (Y)").first, tab.scene.choice
+    wait_until(lambda: accept.is_visible() or choice.choose("cabinet 1"), "it is chosen")
     tab.wait_seen()
     accept.click()
     wait_until(lambda: tab.status("cabinet 1") == "accepted", "accepted")
