@@ -191,7 +191,7 @@ class _Acceptance(AcceptanceRequest):
                 except CommandError as error:
                     self._refuse(error)
                     return
-            obj.record_job(ACCEPT, self._begun, time.time() - self._begun)
+            obj.jobs.record(ACCEPT, self._begun, time.time() - self._begun)
             obj.notify("Accepted", f"Saved in {written}", "green")
 
         obj.start("save", job, keep)
