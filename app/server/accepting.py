@@ -192,7 +192,7 @@ class _Acceptance(AcceptanceRequest):
                 except (CommandError, NoSpaceError) as error:
                     self._refuse(error)
                     return
-            obj.record_job(ACCEPT, self._begun, time.time() - self._begun)
+            obj.jobs.record(ACCEPT, self._begun, time.time() - self._begun)
             obj.notify("Accepted", f"Saved in {written}", "green")
 
         def pass_on(job: Job[Path]) -> None:

@@ -77,7 +77,7 @@ class ObjectContext(Observable):
         self.live: LiveSession = services.hub.session(record.id)
         self.asset: OpenedAsset | None = None
         self.lane: Lane = services.workers.lanes.first
-        self.jobs = RunningJobs(f"object {record.id}", self.changed, self.record_job)
+        self.jobs = RunningJobs(f"object {record.id}", self.changed, self._record_job)
         self._lock = threading.RLock()
         self._stored: tuple[str, npt.NDArray[np.integer]] | None = None
 
@@ -148,7 +148,7 @@ class ObjectContext(Observable):
             stored = self._stored = record.labels, self.services.store.get_array(record.labels)
         return max(int(stored[1][element]), BASE)
 
-    def record_job(self, kind: str, at: float, seconds: float) -> None:
+    def _record_job(self, kind: str, at: float, seconds: float) -> None:
         """Keep how long a job took that began at ``at`` (seconds since 1970), where it counts."""
         if command_log.counts(kind, seconds):
             job = command_log.TimedJob(self.record.id, kind, at, seconds)

@@ -82,6 +82,7 @@ class RunningJobs:
 
     Attributes:
         busy: progress (0..1) and message of each job.
+        record: as given.
     """
 
     def __init__(
@@ -92,7 +93,7 @@ class RunningJobs:
     ) -> None:
         self.busy: dict[str, tuple[float, str]] = {}
         self._owner = owner
-        self._changed, self._record = changed, record
+        self._changed, self.record = changed, record
         self._jobs: dict[str, Job[Any]] = {}
 
     def __bool__(self) -> bool:
@@ -112,7 +113,7 @@ class RunningJobs:
         self._jobs[kind] = job
         self.busy[kind] = progress
         begun = time.time()  # before the callback that stores a result, so that this comes first
-        job.add_done_callback(lambda _: self._record(kind, begun, time.time() - begun))
+        job.add_done_callback(lambda _: self.record(kind, begun, time.time() - begun))
         job.add_done_callback(ended)
 
     def progress(self, kind: str) -> Callable[[float, str], None]:

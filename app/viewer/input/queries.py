@@ -89,7 +89,7 @@ class PointerQueries:
     def answer(self, asked: Job[T] | Future[T], then: Callable[[T], None]) -> None:
         """Give a result to ``then``: now, or as an action of its own once it is there."""
         obj, begun = self._tab.selection.need_object(), time.time()
-        asked.add_done_callback(lambda _: obj.record_job(PICK, begun, time.time() - begun))
+        asked.add_done_callback(lambda _: obj.jobs.record(PICK, begun, time.time() - begun))
         try:
             found = asked.result(PATIENCE)
         except TimeoutError:
