@@ -208,7 +208,7 @@ class Backend:
         if request.headers.get("content-type") != CONTENT_TYPE:
             raise HTTPException(415, f"send the parts as {CONTENT_TYPE}")
         most = self.settings.max_bytes
-        receive = limited(request.receive, request.headers, most, BODY_SECONDS)
+        receive = await limited(request.receive, request.headers, most, BODY_SECONDS)
         return await Request(request.scope, receive).body()
 
     async def _answer(self, request: Request, body: bytes) -> AsyncIterator[bytes]:

@@ -173,15 +173,17 @@ DISCARD_SECONDS = 1.0
 """How long the body of a refused request is read, and thrown away."""
 
 
-async def discard(receive: Receive) -> None:
+async def discard(receive: Receive, headers: Headers) -> None:
     """Take what is on its way: a client that is cut off while it sends never sees the answer."""
+    if "Expect" in headers:  # it waits for the answer before it sends
+        return
     with contextlib.suppress(TimeoutError):
         async with asyncio.timeout(DISCARD_SECONDS):
             while (await receive()).get("more_body"):
                 pass
 
 
-def limited(
+async def limited(
     receive: Receive, headers: Headers, most: int, seconds: float, rate: float = LEAST_RATE
 ) -> Receive:
     """Return ``receive`` of a request whose body has limits; beyond them it raises.
@@ -196,6 +198,7 @@ def limited(
     too_large = HTTPException(413, f"the request is larger than {most / 1e6:g} MB")
     declared = headers.get("Content-Length", "0")
     if not declared.isdigit() or int(declared) > most:
+        await discard(receive, headers)
         raise too_large
     taken, more, begun = 0, True, time.monotonic()
 
@@ -211,7 +214,7 @@ def limited(
         taken += len(message.get("body", b""))
         more = message.get("more_body", False)
         if taken > most:
-            await discard(receive)
+            await discard(receive, headers)
             raise too_large
         return message
 
@@ -225,7 +228,6 @@ HEADERS = {
     "Referrer-Policy": "no-referrer",
     "Cross-Origin-Resource-Policy": "same-origin",
 }
-"""Of every answer."""
 FIRST_SECONDS = 10.0
 """Longest time for the first line of a connection, and for the headers of an API request."""
 _LINE = 4096

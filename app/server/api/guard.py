@@ -83,14 +83,13 @@ class ApiGuard:
             person = await self._who(scope, headers)
             scope.setdefault("state", {})["person"] = person
             limit = self._upload_bytes if scope["path"] == self._upload_path else JSON_BYTES
-            rate = LEAST_RATE if person is not None else math.inf
-            seconds = BODY_SECONDS if person is not None else STRANGER_SECONDS
-            await self._app(scope, limited(receive, headers, limit, seconds, rate), answer)
+            seconds, rate = (BODY_SECONDS, LEAST_RATE) if person else (STRANGER_SECONDS, math.inf)
+            receive = await limited(receive, headers, limit, seconds, rate)
+            await self._app(scope, receive, answer)
         except HTTPException as refused:
             if begun:
                 raise
-            if "Expect" not in headers:  # it waits for the answer before it sends
-                await discard(receive)
+            await discard(receive, headers)
             refusal = JSONResponse({"error": refused.detail}, refused.status_code)
             await refusal(scope, receive, answer)
 
