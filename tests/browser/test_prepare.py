@@ -135,3 +135,36 @@ def test_up_by_floor_and_size_by_length(start: Any, open_tab: Any, tmp_path: Pat
     tab.button(APPLY).click()  # takes what is in the fields
     wait_until(lambda: tab.selection.step == "Annotate", "annotating")
     assert np.ptp(read(tab, before).bounds[:, 2]) == pytest.approx(0.9, rel=0.05)
+
+
+def test_strokes_remove_and_restore(start: Any, open_tab: Any, tmp_path: Path) -> None:
+    raw_scan(tmp_path / "oven.ply", seed=3)
+    tab = open_tab(start(tmp_path / "oven.ply"))
+    wait_until(lambda: tab.selection.step == "Prepare", "a tilted scan is noticed")
+    raw = tab.object.asset
+    tab.key("Delete")
+    wait_until(lambda: tab.document.left_out is not None, "table and strays are removed")
+    asset = read(tab, raw)
+    before = tab.document.left_out.count
+    box = tab.page.locator("canvas").first.bounding_box()
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+
+    def drag() -> None:
+        tab.page.keyboard.down("Alt")
+        tab.page.mouse.move(x - 60, y - 60)
+        tab.page.mouse.down()
+        tab.page.mouse.move(x + 60, y + 60, steps=4)
+        tab.page.mouse.up()
+        tab.page.keyboard.up("Alt")
+
+    drag()
+    wait_until(lambda: tab.document.left_out.count > before, "the box removes")
+    asset = read(tab, asset)
+    less = tab.document.left_out.count
+    tab.page.keyboard.down("Shift")
+    drag()
+    tab.page.keyboard.up("Shift")
+    wait_until(lambda: tab.document.left_out.count < less, "with Shift it restores")
+    read(tab, asset)
+    tab.button("Restore").click()
+    wait_until(lambda: tab.document.left_out is None, "all is back")
