@@ -21,7 +21,7 @@ from app.viewer.tab import Tab, plain
 from app.viewer.words import review as words
 from app.viewer.words.common import EDITED, NONE, STATES
 from app.viewer.words.queue import EXPORT, EXPORT_HINT
-from model.core.errors import CommandError
+from model.core.errors import ArtiworldError, CommandError
 from model.validation.report import Severity, ValidationReport
 from sessions import commands as cmd
 from sessions.document import Document, review_problems
@@ -130,7 +130,7 @@ class ReviewStep:
             tab.notify(*words.ALREADY_ACCEPTED, "gray")
             return
 
-        def refused(error: CommandError) -> None:
+        def refused(error: ArtiworldError) -> None:
             tab.act(lambda: self._refused(obj, error))
 
         try:
@@ -158,7 +158,7 @@ class ReviewStep:
         name = self._actions.name_of(obj.record)
         tab.notify(words.SUBMITTED, words.to_reviewer(name), "green", elsewhere=True)
 
-    def _refused(self, obj: OpenObject, error: CommandError) -> None:
+    def _refused(self, obj: OpenObject, error: ArtiworldError) -> None:
         """Say why an acceptance was refused, and show the worst finding."""
         tab, name = self._tab, self._actions.name_of(obj.record)
         self._forget_decision(obj)
