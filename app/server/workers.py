@@ -208,8 +208,8 @@ class Workers:
     ) -> Job[T]:
         """Have ``function(*args)`` read something; people take turns.
 
-        The second reader is kept for what isn't a large file, and for :data:`QUICK_SECONDS` each:
-        what takes longer begins again at the first one, which smaller ones use while it is idle.
+        While the first reader is busy, what isn't a large file goes to the second one, for
+        :data:`QUICK_SECONDS` each: what takes longer begins again at the first one.
 
         Args:
             args: a :class:`Path` comes first where it is read.
@@ -221,7 +221,7 @@ class Workers:
         slow, quick = self.readers
         path = args[0] if isinstance(args[0], Path) else ""
         large = os.path.isfile(path) and os.path.getsize(path) > SMALL_BYTES
-        if large or (quick.busy and not slow.busy):
+        if large or not slow.busy:
             job = slow.submit(function, *args, most_seconds=most_seconds, **settings)
         else:
             job = quick.submit(function, *args, most_seconds=QUICK_SECONDS, **settings)
