@@ -263,7 +263,7 @@ def validate_joints(
     obj = articulated_object(source, tree, scaled_progress(progress, 0.0, 0.2))
     progress = scaled_progress(progress, 0.2, 1.0)
     report = validate(obj, store=source.workspace / "collision", progress=progress)
-    with suppress(OSError, ValueError), draft_of(cached) as draft:  # it counts without the cache
+    with suppress(OSError, ArtiworldError, ValueError), draft_of(cached) as draft:  # optional
         draft.write_text(json.dumps(codec.write(report)), encoding="utf-8")
     return report
 

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from model.core.articulated_object import Part
+from model.core.errors import NoSpaceError
 from model.core.files import draft_of
 from model.core.shapes import Primitive, Shape, Solid, hull_of
 
@@ -23,8 +24,7 @@ VERSION = 7
 
 def default_store() -> Path:
     """The user's cache folder, by the XDG base directory specification."""
-    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(base) / "artiworld" / "collision"
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache", "artiworld/collision")
 
 
 def fingerprint(*values: Any) -> str:
@@ -73,7 +73,7 @@ def load_arrays(path: Path) -> dict[str, npt.NDArray[Any]] | None:
 
 def save_arrays(path: Path, arrays: dict[str, npt.NDArray[Any]]) -> None:
     """Save arrays atomically; an unwritable folder is ignored."""
-    with suppress(OSError), draft_of(path) as draft:
+    with suppress(OSError, NoSpaceError), draft_of(path) as draft:
         np.savez(draft, **arrays)  # type: ignore[arg-type]
 
 
