@@ -123,6 +123,7 @@ def test_messages_of_a_browser_give_no_other_name_and_no_higher_role(server: Ser
 
 
 def test_malformed_messages_of_a_browser_are_a_line_of_the_log_each(server: Server, caplog) -> None:
+    caplog.set_level("WARNING", logger="app")
     browser = Browser(server)
     browser.log_in("mia")
     tab = WebTab(browser)
