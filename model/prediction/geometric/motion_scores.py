@@ -487,16 +487,16 @@ def _pairs(c: _Cues) -> Scores:
     return scores
 
 
-PEN, PEN_SLACK = (0.5, 0.8, 0.6, 0.35, 0.55, 1.6), 0.005
-"""A pen's slenderness; its cap's size, place, offset, least and largest thickness over the pen's;
-and the slack (diagonals)."""
+PEN_SLENDER, CAP_SIZE, CAP_PLACE, CAP_OFFSET, CAP_THIN, CAP_THICK = 0.5, 0.8, 0.6, 0.35, 0.55, 1.6
+PEN_SLACK = 0.005
+"""A pen's slenderness; its cap's measures over the pen's; and the slack (diagonals)."""
 
 
 def _caps_the_end(part: PartContext) -> bool:
     """True if it is on one end of a long parent and equally thick, as the cap of a pen."""
     shape, base = part.shape, part.parent_shape
     thin, middle, long = base.order
-    if base.slenderness > PEN[0] or shape.size > PEN[1] * base.size:
+    if base.slenderness > PEN_SLENDER or shape.size > CAP_SIZE * base.size:
         return False
     axes = base.box.axes
     step = axes.T @ (shape.center - base.center)
@@ -504,10 +504,10 @@ def _caps_the_end(part: PartContext) -> bool:
     thick = base.box.half[[thin, middle]]
     return bool(
         abs(axes[2, long]) < ACROSS
-        and abs(step[long]) > PEN[2] * base.box.half[long]
-        and np.all(np.abs(step[[thin, middle]]) < PEN[3] * thick + PEN_SLACK)
-        and np.all(reach > PEN[4] * thick)
-        and np.all(reach < PEN[5] * thick + PEN_SLACK)
+        and abs(step[long]) > CAP_PLACE * base.box.half[long]
+        and np.all(np.abs(step[[thin, middle]]) < CAP_OFFSET * thick + PEN_SLACK)
+        and np.all(reach > CAP_THIN * thick)
+        and np.all(reach < CAP_THICK * thick + PEN_SLACK)
     )
 
 
