@@ -87,6 +87,16 @@ def page_at_rest(page: Any) -> Any:
     return np.array(page.evaluate(_RESTING, 4))
 
 
+def log_in(page: Any, server: Any, name: str, password: str) -> None:
+    """Log in on the page that an unknown visitor gets, and open the application."""
+    page.wait_for_url("**/login")
+    page.get_by_label("Name").fill(name)
+    page.get_by_role("textbox", name="Password").fill(password)
+    page.get_by_role("button", name="Log in").click()
+    page.wait_for_url("**/", wait_until="commit")  # it loads at full size, which nobody waits for
+    page.goto(f"{server.url}{COARSE}")
+
+
 def find_chromium() -> str | None:
     """Where a Chromium is, or None."""
     names = ("chromium", "chromium-browser", "google-chrome")

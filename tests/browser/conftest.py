@@ -70,21 +70,55 @@ def start(tmp_path: Path, cabinet: tuple[Path, Any]) -> Iterator[Callable[..., A
         server.close()
 
 
+@pytest.fixture(scope="session")
+def kept() -> dict[str, Any]:
+    """The page that goes from test to test, where one is open."""
+    return {}
+
+
 @pytest.fixture
-def open_tab(browser: Any) -> Iterator[Callable[..., Tab]]:
-    """Open the page of a server: ``open_tab(server)``; several tabs are several browsers."""
+def open_page(browser: Any, kept: dict[str, Any]) -> Iterator[Callable[..., Any]]:
+    """Open an address in a browser of its own: ``open_page(url)``.
+
+    The first one of a test is the one before's where it has no settings: another address there
+    takes less than another browser, and no two servers share what a page remembers.
+    """
     contexts: list[Any] = []
 
-    def begin(
-        server: Any, width: int = 1280, height: int = 800, kind: type[Tab] = Tab, **context: Any
-    ) -> Tab:
-        contexts.append(browser.new_context(viewport={"width": width, "height": height}, **context))
-        contexts[-1].set_default_timeout(PAGE_TIMEOUT)
-        contexts[-1].add_init_script(FEWER_FRAMES)
-        page = contexts[-1].new_page()
-        page.goto(f"{server.url}{COARSE}")
-        return kind(page, server).ready()
+    def new(viewport: Any, settings: dict[str, Any]) -> Any:
+        context = browser.new_context(viewport=viewport, **settings)
+        context.set_default_timeout(PAGE_TIMEOUT)
+        context.add_init_script(FEWER_FRAMES)
+        return context.new_page()
+
+    def begin(url: str, width: int = 1280, height: int = 800, **settings: Any) -> Any:
+        viewport: Any = {"width": width, "height": height}
+        if settings or contexts:
+            page = new(viewport, settings)
+        else:
+            page = kept.pop("page", None)
+            if page is None or page.is_closed():
+                page = new(viewport, {})
+            page.set_viewport_size(viewport)
+        contexts.append((page, not settings and not contexts))
+        page.goto(url)
+        return page
 
     yield begin
-    for context in contexts:
-        context.close()
+    for page, keep in contexts:
+        if keep and not page.is_closed():
+            page.goto("about:blank")
+            page.context.clear_cookies()
+            kept["page"] = page
+        else:
+            page.context.close()
+
+
+@pytest.fixture
+def open_tab(open_page: Callable[..., Any]) -> Callable[..., Tab]:
+    """Open the page of a server: ``open_tab(server)``; several tabs are several browsers."""
+
+    def begin(server: Any, *size: int, kind: type[Tab] = Tab, **settings: Any) -> Tab:
+        return kind(open_page(f"{server.url}{COARSE}", *size, **settings), server).ready()
+
+    return begin

@@ -6,7 +6,7 @@ import numpy as np
 import trimesh
 from PIL import Image
 
-from tests.builders import box as span
+from tests.builders import box
 
 
 def _box(size: tuple[float, ...], center: tuple[float, ...]) -> trimesh.Trimesh:
@@ -60,8 +60,8 @@ URDF = """<robot name="r"><link name="body"><visual><geometry>
 
 def write_urdf(folder: Path) -> Path:
     """A URDF of a cupboard whose door moves freely."""
-    span((-0.3, -0.13, 0), (0.3, 0.15, 0.4)).export(folder / "body.ply")
-    span((0, 0, 0), (0.6, 0.02, 0.4)).export(folder / "door.ply")
+    box((-0.3, -0.13, 0), (0.3, 0.15, 0.4)).export(folder / "body.ply")
+    box((0, 0, 0), (0.6, 0.02, 0.4)).export(folder / "door.ply")
     (folder / "cupboard.urdf").write_text(URDF)
     return folder / "cupboard.urdf"
 
@@ -87,10 +87,10 @@ def write_flush(path: Path) -> dict[str, np.ndarray]:
     Returns two opposite corners of the door, and a point beside it.
     """
     w, d, h = 0.8, 0.4, 1.0
-    box = _box((w, d, h), (0, 0, h / 2))
-    box.unmerge_vertices()
-    uv = np.stack([box.vertices[:, 0] / w + 0.5, box.vertices[:, 2] / h], axis=1)
-    front = np.repeat(box.face_normals[:, 1] < -0.5, 3)
+    whole = _box((w, d, h), (0, 0, h / 2))
+    whole.unmerge_vertices()
+    uv = np.stack([whole.vertices[:, 0] / w + 0.5, whole.vertices[:, 2] / h], axis=1)
+    front = np.repeat(whole.face_normals[:, 1] < -0.5, 3)
     uv = np.where(front[:, None], uv, 0.02)
     picture = np.full((200, 160, 3), (196, 178, 150), np.uint8)
     picture[40:160, 30:130] = (120, 86, 60)  # x -0.25..0.25, z 0.2..0.8
@@ -98,9 +98,9 @@ def write_flush(path: Path) -> dict[str, np.ndarray]:
     material = trimesh.visual.material.PBRMaterial(
         baseColorTexture=Image.fromarray(picture), metallicFactor=0.0, roughnessFactor=0.9
     )
-    box.visual = trimesh.visual.TextureVisuals(uv, material=material)
-    box.apply_transform(trimesh.transformations.rotation_matrix(-np.pi / 2, (1, 0, 0)))  # y up
-    box.export(path)
+    whole.visual = trimesh.visual.TextureVisuals(uv, material=material)
+    whole.apply_transform(trimesh.transformations.rotation_matrix(-np.pi / 2, (1, 0, 0)))  # y up
+    whole.export(path)
     return {
         "low": np.array([-0.25, -d / 2, 0.2]),
         "high": np.array([0.25, -d / 2, 0.8]),

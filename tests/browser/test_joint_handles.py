@@ -19,11 +19,59 @@ def test_limits_parents_views_and_lengths_in_the_picture(
     predict(tab)
     tab.page.locator('[data-press="joint"][value="link_1"]').click()
     wait_until(lambda: tab.selection.child == "link_1", "a click in the tree chooses the joint")
+    check_the_axis_handles(tab)
     check_the_limits(tab)
     check_the_tree(tab)
     check_the_views(tab)
     check_one_part_alone(tab)
     check_measuring(tab)
+
+
+def check_the_axis_handles(tab: Tab) -> None:
+    """The axis is pulled, and the likely motions stay in the picture: M takes the first of them."""
+    before = tab.document.tree.joint_of["link_1"]
+    tab.button("Axis handles (G)").click()
+    tab.wait_node("/gizmo")
+    tab.drawn()
+    # The handle along x: grab its arrow and pull.
+    tip = np.asarray(before.origin) + np.array([0.15 * tab.object.asset.diagonal, 0, 0])
+    assert drag_until_moved(tab, tip, tab.pixel(before.origin), before)
+    after = tab.document.tree.joint_of["link_1"]
+    assert np.linalg.norm(np.subtract(after.origin, before.origin)) > 1e-3
+    tab.wait_node("/axis/likely-1")
+    tab.wait_node("/axis/likely-2")
+    tab.key("m")
+    wait_until(lambda: tab.document.tree.joint_of["link_1"].origin == before.origin, "the first")
+    tab.key("m")
+    other = tab.document.prediction.alternatives["link_1"][0]
+    wait_until(lambda: tab.document.tree.joint_of["link_1"].origin == other.origin, "the second")
+    tab.button("Reset to prediction").click()
+    wait_until(lambda: tab.document.tree.joint_of["link_1"] == before, "reset")
+    tab.button("Axis handles (G)").click()
+    handle = tab.app.tab.client.scene.get_handle_by_name
+    wait_until(lambda: handle("/gizmo") is None, "the handles are off")
+
+
+def drag_until_moved(tab: Tab, tip: np.ndarray, origin: tuple[float, float], before: Any) -> bool:
+    """Pull at points along the gizmo's x arrow until one is its handle."""
+    x0, y0 = origin
+    x1, y1 = tab.pixel(tip)
+    for share in (1.0, 0.8, 1.2, 0.6, 1.4, 0.4):
+        x, y = x0 + share * (x1 - x0), y0 + share * (y1 - y0)
+        tab.page.mouse.move(x, y)
+        tab.frames(3)  # the page sees what is under the pointer when it draws
+        tab.page.mouse.down()
+        tab.page.mouse.move(x + 0.5 * (x1 - x0), y + 0.5 * (y1 - y0), steps=6)
+        tab.frames(2)
+        tab.page.mouse.up()
+        try:
+            wait_until(
+                lambda: tab.document.tree.joint_of["link_1"].origin != before.origin, "moved", 8.0
+            )
+        except AssertionError:
+            continue
+        return True
+    return False
 
 
 def check_the_limits(tab: Tab) -> None:

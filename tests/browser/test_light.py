@@ -45,15 +45,17 @@ def test_without_a_gpu_it_is_plain_until_taken_back_and_that_is_kept(
     wait_until(lambda: lit(True), "lit plainly again")
 
 
-def test_with_a_gpu_it_is_lit_by_its_surroundings(start: Any, browser: Any, tmp_path: Path) -> None:
+GPU = "WebGLRenderingContext.prototype.getParameter = () => 'ANGLE (NVIDIA GeForce RTX 4090)'"
+
+
+def test_with_a_gpu_it_is_lit_by_its_surroundings(
+    start: Any, open_page: Any, tmp_path: Path
+) -> None:
     trimesh.creation.box((0.4, 0.3, 0.2)).export(tmp_path / "one.glb")
     server = start(tmp_path / "one.glb")
-    context = browser.new_context(viewport={"width": 800, "height": 600})
-    context.add_init_script(
-        "WebGLRenderingContext.prototype.getParameter = () => 'ANGLE (NVIDIA GeForce RTX 4090)'"
-    )
-    page = context.new_page()
+    page = open_page("about:blank", 800, 600, color_scheme="light")  # a browser of its own
+    page.add_init_script(GPU)
     page.goto(f"{server.url}{COARSE}")
     tab = Tab(page, server).ready()
-    assert page.evaluate(SURROUNDINGS) and not tab.app.light.plain
-    context.close()
+    wait_until(lambda: page.evaluate(SURROUNDINGS), "lit by its surroundings")
+    assert not tab.app.light.plain

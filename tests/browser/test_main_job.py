@@ -7,10 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from PIL import Image
 
 from model.core.joint import motion
 from sessions.commands import SetCategory
-from tests.browser.browsing import PAGE_TIMEOUT, Tab, wait_until
+from tests.browser.browsing import COARSE, Tab, wait_until
 from tests.browser.objects import write_cloud
 
 MASK = r"Mask (\d+) of (\d+): \d"
@@ -213,7 +214,7 @@ def check_saved(folder: Path, tab: Tab) -> None:
     assert any((folder / "meshes").iterdir())
 
 
-def test_shift_click_box_and_removal(start: Any, open_tab: Any, cabinet: Any) -> None:
+def test_shift_click_box_removal_and_reject(start: Any, open_tab: Any, cabinet: Any) -> None:
     path, points = cabinet
     tab = open_tab(start(path))
     tab.prompt(points["door"])
@@ -248,16 +249,27 @@ def test_shift_click_box_and_removal(start: Any, open_tab: Any, cabinet: Any) ->
     wait_until(lambda: len(tab.document.prompts) == 3, "Ctrl+Z brings it back")
     tab.page.keyboard.press("Control+Shift+z")
     wait_until(lambda: len(tab.document.prompts) == 2, "Ctrl+Shift+Z removes it again")
+    tab.settled()
+    check_reject_with_a_reason(tab, points)
 
 
-def test_a_note_shows_the_whole_path(start: Any, open_tab: Any, cabinet: Any) -> None:
-    """A long path was cut off where it says which file."""
-    tab = open_tab(start(cabinet[0]))
-    place = "/home/somebody/with_a_long_name/workspace_of_today/assets/cabinet-1"
-    tab.object.notify("Accepted", f"Saved in {place}", "green")
-    note = tab.page.get_by_text(place, exact=False)
-    note.wait_for()
-    assert note.evaluate("e => e.scrollWidth <= e.clientWidth")
+def check_reject_with_a_reason(tab: Tab, points: dict[str, np.ndarray]) -> None:
+    tab.step("Review")
+    tab.field("Comment").fill("the drawer is missing <b>{1+1}</b>")
+    wait_until(lambda: tab.app.review.comment_text.startswith("the drawer"), "the comment")
+    tab.button("Reject (X)").click()
+    tab.button("4 parts").click()
+    wait_until(lambda: tab.document.review.state == "rejected", "rejected")
+    tab.page.get_by_text("cabinet: back to annotation").wait_for()
+    assert tab.document.review.reason == "parts"
+    assert tab.document.review.comment == "the drawer is missing <b>{1+1}</b>"
+    # The words show as they were typed: neither HTML nor an expression.
+    wait_until(
+        lambda: "<b>{1+1}</b>" in tab.page.locator("body").inner_text(), "the comment as text"
+    )
+    tab.step("Annotate")
+    tab.prompt(points["drawer"])
+    wait_until(lambda: tab.document.review.state == "in_progress", "its annotator goes on")
 
 
 def test_numbers_and_delete(start: Any, open_tab: Any, cabinet: Any) -> None:
@@ -297,80 +309,16 @@ def test_numbers_and_delete(start: Any, open_tab: Any, cabinet: Any) -> None:
     tab.page.keyboard.type("refr")
     tab.page.keyboard.press("Enter")
     wait_until(lambda: tab.document.category == "Refrigerator", "the category is chosen")
+    check_a_note_shows_the_whole_path(tab)
 
 
-def test_the_gizmo_moves_the_axis(start: Any, open_tab: Any, cabinet: Any) -> None:
-    path, points = cabinet
-    tab = open_tab(start(path))
-    annotate(tab, points)
-    predict(tab)
-    before = tab.document.tree.joint_of["link_1"]
-    tab.choose("Joint", "door 1")
-    wait_until(lambda: tab.selection.child == "link_1", "the door is chosen")
-    tab.button("Axis handles (G)").click()
-    tab.wait_node("/gizmo")
-    tab.drawn()
-    # The handle along x: grab its arrow and pull.
-    tip = np.asarray(before.origin) + np.array([0.15 * tab.object.asset.diagonal, 0, 0])
-    origin = tab.pixel(before.origin)
-    moved = drag_until_moved(tab, tip, origin, before)
-    after = tab.document.tree.joint_of["link_1"]
-    assert moved
-    assert np.linalg.norm(np.subtract(after.origin, before.origin)) > 1e-3
-    # The likely motions stay in the picture while the axis is edited; M takes the first of them.
-    tab.wait_node("/axis/likely-1")
-    tab.wait_node("/axis/likely-2")
-    tab.key("m")
-    wait_until(lambda: tab.document.tree.joint_of["link_1"].origin == before.origin, "the first")
-    tab.key("m")
-    other = tab.document.prediction.alternatives["link_1"][0]
-    wait_until(lambda: tab.document.tree.joint_of["link_1"].origin == other.origin, "the second")
-    tab.button("Reset to prediction").click()
-    wait_until(lambda: tab.document.tree.joint_of["link_1"] == before, "reset")
-
-
-def drag_until_moved(tab: Tab, tip: np.ndarray, origin: tuple[float, float], before: Any) -> bool:
-    """Pull at points along the gizmo's x arrow until one is its handle."""
-    x0, y0 = origin
-    x1, y1 = tab.pixel(tip)
-    for share in (1.0, 0.8, 1.2, 0.6, 1.4, 0.4):
-        x, y = x0 + share * (x1 - x0), y0 + share * (y1 - y0)
-        tab.page.mouse.move(x, y)
-        tab.frames(3)  # the page sees what is under the pointer when it draws
-        tab.page.mouse.down()
-        tab.page.mouse.move(x + 0.5 * (x1 - x0), y + 0.5 * (y1 - y0), steps=6)
-        tab.frames(2)
-        tab.page.mouse.up()
-        try:
-            wait_until(
-                lambda: tab.document.tree.joint_of["link_1"].origin != before.origin, "moved", 8.0
-            )
-        except AssertionError:
-            continue
-        return True
-    return False
-
-
-def test_reject_with_a_reason(start: Any, open_tab: Any, cabinet: Any) -> None:
-    path, points = cabinet
-    tab = open_tab(start(path))
-    tab.prompt(points["door"])
-    tab.step("Review")
-    tab.field("Comment").fill("the drawer is missing <b>{1+1}</b>")
-    wait_until(lambda: tab.app.review.comment_text.startswith("the drawer"), "the comment")
-    tab.button("Reject (X)").click()
-    tab.button("4 parts").click()
-    wait_until(lambda: tab.document.review.state == "rejected", "rejected")
-    tab.page.get_by_text("cabinet: back to annotation").wait_for()
-    assert tab.document.review.reason == "parts"
-    assert tab.document.review.comment == "the drawer is missing <b>{1+1}</b>"
-    # The words show as they were typed: neither HTML nor an expression.
-    wait_until(
-        lambda: "<b>{1+1}</b>" in tab.page.locator("body").inner_text(), "the comment as text"
-    )
-    tab.step("Annotate")
-    tab.prompt(points["drawer"])
-    wait_until(lambda: tab.document.review.state == "in_progress", "its annotator goes on")
+def check_a_note_shows_the_whole_path(tab: Tab) -> None:
+    """A long path was cut off where it says which file."""
+    place = "/home/somebody/with_a_long_name/workspace_of_today/assets/cabinet-1"
+    tab.object.notify("Accepted", f"Saved in {place}", "green")
+    note = tab.page.get_by_text(place, exact=False)
+    note.wait_for()
+    assert note.evaluate("e => e.scrollWidth <= e.clientWidth")
 
 
 def test_two_tabs_show_the_same(start: Any, open_tab: Any, cabinet: Any) -> None:
@@ -412,14 +360,12 @@ def test_next_object_and_a_cloud(start: Any, open_tab: Any, cabinet: Any, tmp_pa
 
 
 def test_a_file_that_cannot_be_opened_says_so(
-    start: Any, browser: Any, tmp_path: Path, cabinet: Any
+    start: Any, open_page: Any, tmp_path: Path, cabinet: Any
 ) -> None:
     bad = tmp_path / "a_bad.ply"
     bad.write_bytes(b"ply\nformat ascii 1.0\nelement vertex 3\n")
     server = start(bad, cabinet[0])
-    page = browser.new_context(viewport={"width": 1280, "height": 800}).new_page()
-    page.set_default_timeout(PAGE_TIMEOUT)
-    page.goto(server.url)
+    page = open_page(f"{server.url}{COARSE}")
     wait_until(lambda: server.apps, "the server sees the tab")
     selection = server.apps[max(server.apps)].tab.selection
     wait_until(
@@ -442,25 +388,9 @@ def test_a_file_that_cannot_be_opened_says_so(
     again.wait_for(state="hidden")
     page.keyboard.press("n")
     wait_until(lambda: selection.object.asset is not None, "the next one opens all the same")
-    page.context.close()
 
 
-def test_touch_adds_a_prompt(start: Any, open_tab: Any, cabinet: Any) -> None:
-    path, points = cabinet
-    tab = open_tab(start(path), has_touch=True)
-    tab.app.rail.touch = True
-    tab.app.tab.invalidate()
-    tab.wait_node("/touch")
-    tab.drawn()
-    x, y = tab.pixel(points["door"])
-    tab.page.touchscreen.tap(x, y)
-    wait_until(lambda: len(tab.document.prompts) == 1, "a tap is a prompt")
-    tab.settled()
-    labels = tab.object.services.store.get_array(tab.document.segmentation.labels)
-    assert labels[tab.document.prompts[0].element] == 1
-
-
-def test_an_upload_joins_the_queue(start: Any, open_tab: Any, cabinet: Any, tmp_path: Path) -> None:
+def test_uploads_join_the_queue(start: Any, open_tab: Any, cabinet: Any, tmp_path: Path) -> None:
     path, _ = cabinet
     folder = tmp_path / "elsewhere"
     folder.mkdir()
@@ -475,6 +405,27 @@ def test_an_upload_joins_the_queue(start: Any, open_tab: Any, cabinet: Any, tmp_
     wait_until(lambda: tab.object.record.name == "chest", "the upload is open")
     wait_until(lambda: tab.object.asset is not None, "it is read")
     assert tab.object.asset.element_kind == "point"
+    check_an_obj_is_uploaded_with_its_texture(tab, tmp_path)
+
+
+def check_an_obj_is_uploaded_with_its_texture(tab: Tab, tmp_path: Path) -> None:
+    folder = tmp_path / "mine"
+    folder.mkdir()
+    (folder / "tri.obj").write_text(
+        "mtllib tri.mtl\nusemtl a\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\n"
+        "f 1/1 2/2 3/3\n"
+    )
+    (folder / "tri.mtl").write_text("newmtl a\nmap_Kd oak.png\n")
+    Image.new("RGB", (4, 4), (200, 100, 50)).save(folder / "oak.png")
+    chosen = [folder / "oak.png", folder / "tri.mtl", folder / "tri.obj"]
+    with tab.page.expect_file_chooser() as chooser:
+        tab.button("Add files").click()
+    chooser.value.set_files([str(p) for p in chosen])
+    wait_until(lambda: tab.object.record.name == "tri", "the new object is open")
+    asset = wait_until(lambda: tab.object.asset, "it is read")
+    assert not asset.warnings
+    kept = asset.source.path.parent
+    assert {p.name for p in kept.iterdir()} == {"oak.png", "tri.mtl", "tri.obj"}
 
 
 def test_a_lying_object_in_another_unit_is_prepared(

@@ -79,17 +79,45 @@ def test_one_key_levels_and_cleans_a_raw_scan(start: Any, open_tab: Any, tmp_pat
     wait_until(lambda: tab.document.left_out is not None, "done again")
     read(tab, raw)
     assert up_error(tab, frame) < 0.5
+    check_strokes_remove_and_restore(tab)
 
 
-def test_an_upright_clean_object_is_not_asked_about(start: Any, open_tab: Any) -> None:
-    from model.core.files import static_assets
-
-    tab = open_tab(start(static_assets() / "examples" / "oven_scan.ply"))
+def check_strokes_remove_and_restore(tab: Tab) -> None:
+    """Of the raw scan: Delete takes table and strays, boxes take and give back."""
+    prepared = tab.object.asset
+    tab.page.keyboard.press("Control+z")
+    wait_until(lambda: tab.document.left_out is None, "undone")
+    raw = read(tab, prepared)
+    tab.step("Prepare")
     proposed(tab)
     tab.drawn()
-    assert tab.selection.step == "Annotate"
-    assert not tab.app.prepare.noticed(tab.object)
-    assert not tab.button("Prepare (Enter)").count()
+    tab.camera_at_rest()
+    tab.key("Delete")
+    wait_until(lambda: tab.document.left_out is not None, "table and strays are removed")
+    asset = read(tab, raw)
+    before = tab.document.left_out.count
+    box = tab.page.locator("canvas").first.bounding_box()
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+
+    def drag() -> None:
+        tab.page.keyboard.down("Alt")
+        tab.page.mouse.move(x - 60, y - 60)
+        tab.page.mouse.down()
+        tab.page.mouse.move(x + 60, y + 60, steps=4)
+        tab.page.mouse.up()
+        tab.page.keyboard.up("Alt")
+
+    drag()
+    wait_until(lambda: tab.document.left_out.count > before, "the box removes")
+    asset = read(tab, asset)
+    less = tab.document.left_out.count
+    tab.page.keyboard.down("Shift")
+    drag()
+    tab.page.keyboard.up("Shift")
+    wait_until(lambda: tab.document.left_out.count < less, "with Shift it restores")
+    read(tab, asset)
+    tab.button("Restore").click()
+    wait_until(lambda: tab.document.left_out is None, "all is back")
 
 
 def test_up_by_floor_and_size_by_length(start: Any, open_tab: Any, tmp_path: Path) -> None:
@@ -135,36 +163,3 @@ def test_up_by_floor_and_size_by_length(start: Any, open_tab: Any, tmp_path: Pat
     tab.button(APPLY).click()  # takes what is in the fields
     wait_until(lambda: tab.selection.step == "Annotate", "annotating")
     assert np.ptp(read(tab, before).bounds[:, 2]) == pytest.approx(0.9, rel=0.05)
-
-
-def test_strokes_remove_and_restore(start: Any, open_tab: Any, tmp_path: Path) -> None:
-    raw_scan(tmp_path / "oven.ply", seed=3)
-    tab = open_tab(start(tmp_path / "oven.ply"))
-    wait_until(lambda: tab.selection.step == "Prepare", "a tilted scan is noticed")
-    raw = tab.object.asset
-    tab.key("Delete")
-    wait_until(lambda: tab.document.left_out is not None, "table and strays are removed")
-    asset = read(tab, raw)
-    before = tab.document.left_out.count
-    box = tab.page.locator("canvas").first.bounding_box()
-    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
-
-    def drag() -> None:
-        tab.page.keyboard.down("Alt")
-        tab.page.mouse.move(x - 60, y - 60)
-        tab.page.mouse.down()
-        tab.page.mouse.move(x + 60, y + 60, steps=4)
-        tab.page.mouse.up()
-        tab.page.keyboard.up("Alt")
-
-    drag()
-    wait_until(lambda: tab.document.left_out.count > before, "the box removes")
-    asset = read(tab, asset)
-    less = tab.document.left_out.count
-    tab.page.keyboard.down("Shift")
-    drag()
-    tab.page.keyboard.up("Shift")
-    wait_until(lambda: tab.document.left_out.count < less, "with Shift it restores")
-    read(tab, asset)
-    tab.button("Restore").click()
-    wait_until(lambda: tab.document.left_out is None, "all is back")

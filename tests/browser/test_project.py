@@ -12,7 +12,7 @@ import tests.accepted
 from model.prediction.experience import in_use
 from sessions.store import Store
 from tests.accepted import accept, cupboard
-from tests.browser.browsing import COARSE, FEWER_FRAMES, PAGE_TIMEOUT, Tab, wait_until
+from tests.browser.browsing import Tab, log_in, wait_until
 
 PASSWORD = "three horses eat 42 apples"
 
@@ -31,7 +31,7 @@ def paths(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[Path]:
     return paths
 
 
-def open_page(tab: Tab) -> Any:
+def open_project(tab: Tab) -> Any:
     tab.page.get_by_role("button", name="Project", exact=True).click()
     tab.page.locator(".aw-project ul").wait_for()
     return tab.page.locator(".aw-project")
@@ -41,7 +41,7 @@ def test_the_page_shows_the_project_and_leads_to_objects(
     paths: list[Path], start: Any, open_tab: Any
 ) -> None:
     tab: Tab = open_tab(start(*paths))
-    page = open_page(tab)
+    page = open_project(tab)
     page.get_by_text("2 of 3 accepted (67 %)").wait_for()
     rows = page.locator("tbody tr")
     assert rows.count() == 1, "ben did nothing today"
@@ -56,13 +56,13 @@ def test_the_page_shows_the_project_and_leads_to_objects(
     page.get_by_role("button", name="box_1", exact=False).click()
     wait_until(lambda: tab.object.record.name == "box_1", "the object is opened")
     page.first.wait_for(state="detached")
-    open_page(tab)
+    open_project(tab)
     tab.page.keyboard.press("Escape")
     page.first.wait_for(state="detached")
 
 
 def test_a_manager_assigns_objects_and_an_annotator_sees_only_their_own_figures(
-    paths: list[Path], start: Any, browser: Any
+    paths: list[Path], start: Any, open_page: Any
 ) -> None:
     store = Store(paths[0].with_name("workspace"))
     for name, role in (("mona", "manager"), ("anna", "annotator")):
@@ -73,48 +73,35 @@ def test_a_manager_assigns_objects_and_an_annotator_sees_only_their_own_figures(
     store.people.accounts.claim(secret, PASSWORD)
     store.close()
     server = start(*paths)
-    contexts: list[Any] = []
 
-    def log_in(name: str) -> Tab:
-        contexts.append(browser.new_context(viewport={"width": 1280, "height": 800}))
-        contexts[-1].set_default_timeout(PAGE_TIMEOUT)
-        contexts[-1].add_init_script(FEWER_FRAMES)
-        page = contexts[-1].new_page()
-        page.goto(server.url)
-        page.get_by_label("Name").first.fill(name)
-        page.get_by_label("Password", exact=True).first.fill(PASSWORD)
-        page.keyboard.press("Enter")
-        page.wait_for_selector("canvas", state="attached")
-        page.goto(f"{server.url}{COARSE}")
+    def come(name: str) -> Tab:
+        page = open_page(server.url)
+        log_in(page, server, name, PASSWORD)
         return Tab(page, server).ready()
 
-    try:
-        tab = log_in("mona")
-        page, work = tab.page, server.app_state.store.people.work
-        page.get_by_role("button", name="Gallery or list").click()
-        page.get_by_label("Select box_2").check()
-        page.get_by_label("Person", exact=True).select_option("carl")
-        page.get_by_role("button", name="Assign the selected objects").click()
-        page.get_by_text("to do · → carl").wait_for()
-        ids = {r.name: r.id for r in server.app_state.queue.records()}
-        assert work.assigned() == {ids["box_2"]: "carl"}
-        page.get_by_label("Person", exact=True).select_option(label="nobody")
-        page.get_by_role("button", name="Assign the selected objects").click()
-        wait_until(lambda: work.assigned() == {}, "it is nobody's again")
+    tab = come("mona")
+    page, work = tab.page, server.app_state.store.people.work
+    page.get_by_role("button", name="Gallery or list").click()
+    page.get_by_label("Select box_2").check()
+    page.get_by_label("Person", exact=True).select_option("carl")
+    page.get_by_role("button", name="Assign the selected objects").click()
+    page.get_by_text("to do · → carl").wait_for()
+    ids = {r.name: r.id for r in server.app_state.queue.records()}
+    assert work.assigned() == {ids["box_2"]: "carl"}
+    page.get_by_label("Person", exact=True).select_option(label="nobody")
+    page.get_by_role("button", name="Assign the selected objects").click()
+    wait_until(lambda: work.assigned() == {}, "it is nobody's again")
 
-        tab = log_in("carl")
-        tab.page.get_by_role("button", name="Gallery or list").click()
-        tab.page.get_by_label("Select box_2").check()
-        tab.page.get_by_text("1 selected").wait_for()
-        assert not tab.page.get_by_label("Person", exact=True).is_visible()
-        send = "(v) => window.__artiworldMarkup.send('bulk', v)"
-        tab.page.evaluate(send, f'{{"action":"assign","value":"carl","ids":[{ids["box_2"]}]}}')
-        tab.page.get_by_text("only a manager may assign objects", exact=False).wait_for()
-        assert work.assigned() == {}
-        open_page(tab).get_by_text("Nobody has worked on it today.").wait_for()
-    finally:
-        for context in contexts:
-            context.close()
+    tab = come("carl")
+    tab.page.get_by_role("button", name="Gallery or list").click()
+    tab.page.get_by_label("Select box_2").check()
+    tab.page.get_by_text("1 selected").wait_for()
+    assert not tab.page.get_by_label("Person", exact=True).is_visible()
+    send = "(v) => window.__artiworldMarkup.send('bulk', v)"
+    tab.page.evaluate(send, f'{{"action":"assign","value":"carl","ids":[{ids["box_2"]}]}}')
+    tab.page.get_by_text("only a manager may assign objects", exact=False).wait_for()
+    assert work.assigned() == {}
+    open_project(tab).get_by_text("Nobody has worked on it today.").wait_for()
 
 
 def test_a_manager_lets_predictions_learn_from_accepted_objects(
@@ -129,12 +116,12 @@ def test_a_manager_lets_predictions_learn_from_accepted_objects(
     tab: Tab = open_tab(
         start(tmp_path / "new.ply", *(tmp_path / f"oven_{k}.ply" for k in range(3)))
     )
-    page = open_page(tab)
+    page = open_project(tab)
     page.get_by_role("button", name="Learn", exact=True).click()
     text = "Predictions follow 3 accepted objects (version 1): of their joints 100 %"
     tab.page.get_by_text(text, exact=False).wait_for()
     assert in_use(tmp_path / "workspace") is not None
     page.get_by_role("button", name="Close", exact=True).click()
     page.first.wait_for(state="detached")
-    open_page(tab).get_by_text(text, exact=False).wait_for()
+    open_project(tab).get_by_text(text, exact=False).wait_for()
     assert tab.object.services.predictor.startswith("learned:")

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from sessions.store import PendingAcceptance, Store
-from tests.browser.browsing import PAGE_TIMEOUT, page_at_rest
+from tests.browser.browsing import COARSE, page_at_rest
 from tests.browser.objects import write_cabinet
 from tests.builders import wait_until
 
@@ -34,10 +34,8 @@ def serve(path: Path, workspace: Path) -> tuple[subprocess.Popen[str], str]:
     raise AssertionError("the server didn't start:\n" + "".join(seen))
 
 
-def open_page(browser: Any, url: str) -> Any:
-    page = browser.new_context(viewport={"width": 1280, "height": 800}).new_page()
-    page.set_default_timeout(PAGE_TIMEOUT)
-    page.goto(url)
+def opened(page: Any) -> Any:
+    """The page once its picture is there."""
     page.wait_for_function(
         "() => { const s = window.__viserSceneTree?.getState?.(); return !!s && !!s['/scan']; }"
     )
@@ -55,12 +53,12 @@ def labelled(workspace: Path) -> bool:
         store.close()
 
 
-def test_nothing_is_lost_when_the_server_is_killed(tmp_path: Path, browser: Any) -> None:
+def test_nothing_is_lost_when_the_server_is_killed(tmp_path: Path, open_page: Any) -> None:
     path, workspace = tmp_path / "cabinet.ply", tmp_path / "workspace"
     write_cabinet(path)
     process, url = serve(path, workspace)
     try:
-        page = open_page(browser, url)
+        page = opened(open_page(f"{url}{COARSE}"))
         middle = page.evaluate(
             "() => { const b = window.__viserMutable.canvas.getBoundingClientRect();"
             " return [b.left + b.width / 2, b.top + b.height / 2]; }"
@@ -77,7 +75,7 @@ def test_nothing_is_lost_when_the_server_is_killed(tmp_path: Path, browser: Any)
         os.kill(process.pid, signal.SIGKILL)
         process.wait()
     page.get_by_text("The server is away", exact=False).wait_for()
-    page.context.close()
+    page.close()
 
     before = Store(workspace)
     (record,) = before.objects()
@@ -89,7 +87,7 @@ def test_nothing_is_lost_when_the_server_is_killed(tmp_path: Path, browser: Any)
 
     process, url = serve(path, workspace)
     try:
-        page = open_page(browser, url)
+        page = opened(open_page(f"{url}{COARSE}"))
         page.get_by_text("2 in total", exact=False).wait_for()
         page.wait_for_function("() => !!window.__viserSceneTree.getState()['/prompt/1']")
         page.get_by_role("button", name="Review").first.click()
@@ -97,7 +95,7 @@ def test_nothing_is_lost_when_the_server_is_killed(tmp_path: Path, browser: Any)
             "() => [...document.querySelectorAll('textarea')]"
             ".some(e => e.value === 'the hinge is bent')"
         )
-        page.context.close()
+        page.close()
         after = Store(workspace)
         assert after.load(after.objects()[0].id).present.prompts == kept.prompts
         after.close()

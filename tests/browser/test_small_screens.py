@@ -55,8 +55,19 @@ def test_controls_keep_apart_and_the_rail_folds(start: Any, open_tab: Any, cabin
 
 
 def test_fingers_find_their_targets_on_tablets(start: Any, open_tab: Any, cabinet: Any) -> None:
-    tab = open_tab(start(cabinet[0]), 820, 1180, has_touch=True)
+    path, points = cabinet
+    tab = open_tab(start(path), 820, 1180, has_touch=True)
     for width, height in ((820, 1180), (1180, 820)):
         tab.page.set_viewport_size({"width": width, "height": height})
         wait_until(lambda: apart(tab), f"nothing overlaps at {width} x {height}")
         wait_until(lambda: not tab.page.evaluate(SMALL), "targets of 40 pixels", 60)
+    tab.app.rail.touch = True
+    tab.app.tab.invalidate()
+    tab.wait_node("/touch")
+    tab.drawn()
+    tab.camera_at_rest()
+    tab.page.touchscreen.tap(*tab.pixel(points["door"]))
+    wait_until(lambda: len(tab.document.prompts) == 1, "a tap is a prompt")
+    tab.settled()
+    labels = tab.object.services.store.get_array(tab.document.segmentation.labels)
+    assert labels[tab.document.prompts[0].element] == 1

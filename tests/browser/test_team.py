@@ -1,6 +1,6 @@
 """Three people at once: annotate, submit, send back with a comment, correct, accept."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -8,7 +8,7 @@ import pytest
 
 from sessions.commands import NamePart, SetJoint
 from sessions.store import Store
-from tests.browser.browsing import COARSE, FEWER_FRAMES, PAGE_TIMEOUT, Tab
+from tests.browser.browsing import Tab, log_in
 from tests.builders import wait_until, write_cupboard
 from tests.sessions.people import PASSWORD, add_people
 
@@ -45,41 +45,31 @@ class PersonTab(Tab):
 
 
 @pytest.fixture
-def come(browser: Any) -> Iterator[Callable[..., PersonTab]]:
-    """``come(server, name)`` logs a person in, in a browser of their own."""
-    contexts: list[Any] = []
-
-    def begin(server: Any, name: str) -> PersonTab:
-        contexts.append(browser.new_context(viewport={"width": 1280, "height": 800}))
-        contexts[-1].set_default_timeout(PAGE_TIMEOUT)
-        contexts[-1].add_init_script(FEWER_FRAMES)
-        page = contexts[-1].new_page()
-        page.goto(server.url)
-        page.wait_for_url("**/login")
-        page.get_by_label("Name").fill(name)
-        page.get_by_role("textbox", name="Password").fill(PASSWORD)
-        page.get_by_role("button", name="Log in").click()
-        page.wait_for_url("**/")
-        page.goto(f"{server.url}{COARSE}")
-        tab = PersonTab(page, server)
-        tab.name = name
-        tab.ready()
-        return tab
-
-    yield begin
-    for context in contexts:
-        context.close()
-
-
-def test_three_people_make_one_asset(
-    start: Any, come: Callable[..., PersonTab], tmp_path: Path
-) -> None:
+def server(start: Any, tmp_path: Path) -> Any:
+    """A server with a cupboard and accounts."""
     store = Store(tmp_path / "workspace")
     add_people(store)
     store.close()
-    server = start(write_cupboard(tmp_path / "cupboard"), predictor="geometric")
+    return start(write_cupboard(tmp_path / "cupboard"), predictor="geometric")
+
+
+@pytest.fixture
+def come(server: Any, open_page: Any) -> Callable[[str], PersonTab]:
+    """``come(name)`` logs a person in, in a browser of their own."""
+
+    def begin(name: str) -> PersonTab:
+        page = open_page(server.url)
+        log_in(page, server, name, PASSWORD)
+        tab = PersonTab(page, server)
+        tab.name = name
+        return tab.ready()
+
+    return begin
+
+
+def test_three_people_make_one_asset(server: Any, come: Callable[[str], PersonTab]) -> None:
     people = server.app_state.store.people
-    ann = come(server, "ann")
+    ann = come("ann")
     wait_until(lambda: ann.document.segmentation_current and ann.object.asset, "parts")
     ann.key("p")
     wait_until(lambda: ann.document.tree is not None, "joints")
@@ -90,7 +80,7 @@ def test_three_people_make_one_asset(
     ann.key("y")
     wait_until(lambda: ann.document.review.state == "submitted", "submitted")
 
-    rob, bob = come(server, "rob"), come(server, "bob")
+    rob, bob = come("rob"), come("bob")
     rob.says("Also here: ann")
     bob.says("Also here: ann")
     rob.step("Review")
@@ -144,13 +134,9 @@ def accept(rob: PersonTab) -> None:
 
 
 def test_a_manager_sets_instructions_and_labels_which_an_annotator_works_by(
-    start: Any, come: Callable[..., PersonTab], tmp_path: Path
+    server: Any, come: Callable[[str], PersonTab]
 ) -> None:
-    store = Store(tmp_path / "workspace")
-    add_people(store)
-    store.close()
-    server = start(write_cupboard(tmp_path / "cupboard"), predictor="geometric")
-    ann, mia = come(server, "ann"), come(server, "mia")
+    ann, mia = come("ann"), come("mia")
     assert not ann.button("Instructions (Shift+I)").is_visible()
     mia.page.get_by_role("button", name="Project", exact=True).click()
     mia.page.locator(".aw-project ul, .aw-project p").first.wait_for()
@@ -194,13 +180,9 @@ def test_a_manager_sets_instructions_and_labels_which_an_annotator_works_by(
 
 
 def test_a_reviewer_pins_a_comment_which_the_annotator_finds_in_3d(
-    start: Any, come: Callable[..., PersonTab], tmp_path: Path
+    come: Callable[[str], PersonTab],
 ) -> None:
-    store = Store(tmp_path / "workspace")
-    add_people(store)
-    store.close()
-    server = start(write_cupboard(tmp_path / "cupboard"), predictor="geometric")
-    rob = come(server, "rob")
+    rob = come("rob")
     wait_until(lambda: rob.document.segmentation_current and rob.object.asset, "parts")
     rob.key("p")
     wait_until(lambda: rob.document.tree is not None, "joints")
@@ -230,7 +212,7 @@ def test_a_reviewer_pins_a_comment_which_the_annotator_finds_in_3d(
     wait_until(lambda: rob.document.review.state == "rejected", "sent back")
 
     # The annotator sees numbers in the picture, and steps through them.
-    ann = come(server, "ann")
+    ann = come("ann")
     ann.says("Comments: 2 of 2 open")
     for number in (1, 2):
         ann.wait_node(f"/comment/{number}/label")
