@@ -196,6 +196,16 @@ class Tab:
         for key in modifiers:
             self.page.keyboard.up(key)
 
+    def drag_box(self, low: Any, high: Any) -> None:
+        """Drag a box between two corners (x, y) on the page, with Alt."""
+        mouse = self.page.mouse
+        self.page.keyboard.down("Alt")
+        mouse.move(*low)
+        mouse.down()
+        mouse.move(*high, steps=8)
+        mouse.up()
+        self.page.keyboard.up("Alt")
+
     def prompt(self, point: Any, modifiers: tuple[str, ...] = ()) -> None:
         """Click and wait until the labels have followed."""
         before = len(self.document.prompts)

@@ -78,12 +78,12 @@ def kept() -> dict[str, Any]:
 
 @pytest.fixture
 def open_page(browser: Any, kept: dict[str, Any]) -> Iterator[Callable[..., Any]]:
-    """Open an address in a browser of its own: ``open_page(url)``.
+    """Open an address: ``open_page(url)``; several pages of a test are several browsers.
 
-    The first one of a test is the one before's where it has no settings: another address there
-    takes less than another browser, and no two servers share what a page remembers.
+    A test's first page without settings goes on to the next test, with nothing remembered: opening
+    another address there takes less than another browser.
     """
-    contexts: list[Any] = []
+    opened: list[tuple[Any, bool]] = []
 
     def new(viewport: Any, settings: dict[str, Any]) -> Any:
         context = browser.new_context(viewport=viewport, **settings)
@@ -93,21 +93,24 @@ def open_page(browser: Any, kept: dict[str, Any]) -> Iterator[Callable[..., Any]
 
     def begin(url: str, width: int = 1280, height: int = 800, **settings: Any) -> Any:
         viewport: Any = {"width": width, "height": height}
-        if settings or contexts:
+        keep = not settings and not opened
+        if not keep:
             page = new(viewport, settings)
         else:
             page = kept.pop("page", None)
             if page is None or page.is_closed():
                 page = new(viewport, {})
             page.set_viewport_size(viewport)
-        contexts.append((page, not settings and not contexts))
+        opened.append((page, keep))
         page.goto(url)
         return page
 
     yield begin
-    for page, keep in contexts:
+    for page, keep in opened:
         if keep and not page.is_closed():
+            page.evaluate("() => { try { localStorage.clear(); } catch { /* no page came */ } }")
             page.goto("about:blank")
+            page.emulate_media(color_scheme="light")  # as a new one has it
             page.context.clear_cookies()
             kept["page"] = page
         else:

@@ -229,12 +229,7 @@ def test_shift_click_box_removal_and_reject(start: Any, open_tab: Any, cabinet: 
 
     # A box over the drawer's handle gives it to the chosen part.
     x, y = tab.pixel(points["drawer"])
-    tab.page.keyboard.down("Alt")
-    tab.page.mouse.move(x - 30, y - 30)
-    tab.page.mouse.down()
-    tab.page.mouse.move(x + 30, y + 30, steps=4)
-    tab.page.mouse.up()
-    tab.page.keyboard.up("Alt")
+    tab.drag_box((x - 30, y - 30), (x + 30, y + 30))
     wait_until(lambda: len(tab.document.prompts) == 3, "the box is a prompt")
     tab.settled()
     region = tab.document.prompts[2]

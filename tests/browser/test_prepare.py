@@ -98,21 +98,13 @@ def check_strokes_remove_and_restore(tab: Tab) -> None:
     before = tab.document.left_out.count
     box = tab.page.locator("canvas").first.bounding_box()
     x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
-
-    def drag() -> None:
-        tab.page.keyboard.down("Alt")
-        tab.page.mouse.move(x - 60, y - 60)
-        tab.page.mouse.down()
-        tab.page.mouse.move(x + 60, y + 60, steps=4)
-        tab.page.mouse.up()
-        tab.page.keyboard.up("Alt")
-
-    drag()
+    corners = (x - 60, y - 60), (x + 60, y + 60)
+    tab.drag_box(*corners)
     wait_until(lambda: tab.document.left_out.count > before, "the box removes")
     asset = read(tab, asset)
     less = tab.document.left_out.count
     tab.page.keyboard.down("Shift")
-    drag()
+    tab.drag_box(*corners)
     tab.page.keyboard.up("Shift")
     wait_until(lambda: tab.document.left_out.count < less, "with Shift it restores")
     read(tab, asset)

@@ -83,14 +83,7 @@ class RoomTab(SceneTab):
         corners = np.array([np.where([i >> k & 1 for k in range(3)], high, low) for i in range(8)])
         at = np.array([self.pixel(c - self.origin) for c in corners])
         before = len(self.document.prompts)
-        mouse = self.page.mouse
-        self.page.keyboard.down("Alt")
-        mouse.move(*at.min(0))
-        mouse.down()
-        mouse.move(*at.mean(0), steps=4)
-        mouse.move(*at.max(0), steps=4)
-        mouse.up()
-        self.page.keyboard.up("Alt")
+        self.drag_box(at.min(0), at.max(0))
         self.clicks += 1
         wait_until(lambda: len(self.document.prompts) > before, "the box is a prompt")
         self.settled()
