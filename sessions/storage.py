@@ -288,16 +288,18 @@ class AssetStorage:
         if saved is None:
             return None
         local = self._local / Path(saved.folder).name
-        before = None
+        lacking = None
         while self._files is not None and (version := self._current(local.name)) is not None:
             if local.is_dir() and self._copied(local.name) == version:
                 return local
-            if not self._fetch(local, version) and version == before:
+            if self._fetch(local, version):
+                continue
+            if version == lacking:  # a replaced one lacks files once, then another is current
                 raise StoreError(
                     f"{self.url}/assets/{local.name}: version {version} isn't complete there; "
                     "accept the object again"
                 )
-            before = version
+            lacking = version
         here = [f for f in (Path(saved.folder), local) if f.is_dir()]
         return here[0] if here else None
 
