@@ -90,6 +90,15 @@ class ScansBench(DataBench):
 
 
 @dataclass(frozen=True, kw_only=True)
+class AnnotateBench(DataBench):
+    """Raw scans from file to accepted asset: what a person waits for."""
+
+    place: ClassVar[str] = "app.cli.benchmarks.annotate:annotate_bench"
+    points: int = option("points of a scan", "N", 220_000, parse=positive_count)
+    before: Path | None = option("also with the code of this earlier checkout", "DIR")
+
+
+@dataclass(frozen=True, kw_only=True)
 class JointsBench(ProcessesBench):
     """Predicted joints on every source, with names and without."""
 
@@ -193,6 +202,7 @@ BENCHES: dict[str, type[Command]] = {
     "scene": SceneBench,
     "segment": SegmentBench,
     "scans": ScansBench,
+    "annotate": AnnotateBench,
     "joints": JointsBench,
     "predict": PredictBench,
     "weights": WeightsBench,

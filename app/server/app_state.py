@@ -186,6 +186,18 @@ class AppState:
         opened.reopen()
         return opened
 
+    def open_ahead(self, object_id: int, beside: OpenObject) -> None:
+        """Read an object that a person opens next, by the processes of the one they work on."""
+        with self._lock:
+            if object_id in self._open:
+                return
+            opened = self._open[object_id] = OpenObject(
+                self.store.object(object_id), self._services
+            )
+            self._open.move_to_end(object_id, last=False)
+        self.workers.lanes.share(opened, beside.lane)
+        opened.ensure_open()
+
     def session(self, object_id: int) -> LiveSession:
         """Return an object's session without reading its asset, and keep it for a while."""
         session = self.hub.session(object_id)

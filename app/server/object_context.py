@@ -108,7 +108,11 @@ class ObjectContext(Observable):
     @property
     def read_options(self) -> ReadOptions:
         """Options for reading the source, from the present document."""
-        doc, config = self.document, self.services.config
+        return self.read_options_of(self.document)
+
+    def read_options_of(self, doc: Document) -> ReadOptions:
+        """Options for reading the source as a document has it."""
+        config = self.services.config
         return ReadOptions(
             doc.up_axis or config.up_axis,
             doc.unit_scale * config.unit_scale,

@@ -24,27 +24,38 @@ class Observable:
     def __init__(self) -> None:
         self._listeners: list[Listener] = []
         self._notices: list[Notice] = []
+        self._showing: list[Listener] = []
         self._announced_remote = False
 
     @property
     def is_shown(self) -> bool:
         """True while any tab shows it."""
-        return bool(self._listeners)
+        return bool(self._showing)
 
-    def watch(self, listener: Listener, notice: Notice) -> Callable[[], None]:
+    def watch(
+        self, listener: Listener, notice: Notice, *, shows: bool = True
+    ) -> Callable[[], None]:
         """Call ``listener`` on every change and ``notice(title, body, color)`` with news.
+
+        Args:
+            shows: whether a tab shows it, and doesn't only follow what becomes of it.
 
         Returns:
             The function that ends it.
         """
         self._listeners.append(listener)
         self._notices.append(notice)
+        if shows:
+            self._showing.append(listener)
 
         def stop() -> None:
-            if listener in self._listeners:
-                self._listeners.remove(listener)
-                self._notices.remove(notice)
-                if not self._listeners:
+            if listener not in self._listeners:
+                return
+            self._listeners.remove(listener)
+            self._notices.remove(notice)
+            if listener in self._showing:
+                self._showing.remove(listener)
+                if not self._showing:
                     self.left()
 
         return stop

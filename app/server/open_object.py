@@ -119,13 +119,19 @@ class OpenObject(ObjectContext):
     @property
     def in_use(self) -> bool:
         """True while a tab shows it, a script or a job works on it, or its acceptance waits."""
-        scripted = time.monotonic() < self.kept_until
-        return self.is_shown or scripted or bool(self.jobs) or self.validation.acceptance_waits
+        return self.clicked or bool(self.jobs) or self.validation.acceptance_waits
 
-    def watch(self, listener: Listener, notice: Notice) -> Callable[[], None]:
+    @property
+    def clicked(self) -> bool:
+        """True while a tab shows it, or a script works on it."""
+        return self.is_shown or time.monotonic() < self.kept_until
+
+    def watch(
+        self, listener: Listener, notice: Notice, *, shows: bool = True
+    ) -> Callable[[], None]:
         """See the base class; clicks in the tab are answered soon."""
-        stop = super().watch(listener, notice)
-        if self.asset is not None:
+        stop = super().watch(listener, notice, shows=shows)
+        if shows and self.asset is not None:
             self._prepare_clicks(self.asset)
             self.likeness.update()
         return stop
@@ -143,6 +149,7 @@ class OpenObject(ObjectContext):
 
     def unload(self) -> None:
         """Drop the asset, until it is opened again."""
+        self.preparing.forget()
         self.services.workers.lanes.leave(self)
         self.asset = self._frame = None  # now: the garbage collector may take long
         self.payloads.clear()
@@ -243,11 +250,18 @@ class OpenObject(ObjectContext):
             self.segmenting.update()
             self.likeness.update()
             self.validation.update()
-            if self.document.prompts and not self._warm and self.asset.element_kind == "point":
-                self._warm = True
-                self.services.workers.prediction.submit(part_tasks.warm_up, priority=-1)
+            if self.document.prompts:
+                self._warm_up()
         self.services.queue.refresh(self.record.id, self.live.summary)
         self.changed()
+
+    def _warm_up(self) -> None:
+        """Load what predicting and checking need, which takes seconds, before it is needed."""
+        if not self._warm:
+            self._warm = True
+            self.services.workers.prediction.submit(
+                part_tasks.warm_up, self.services.predictor, key="warm up", priority=-1
+            )
 
     def part_payloads(self) -> list[PartPayload] | None:
         """Return the parts as drawn while joints move; None until they are cut (starts it)."""
@@ -320,6 +334,8 @@ class OpenObject(ObjectContext):
 
     def _ended(self, what: str, job: Job[Any], keep: Callable[[Any], None]) -> None:
         newest = self.jobs.drop(what, job)
+        if what == "encode":
+            self._warm_up()
         if what == "open":
             self._worker_died = isinstance(job.error, JobFailed)
         error = self.jobs.deliver(what, job, keep)

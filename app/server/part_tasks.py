@@ -191,8 +191,10 @@ def prepare_bodies(source: PartSource, progress: Progress = no_progress) -> None
     )
 
 
-def warm_up() -> None:
-    """Import what a scan's surfaces and checks need, which takes seconds."""
+def warm_up(predictor: str) -> None:
+    """Load a predictor, and what a scan's surfaces and checks need, which takes seconds."""
+    with suppress(ArtiworldError):  # its prediction will say so
+        load_predictor(predictor)
     for name in ("open3d", "mujoco"):
         if find_spec(name) is not None:
             import_module(name)

@@ -11,22 +11,28 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from app.server import prepare_tasks
+from app.server import display_tasks, prepare_tasks, segmenting_tasks
 from app.server.display_tasks import OpenedAsset
-from app.server.jobs import CLICKS, WorkerProcess
+from app.server.jobs import CLICKS, Job, WorkerProcess
 from app.server.object_context import ObjectContext
 from app.server.prepare_tasks import Crop, Marks, Removal, ScanProposal, Vector
 from model.core.errors import CommandError
 from model.geometry.cleaning import CLUTTER, OBJECT, OUTLIER, SUPPORT
 from model.geometry.levelling import SURE
 from model.geometry.picking import Camera, Stroke
+from model.geometry.units import UNITS, odd_size
 from model.io.geometry_files import declares_up
 from sessions import commands as cmd
 from sessions.document import SOURCE_FRAME, ObjectFrame
+from sessions.state import Context
 from sessions.tool_commands import LeaveOut
 
 Array = npt.NDArray[np.float64]
 
+CLUTTERING = (SUPPORT, CLUTTER, OUTLIER)
+"""Kinds of elements that aren't the object."""
+LEAST_TILT = np.radians(0.5)
+"""Tilt of a supported scan from which it is levelled, too, when its support is removed."""
 TILT = np.radians(3.0)
 """Tilt that is noticed; registration drifts by a degree or two."""
 _VERY_SURE = 0.9
@@ -50,6 +56,7 @@ class Preparing:
         self._obj = obj
         self._asset: OpenedAsset | None = None
         self._ups: list[Vector] = []
+        self._ahead: Job[Any] | None = None
 
     @property
     def current(self) -> ScanProposal | None:
@@ -81,6 +88,7 @@ class Preparing:
         if up is None and not anew and obj.document.frame.wxyz != SOURCE_FRAME.wxyz:
             up = UPRIGHT
         obj.jobs.cancel("prepare")
+        self.forget()
         self._asset, self.proposal = asset, None
         job = obj.lane.geometry.submit(
             prepare_tasks.propose,
@@ -100,6 +108,7 @@ class Preparing:
                     self._ups = [level.up, *level.alternatives]
                 if self.tilt:  # it will be read in another frame
                     obj.jobs.cancel("encode")
+                self._look_ahead(proposal)
 
         obj.start("prepare", job, keep)
 
@@ -110,6 +119,84 @@ class Preparing:
             self.propose()
         elif self._rejected:  # what stands around is found as it lies
             self.propose(UPRIGHT, anew=True)
+
+    # --- what is offered
+
+    @property
+    def unit(self) -> float | None:
+        """Metres per unit of the file that its size speaks for; None where it isn't odd."""
+        asset = self._obj.asset
+        odd = None if asset is None else odd_size(asset.bounds, asset.source.unit_scale)
+        return None if odd is None or odd.unit is None else UNITS[odd.unit]
+
+    @property
+    def levels(self) -> bool:
+        """True if the object is offered in another orientation than its own."""
+        found = self.current
+        if found is None:
+            return False
+        return bool(found.up not in (None, UPRIGHT) or self.tilt or self.doubtful)
+
+    def frame(self, kinds: tuple[int, ...]) -> Array:
+        """(4, 4) the frame offered where ``kinds`` are removed, in the present one."""
+        found = self.current
+        if found is None:
+            return np.eye(4)
+        level = found.levelling
+        drifted = level.support is not None and level.tilt > LEAST_TILT and SUPPORT in kinds
+        return found.object_from_asset if self.levels or drifted else np.eye(4)
+
+    def _look_ahead(self, found: ScanProposal) -> None:
+        """Read and encode the object as Apply will most likely give it."""
+        obj, asset = self._obj, self._obj.asset
+        raw = self.untouched and obj.document.left_out is None and not obj.document.face_cuts
+        if asset is None or not raw or not (self.noticed() or self.levels):
+            return
+        kinds = tuple(kind for kind in CLUTTERING if found.counts[kind])
+        frame, metres, lane = self.frame(kinds), self.unit, obj.lane
+
+        def encode(job: Job[Any]) -> None:
+            if job.error is None and self._ahead is job:
+                self._ahead = lane.segmentation.submit(
+                    segmenting_tasks.encode,
+                    job.result().folder,
+                    obj.services.config.segmenter,
+                    priority=-1,
+                    preempted_by=CLICKS,
+                    works_on=job.result().folder,
+                )
+
+        def read(job: Job[Removal]) -> None:
+            if job.error is not None or self._ahead is not job:
+                return
+            left = LeaveOut(job.result().elements, job.result().count, "")
+            after = self._command(frame, left, "", metres).edit(obj.document, Context("", ""))
+            self._ahead = obj.services.workers.read(
+                display_tasks.open_asset,
+                Path(obj.record.path),
+                obj.services.workspace,
+                obj.read_options_of(after),
+                priority=-1,
+            )
+            self._ahead.add_done_callback(encode)
+
+        self._ahead = lane.geometry.submit(
+            prepare_tasks.marked_elements,
+            obj.services.workspace,
+            None,
+            asset.folder,
+            found.up,
+            Marks(kinds),
+            priority=-1,
+            preempted_by=CLICKS,
+        )
+        self._ahead.add_done_callback(read)
+
+    def forget(self) -> None:
+        """Stop working ahead."""
+        ahead, self._ahead = self._ahead, None
+        if ahead is not None:
+            ahead.cancel()
 
     def next_up(self, step: int) -> None:
         """Propose the next likely up direction, or with -1 the one before."""

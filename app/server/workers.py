@@ -41,8 +41,8 @@ class LaneUser(Protocol):
     """Open object that a lane works on."""
 
     @property
-    def in_use(self) -> bool:
-        """True while a tab shows it, or a job works on it."""
+    def clicked(self) -> bool:
+        """True while a tab shows it, or a script works on it."""
         ...
 
 
@@ -119,9 +119,10 @@ class Lanes:
         with self._lock:
             lanes, mine = self._lanes[heavy], self._of.get(user, self.first)
             users = Counter(
-                lane for other, lane in self._of.items() if other is not user and other.in_use
+                lane for other, lane in self._of.items() if other is not user and other.clicked
             )
-            if user not in self._of or mine not in lanes or users[mine]:
+            shared = users[mine] and user.clicked
+            if user not in self._of or mine not in lanes or shared:
                 free = [lane for lane in lanes if not users[lane] and not lane.busy]
                 if not free and len(lanes) < self._most[heavy] and not self._closing:
                     free = [self._begin(heavy=heavy)]
@@ -131,6 +132,11 @@ class Lanes:
             lanes.remove(mine)
             lanes.append(mine)
             return mine
+
+    def share(self, user: LaneUser, lane: Lane) -> None:
+        """Give an object that is opened ahead the lane of the one that a person works on."""
+        with self._lock:
+            self._of.setdefault(user, lane)
 
     def leave(self, user: LaneUser) -> None:
         """Take a lane from an object that is closed, and end it where it has no other one."""

@@ -323,6 +323,7 @@ class ClientApp:
         self.comments.draw(obj)
         self.prepare.draw(obj)
         self.annotate.draw(obj)
+        self._navigation.look_ahead()
         self.pointing.set_page_state()
         self.joints.draw(obj)
         if selection.step == "Review":  # it reads the history, which no click should pay for

@@ -16,6 +16,7 @@ from app.viewer.words.review import about
 from model.core.errors import ArtiworldError
 from sessions import commands as cmd
 from sessions.database import ObjectRecord
+from sessions.people import queue_for
 
 log = logging.getLogger(__name__)
 _STORED = "artiworld"
@@ -82,6 +83,7 @@ class Navigation:
         self._skipped: set[int] = set()
         self._heard: set[OpenObject] = set()
         self._unwatch: Callable[[], None] = lambda: None
+        self._ahead_of: OpenObject | None = None
 
     def close(self) -> None:
         """End what belongs to the tab."""
@@ -156,7 +158,7 @@ class Navigation:
                 end()  # the refusal is shown by its own callback
 
         self._heard.add(obj)
-        stop = obj.watch(changed, tell)
+        stop = obj.watch(changed, tell, shows=False)
 
     def step(self, by: int) -> None:
         """Open the next object: first what came back to this person, then the next one of the
@@ -205,24 +207,47 @@ class Navigation:
 
     def go_on(self) -> None:
         """Open the next object to decide."""
-        app_state, selection = self._app_state, self._tab.selection
-        current = selection.need_object().record
+        following = self._following(lease=True)
+        if following is None:
+            return
+        self.open(following)
+        if not self._is_given and self._tab.selection.need_object().document.tree is not None:
+            self._tab.selection.set_step("Review")
+
+    def look_ahead(self) -> None:
+        """Read the next object to decide, once the open one has a prompt."""
+        obj = self._tab.selection.object
+        if obj is None or obj is self._ahead_of or obj.asset is None:
+            return
+        if {"open", "encode", "prepare"}.isdisjoint(obj.jobs.busy) and obj.document.prompts:
+            self._ahead_of = obj
+            self._tab.act(self._open_ahead)
+
+    def _open_ahead(self) -> None:
+        obj, following = self._tab.selection.object, self._following(lease=False)
+        if obj is not None and following is not None:
+            self._app_state.open_ahead(following, obj)
+
+    @property
+    def _is_given(self) -> bool:
+        """True if the queue says what this person works on."""
+        account = self._tab.account
+        return account is not None and account.role == "annotator"
+
+    def _following(self, *, lease: bool) -> int | None:
+        """Id of the next object to decide; ``lease`` gives it to an annotator with an account."""
+        app_state = self._app_state
+        current = self._tab.selection.need_object().record
         waiting = [
             r
             for r in app_state.queue.records()
             if r.id == current.id or not app_state.is_accepting(r.id)
         ]
-        account = self._tab.account
-        if account is not None and account.role == "annotator":
+        account, work = self._tab.account, app_state.store.people.work
+        if account is not None and self._is_given:
             others = [r for r in waiting if r.id != current.id]
-            given = app_state.store.people.work.next(account, others)
-            if given is not None:
-                self.open(given)
-            return
+            if lease:
+                return work.next(account, others)
+            return next(iter(queue_for(account, others, work.assigned())), None)
         again = {r.id for r in waiting if app_state.on_hold(r) or app_state.was_interrupted(r)}
-        following = app_state.review_order.next(waiting, current.id, self._skipped, again)
-        if following is None:
-            return
-        self.open(following)
-        if selection.need_object().document.tree is not None:
-            selection.set_step("Review")
+        return app_state.review_order.next(waiting, current.id, self._skipped, again)

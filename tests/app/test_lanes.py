@@ -37,7 +37,7 @@ class IdleWorker:
 class Person:
     """Stands in for an object that a tab shows, or doesn't any more."""
 
-    in_use = True
+    clicked = True
 
 
 @pytest.fixture
@@ -55,8 +55,19 @@ def test_one_annotator_has_one_lane_for_all_objects(lanes: Lanes) -> None:
     for _ in range(5):
         shown = Person()
         assert lanes.take(shown, heavy=False) is lanes.first
-        shown.in_use = False
+        shown.clicked = False
     assert len(list(lanes)) == 1
+
+
+def test_an_object_that_is_opened_ahead_waits_in_the_lane_of_the_one_before(lanes: Lanes) -> None:
+    shown, following = Person(), Person()
+    lane, following.clicked = lanes.take(shown, heavy=False), False
+    lanes.share(following, lane)
+    assert lanes.take(following, heavy=False) is lane, "it is read and encoded there"
+    shown.clicked, following.clicked = False, True
+    assert lanes.take(following, heavy=False) is lane, "the same person goes on"
+    shown.clicked = True
+    assert lanes.take(following, heavy=False) is not lane, "two people"
 
 
 def test_nobody_shares_a_lane_until_memory_ends(lanes: Lanes) -> None:
@@ -65,21 +76,21 @@ def test_nobody_shares_a_lane_until_memory_ends(lanes: Lanes) -> None:
     assert len(set(taken[:3])) == 3 and set(Counter(taken).values()) == {3}
     assert [lanes.take(person, heavy=False) for person in people] == taken
     for person, lane in zip(people, taken, strict=True):
-        person.in_use = lane is not taken[1]
+        person.clicked = lane is not taken[1]
     assert lanes.take(Person(), heavy=False) is taken[1]
 
 
 def test_an_object_keeps_its_lane_unless_it_was_taken_meanwhile(lanes: Lanes) -> None:
     one, other = Person(), Person()
     mine = lanes.take(one, heavy=False)
-    one.in_use = False
+    one.clicked = False
     mine.segmentation.busy = True  # type: ignore[misc]  # with the job that one left behind
     another = lanes.take(other, heavy=False)
     assert another is not mine and lanes.take(one, heavy=False) is mine
     mine.segmentation.busy = False  # type: ignore[misc]
     third = Person()
     assert lanes.take(third, heavy=False) is mine
-    one.in_use = True
+    one.clicked = True
     assert lanes.take(one, heavy=False) not in (mine, another)
 
 

@@ -186,6 +186,22 @@ def test_objects_that_nobody_looks_at_are_let_go_and_come_back(
     assert app_state.object(shown) is not looked_at
 
 
+def test_the_next_object_is_open_before_it_is_shown(begin_app, tmp_path: Path) -> None:
+    for name in ("one", "two"):
+        GOOD.export(tmp_path / f"{name}.ply")
+    app_state = begin_app(tmp_path / "one.ply", tmp_path / "two.ply")
+    first, second = [r.id for r in app_state.queue.records()]
+    one = settled(app_state, first)
+    stop = one.watch(lambda: None, lambda *_: None)
+    app_state.open_ahead(second, one)
+    two = settled(app_state, second)
+    assert two.lane is one.lane and not two.is_shown
+    stop()
+    one.watch(lambda: None, lambda *_: None, shows=False)  # follows what becomes of it
+    two.watch(lambda: None, lambda *_: None)
+    assert two.lane is one.lane, "which has it encoded"
+
+
 def test_what_was_undone_before_it_was_answered_is_not_shown(begin_app, tmp_path: Path) -> None:
     path = tmp_path / "box.ply"
     GOOD.export(path)

@@ -74,6 +74,17 @@ def test_a_raw_scan_is_noticed_levelled_and_cleaned(opened, tmp_path: Path) -> N
     assert not obj.preparing.tilt
 
 
+def test_apply_finds_its_copy_read_and_encoded(opened, tmp_path: Path) -> None:
+    raw_scan(tmp_path / "oven.ply", seed=3, every=5)
+    obj = opened(tmp_path / "oven.ply")
+    copies = obj.services.workspace / "cache"
+    wait_until(lambda: len(list(copies.glob("*/"))) == 2, "the copy that Apply makes")
+    before = set(copies.iterdir())
+    prepared(obj)
+    assert set(copies.iterdir()) == before
+    assert obj.asset.folder in before and obj.document.left_out.count
+
+
 def test_provenance_leads_from_the_file_to_the_asset_and_back(opened, tmp_path: Path) -> None:
     raw_scan(tmp_path / "oven.ply", seed=4, every=5)
     obj = opened(tmp_path / "oven.ply")

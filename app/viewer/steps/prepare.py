@@ -12,7 +12,7 @@ from viser import transforms as vtf
 from app.server.display_tasks import OpenedAsset
 from app.server.open_object import OpenObject
 from app.server.prepare_tasks import Marks, ScanProposal
-from app.server.preparing import UPRIGHT
+from app.server.preparing import CLUTTERING, UPRIGHT
 from app.viewer.input.pointing import Pointing
 from app.viewer.panels.widgets import put
 from app.viewer.picture.drawing import PrepareMarks
@@ -22,18 +22,14 @@ from app.viewer.tab import Step, Tab, path_with_tooltip, plain
 from app.viewer.words import prepare as words
 from app.viewer.words.common import warning
 from model.core.errors import CommandError
-from model.geometry.cleaning import CLUTTER, OUTLIER, SUPPORT
 from model.geometry.prepare import standing
 from model.geometry.units import UNITS, OddSize, odd_size, unusual_height
 from sessions import commands as cmd
 from sessions.document import Document
 
 Array = npt.NDArray[np.float64]
-KINDS = (SUPPORT, CLUTTER, OUTLIER)
 _VIEWS: dict[str, View] = dict(zip(words.VIEW_ACTIONS, ("front", "side", "top"), strict=True))  # type: ignore[arg-type]
 _LEVEL_KEYS = {words.LEVEL_ACTIONS[1]: "floor", words.LEVEL_ACTIONS[2]: "edge"}
-_LEAST_TILT = np.radians(0.5)
-"""Tilt of a supported scan from which it is levelled, too, when its support is removed."""
 
 
 class PrepareStep:
@@ -80,7 +76,7 @@ class PrepareStep:
         )
         self._usual = gui.add_button("", color="gray", visible=False)
         self._kinds = {
-            k: gui.add_checkbox(words.KINDS[k], True, hint=words.KINDS_HINT) for k in KINDS
+            k: gui.add_checkbox(words.KINDS[k], True, hint=words.KINDS_HINT) for k in CLUTTERING
         }
         self._confidence = gui.add_slider(words.CONFIDENCE, 0.0, 1.0, 0.01, 0.0, visible=False)
         self._crop = gui.add_checkbox(words.CROP, False)
@@ -171,23 +167,10 @@ class PrepareStep:
     def _frame(self, obj: OpenObject) -> Array:
         """(4, 4) the frame that Enter gives the object, in its present one."""
         found = obj.preparing.current
-        if found is None:
-            return np.eye(4)
-        if self._levels(obj):
-            return found.object_from_asset
-        level = found.levelling
-        drifted = level.support is not None and level.tilt > _LEAST_TILT
-        return found.object_from_asset if drifted and SUPPORT in self._chosen(found) else np.eye(4)
-
-    def _levels(self, obj: OpenObject) -> bool:
-        """True if the object is shown in another orientation than its own."""
-        found, preparing = obj.preparing.current, obj.preparing
-        if found is None:
-            return False
-        return bool(found.up not in (None, UPRIGHT) or preparing.tilt or preparing.doubtful)
+        return np.eye(4) if found is None else obj.preparing.frame(self._chosen(found))
 
     def _chosen(self, found: ScanProposal) -> tuple[int, ...]:
-        return tuple(k for k in KINDS if found.counts[k] and self._kinds[k].value)
+        return tuple(k for k in CLUTTERING if found.counts[k] and self._kinds[k].value)
 
     def _marked(self, obj: OpenObject) -> Marks:
         found = obj.preparing.current
@@ -212,8 +195,7 @@ class PrepareStep:
         """Level and clean as shown, then annotate; where nothing is offered, just go there."""
         tab = self._tab
         obj = tab.selection.need_object()
-        odd = _odd_size(obj)
-        metres = None if odd is None or odd.unit is None else UNITS[odd.unit]
+        metres = obj.preparing.unit
         frame, marks, size = self._frame(obj), self._marked(obj), ""
         if self._typed:
             ratio, size = self._asked_size(obj)
@@ -428,7 +410,7 @@ class PrepareStep:
         if now == self._marked_for:
             return
         self._marked_for = now
-        self._reset_marks(raw and bool(preparing.noticed() or self._levels(obj)))
+        self._reset_marks(raw and bool(preparing.noticed() or obj.preparing.levels))
 
     def _draw_widgets(
         self, obj: OpenObject, doc: Document, found: ScanProposal | None, marks: Marks
@@ -478,7 +460,7 @@ class PrepareStep:
         if found.up not in (None, UPRIGHT):
             lines.append(words.GIVEN)
         lines += self._orientation(obj)
-        does = words.enter(self._levels(obj), marks != Marks())
+        does = words.enter(obj.preparing.levels, marks != Marks())
         return [*lines, does] if lines or does else [words.UPRIGHT]
 
 
