@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from app.cli.benchmarks import predictions as bench_joints
 from app.cli.benchmarks import predictions as bench_predict
+from app.cli.benchmarks.annotate import STEPS
 from app.cli.benchmarks.shapes import chest
 from app.cli.main import main
 from model import write_asset
@@ -95,3 +97,15 @@ def test_evaluate_scores_real_objects(shared_data, tmp_path):
     assert_users_mistake(
         artiworld("evaluate", "--root", root, "--predictor", "magic"), "magic", "geometric"
     )
+
+
+def test_bench_annotate_takes_scans_to_accepted_assets_and_another_checkout_beside_it():
+    place = Path(main.__code__.co_filename).parents[2]
+    rows = answer(
+        "bench", "annotate", "--limit", 1, "--half", "all", "--points", 15_000, "--before", place
+    )
+    assert [row["code"] for row in rows] == ["today", "before"] * 2
+    for row in rows[:2]:
+        assert row["state"] == "accepted" and row["person"] > 0
+        assert sum(row[step] for step in STEPS) == pytest.approx(row["waiting"], abs=0.1)
+    assert rows[2]["waiting"] == rows[0]["waiting"]

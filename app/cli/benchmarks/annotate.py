@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 KEY, POINT, MENTAL = 0.28, 1.1, 1.35
 """Seconds of the keystroke-level model."""
 STEPS = ("open", "prepare", "clicks", "joints", "accept")
+SUMMED = ("parts", *STEPS, "waiting", "person")
 
 
 def annotate_bench(options: AnnotateBench, progress: Progress) -> Result:
@@ -50,7 +51,7 @@ def annotate_bench(options: AnnotateBench, progress: Progress) -> Result:
     rows.sort(key=lambda row: row["object"])
     for name in places:
         mine = [row for row in rows if row["code"] == name]
-        sums = {key: sum(row[key] for row in mine) for key in (*STEPS, "waiting", "person")}
+        sums = {k: round(sum(row[k] for row in mine), 2) for k in SUMMED}
         rows.append({"code": name, "object": "all", **sums})
     return Result(rows, lambda: print_records("Seconds that a person waits", rows))
 
@@ -200,11 +201,15 @@ def main(scans: Path, workspace: Path, out: Path) -> None:
             about = json.loads((scans / f"{name}.json").read_text())
             person = _Person(app)
             person.work(about)
-            waited = person.waited
+            waited = {step: round(seconds, 2) for step, seconds in person.waited.items()}
             row = {"object": name, "parts": len(about["clicks"]), **waited}
-            rows.append({**row, "waiting": sum(waited.values()), "person": person.own})
+            whole, own = round(sum(waited.values()), 2), round(person.own, 2)
+            rows.append({**row, "waiting": whole, "person": own})
             print(json.dumps(rows[-1]), flush=True)
-        wait_for(lambda: all(r.state == "accepted" for r in queue.records()), "all are saved")
+        accepting = server.app_state.is_accepting
+        wait_for(lambda: not any(accepting(r.id) for r in queue.records()), "the last checks")
+        states = {record.name: record.state for record in queue.records()}
+        rows = [{**row, "state": states[row["object"]]} for row in rows]
         browser.close()
     finally:
         server.close()
