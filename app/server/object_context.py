@@ -105,12 +105,7 @@ class ObjectContext(Observable):
             raise CommandError("the object is still being read")
         return self.asset
 
-    @property
-    def read_options(self) -> ReadOptions:
-        """Options for reading the source, from the present document."""
-        return self.read_options_of(self.document)
-
-    def read_options_of(self, doc: Document) -> ReadOptions:
+    def read_options(self, doc: Document) -> ReadOptions:
         """Options for reading the source as a document has it."""
         config = self.services.config
         return ReadOptions(

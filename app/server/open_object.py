@@ -21,7 +21,7 @@ from app.server.jobs import CLICKS, EDITS, Job, JobFailed
 from app.server.learning import Likeness
 from app.server.object_context import ObjectContext, Services
 from app.server.observable import Listener, Notice
-from app.server.preparing import Preparing
+from app.server.preparing import Preparing, untouched
 from app.server.segmenting import Segmenting
 from app.server.tasks import Stamp, stamp_if_there
 from app.server.validating import JointCollision, Validation
@@ -184,7 +184,7 @@ class OpenObject(ObjectContext):
                 display_tasks.open_asset,
                 Path(self.record.path),
                 self.services.workspace,
-                self.read_options,
+                self.read_options(doc),
                 self._masks(),
                 who=self.asked_by,
                 on_progress=self.jobs.progress("open"),
@@ -224,8 +224,9 @@ class OpenObject(ObjectContext):
         for warning in asset.warnings:
             self.notify("Opened with a warning", warning, "orange")
         self._prepare_clicks(asset)
-        if not self.in_scene and asset.source_labels is None:
-            self.preparing.propose_on_opening()
+        whole = asset.source_labels is None and self.document.left_out is None
+        if whole and not self.in_scene and untouched(self.document):
+            self.preparing.propose(priority=-1)  # after what the first click needs
         self._state_changed()
 
     def _prepare_clicks(self, asset: OpenedAsset) -> None:

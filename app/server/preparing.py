@@ -23,7 +23,7 @@ from model.geometry.picking import Camera, Stroke
 from model.geometry.units import UNITS, odd_size
 from model.io.geometry_files import declares_up
 from sessions import commands as cmd
-from sessions.document import SOURCE_FRAME, ObjectFrame
+from sessions.document import SOURCE_FRAME, Document, ObjectFrame
 from sessions.state import Context
 from sessions.tool_commands import LeaveOut
 
@@ -44,6 +44,17 @@ _MANY_OUTLIERS = 0.03
 UPRIGHT: Vector = (0.0, 0.0, 1.0)
 
 
+def untouched(doc: Document) -> bool:
+    """True if an object has no decisions that preparing it would discard."""
+    return not doc.prompts and doc.tree is None and doc.placement is None
+
+
+def odd_unit(asset: OpenedAsset) -> float | None:
+    """Metres per unit of the file that its size speaks for; None where it isn't odd."""
+    odd = odd_size(asset.bounds, asset.source.unit_scale)
+    return None if odd is None or odd.unit is None else UNITS[odd.unit]
+
+
 class Preparing:
     """Proposes how to level and clean an object, and carries the decisions out.
 
@@ -62,17 +73,6 @@ class Preparing:
     def current(self) -> ScanProposal | None:
         """The proposal, unless the object was read again since."""
         return self.proposal if self._asset is self._obj.asset is not None else None
-
-    @property
-    def untouched(self) -> bool:
-        """True if the object has no decisions that preparing it would discard."""
-        doc = self._obj.document
-        return not doc.prompts and doc.tree is None and doc.placement is None
-
-    def propose_on_opening(self) -> None:
-        """Make a proposal for an object that was just opened."""
-        if self.untouched and self._obj.document.left_out is None:
-            self.propose(priority=-1)  # after what the first click needs
 
     def propose(self, up: Vector | None = None, *, anew: bool = False, priority: int = 4) -> None:
         """Make a proposal for the present asset, unless it is there or being made.
@@ -120,40 +120,30 @@ class Preparing:
         elif self._rejected:  # what stands around is found as it lies
             self.propose(UPRIGHT, anew=True)
 
-    # --- what is offered
+    def frame(self, removed: tuple[int, ...] = ()) -> Array | None:
+        """(4, 4) the frame that is offered, in the present one; None where the object stands.
 
-    @property
-    def unit(self) -> float | None:
-        """Metres per unit of the file that its size speaks for; None where it isn't odd."""
-        asset = self._obj.asset
-        odd = None if asset is None else odd_size(asset.bounds, asset.source.unit_scale)
-        return None if odd is None or odd.unit is None else UNITS[odd.unit]
-
-    @property
-    def levels(self) -> bool:
-        """True if the object is offered in another orientation than its own."""
+        Args:
+            removed: kinds of elements that go at the same time.
+        """
         found = self.current
         if found is None:
-            return False
-        return bool(found.up not in (None, UPRIGHT) or self.tilt or self.doubtful)
-
-    def frame(self, kinds: tuple[int, ...]) -> Array:
-        """(4, 4) the frame offered where ``kinds`` are removed, in the present one."""
-        found = self.current
-        if found is None:
-            return np.eye(4)
+            return None
         level = found.levelling
-        drifted = level.support is not None and level.tilt > LEAST_TILT and SUPPORT in kinds
-        return found.object_from_asset if self.levels or drifted else np.eye(4)
+        drifted = level.support is not None and level.tilt > LEAST_TILT and SUPPORT in removed
+        turned = found.up not in (None, UPRIGHT) or self.tilt or self.doubtful
+        return found.object_from_asset if turned or drifted else None
 
     def _look_ahead(self, found: ScanProposal) -> None:
         """Read and encode the object as Apply will most likely give it."""
         obj, asset = self._obj, self._obj.asset
-        raw = self.untouched and obj.document.left_out is None and not obj.document.face_cuts
-        if asset is None or not raw or not (self.noticed() or self.levels):
+        doc = obj.document
+        raw = untouched(doc) and doc.left_out is None and not doc.face_cuts
+        if asset is None or not raw or not (self.noticed() or self.frame() is not None):
             return
         kinds = tuple(kind for kind in CLUTTERING if found.counts[kind])
-        frame, metres, lane = self.frame(kinds), self.unit, obj.lane
+        frame, metres, lane = self.frame(kinds), odd_unit(asset), obj.lane
+        matrix = np.eye(4) if frame is None else frame
 
         def encode(job: Job[Any]) -> None:
             if job.error is None and self._ahead is job:
@@ -170,12 +160,12 @@ class Preparing:
             if job.error is not None or self._ahead is not job:
                 return
             left = LeaveOut(job.result().elements, job.result().count, "")
-            after = self._command(frame, left, "", metres).edit(obj.document, Context("", ""))
+            after = self._command(matrix, left, "", metres).edit(obj.document, Context("", ""))
             self._ahead = obj.services.workers.read(
                 display_tasks.open_asset,
                 Path(obj.record.path),
                 obj.services.workspace,
-                obj.read_options_of(after),
+                obj.read_options(after),
                 priority=-1,
             )
             self._ahead.add_done_callback(encode)
@@ -341,7 +331,7 @@ class Preparing:
                 command = cmd.LeaveOut(removal.elements, removal.count, left.what)
             obj.do(command, who)
 
-        task, options = prepare_tasks.restored_elements, obj.read_options
+        task, options = prepare_tasks.restored_elements, obj.read_options(obj.document)
         _start(obj, keep, task, asset.source.path, options, camera, stroke)
 
 

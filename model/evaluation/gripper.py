@@ -22,8 +22,16 @@ from model.core.geometry import Mesh, quaternion_wxyz
 from model.core.shapes import Primitive
 from model.io.mjcf_reader import need_mujoco
 from model.io.mjcf_source import sites_of
-from model.physics.affordances import FREE_TURN, REACHED
-from model.physics.hand import FINGER, OFF, OPENING, PALM, SPARE, tool_pose
+from model.physics.affordances import (
+    FINGER,
+    FREE_TURN,
+    OFF,
+    OPENING,
+    PALM,
+    REACHED,
+    SPARE,
+    tool_pose,
+)
 
 STEP = 0.002
 """Seconds."""

@@ -12,7 +12,7 @@ from viser import transforms as vtf
 from app.server.display_tasks import OpenedAsset
 from app.server.open_object import OpenObject
 from app.server.prepare_tasks import Marks, ScanProposal
-from app.server.preparing import CLUTTERING, UPRIGHT
+from app.server.preparing import CLUTTERING, UPRIGHT, odd_unit, untouched
 from app.viewer.input.pointing import Pointing
 from app.viewer.panels.widgets import put
 from app.viewer.picture.drawing import PrepareMarks
@@ -126,7 +126,7 @@ class PrepareStep:
     def noticed(self, obj: OpenObject) -> bool:
         """True if the object needs preparing, as far as is known."""
         asset, preparing = obj.asset, obj.preparing
-        if self._tab.in_scene or asset is None or not preparing.untouched:
+        if self._tab.in_scene or asset is None or not untouched(obj.document):
             return False
         if obj.document.left_out is not None:
             return False
@@ -167,7 +167,8 @@ class PrepareStep:
     def _frame(self, obj: OpenObject) -> Array:
         """(4, 4) the frame that Enter gives the object, in its present one."""
         found = obj.preparing.current
-        return np.eye(4) if found is None else obj.preparing.frame(self._chosen(found))
+        frame = None if found is None else obj.preparing.frame(self._chosen(found))
+        return np.eye(4) if frame is None else frame
 
     def _chosen(self, found: ScanProposal) -> tuple[int, ...]:
         return tuple(k for k in CLUTTERING if found.counts[k] and self._kinds[k].value)
@@ -195,7 +196,7 @@ class PrepareStep:
         """Level and clean as shown, then annotate; where nothing is offered, just go there."""
         tab = self._tab
         obj = tab.selection.need_object()
-        metres = obj.preparing.unit
+        metres = odd_unit(obj.need_asset())
         frame, marks, size = self._frame(obj), self._marked(obj), ""
         if self._typed:
             ratio, size = self._asked_size(obj)
@@ -410,7 +411,7 @@ class PrepareStep:
         if now == self._marked_for:
             return
         self._marked_for = now
-        self._reset_marks(raw and bool(preparing.noticed() or obj.preparing.levels))
+        self._reset_marks(raw and bool(preparing.noticed() or preparing.frame() is not None))
 
     def _draw_widgets(
         self, obj: OpenObject, doc: Document, found: ScanProposal | None, marks: Marks
@@ -460,7 +461,7 @@ class PrepareStep:
         if found.up not in (None, UPRIGHT):
             lines.append(words.GIVEN)
         lines += self._orientation(obj)
-        does = words.enter(obj.preparing.levels, marks != Marks())
+        does = words.enter(obj.preparing.frame() is not None, marks != Marks())
         return [*lines, does] if lines or does else [words.UPRIGHT]
 
 

@@ -16,8 +16,7 @@ from model.io.export.formats import losses_of
 from model.io.export.mjcf import MjcfExporter
 from model.io.export.usd import UsdExporter
 from model.physics import affordances
-from model.physics.affordances import find_affordances, opened_range
-from model.physics.hand import DEPTH, tool_pose
+from model.physics.affordances import DEPTH, find_affordances, opened_range, tool_pose
 from model.physics.simulation_values import Physics, physics_of
 from tests.builders import box
 from tests.model.validation.cabinets import DOOR, DRAWER, cabinet
