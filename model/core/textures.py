@@ -66,15 +66,33 @@ def decode(data: bytes, what: str) -> Image.Image:
     """
     with _readable(what):
         image = _opened(data, what)
-        suffix = _KEPT.get(image.format or "")
+        suffix = _kept(image)
         _spend(image.width * image.height, what)
         has_alpha = "A" in image.getbands() or "transparency" in image.info
         mode = "RGBA" if has_alpha else "RGB"
         image.load()
+        if image.mode[0] in "IF":
+            image = _eight_bits(image)
         out = image if image.mode == mode else image.convert(mode)  # never two copies
     if suffix:
         setattr(out, _ATTRIBUTE, (data, suffix))
     return out
+
+
+def _kept(image: Image.Image) -> str | None:
+    """Suffix of a file whose bytes are kept: all software shows such an image alike."""
+    plain = image.mode[0] not in "IF" and image.mode != "CMYK"
+    return _KEPT.get(image.format or "") if plain else None
+
+
+def _eight_bits(image: Image.Image) -> Image.Image:
+    """A grey image of 16 or 32 bits, which Pillow would cut off at 255, without its alpha."""
+    grey = np.nan_to_num(np.asarray(image, np.float64))
+    most = float(grey.max(initial=0.0))
+    scale = 255.0 if image.mode == "F" and most <= 1 else 1 / 257 if most > 255 else 1.0
+    if image.mode == "I;16":
+        scale = 1 / 257
+    return Image.fromarray(np.clip(np.rint(scale * grey), 0, 255).astype(np.uint8))
 
 
 @contextmanager
@@ -108,7 +126,7 @@ def checked(data: bytes, what: str) -> tuple[bytes, str]:
     """
     with _readable(what):
         image = _opened(data, what)
-        suffix = _KEPT.get(image.format or "")
+        suffix = _kept(image)
         if suffix:
             image.load()
             return data, suffix

@@ -178,6 +178,16 @@ class KinematicTree:
         return out
 
 
+def driven(tree: KinematicTree, joint: Joint) -> Joint:
+    """``joint``; a follower has the range over which its leader takes it, not its own."""
+    if joint.mimic is None or joint.mimic.joint not in tree.by_name:
+        return joint
+    ends = driven(tree, tree.by_name[joint.mimic.joint]).motion_range
+    low, high = sorted(joint.mimic.multiplier * q + joint.mimic.offset for q in ends)
+    kind = "revolute" if joint.rotates else joint.type
+    return replace(joint, type=kind, lower=low, upper=high)
+
+
 def moving_chain(tree: KinematicTree, link: str, holds: Callable[[str], bool]) -> tuple[str, ...]:
     """Links from below the next part above a part down to the part's own link.
 

@@ -355,14 +355,16 @@ def _asset_of(
 
 def _named_parts(loaded: Loaded) -> tuple[npt.NDArray[np.int32] | None, tuple[str, ...]]:
     """Part of each face and names by part, where the file's meshes are called after parts."""
-    names, sizes = zip(*loaded.pieces, strict=True) if loaded.pieces else ((), ())
+    runs, sizes = zip(*loaded.pieces, strict=True) if loaded.pieces else ((), ())
+    names = tuple(dict.fromkeys(runs)) if loaded.names_join else runs
     numbers = named_parts(names)
     if numbers is None or sum(sizes) != len(loaded.faces):  # damaged faces were left out
         return None, ()
     plain = ("".join(c for c in name if c.isprintable()) for name in names)
     called = dict(zip(numbers, plain, strict=True))
     listed = tuple(called.get(i, "") for i in range(max(numbers) + 1))
-    return np.repeat(np.asarray(numbers, np.int32), sizes), listed
+    of_run = [numbers[names.index(name)] for name in runs] if loaded.names_join else numbers
+    return np.repeat(np.asarray(of_run, np.int32), sizes), listed
 
 
 def file_digest(paths: Sequence[Path]) -> str:

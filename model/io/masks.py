@@ -248,7 +248,7 @@ def _beside(path: Path, count: int) -> Loaded | None:
     for file in (folder / f"{stem}{end}" for folder in folders for end in (".ply", ".glb", ".obj")):
         if file.is_file():
             loaded = load_geometry(file, DEFAULT_MAX_BYTES)
-            if count in (len(loaded.faces), len(loaded.vertices)):
+            if count in (len(loaded.faces), len(loaded.vertices), loaded.polygons):
                 return loaded
     return None
 
@@ -305,6 +305,8 @@ def _on_elements(asset: Asset, masks: Masks) -> Labels:
         own = masks.labels
     elif asset.mesh is not None and len(masks.labels) == len(asset.mesh.vertices):
         own = _of_faces(masks.labels, asset.mesh.faces)
+    if masks.geometry is None and own is None:
+        masks = replace(masks, geometry=_whole_faces(asset, len(masks.labels)))
     if masks.geometry is None:
         if own is None:
             count, kind = len(masks.labels), asset.element_kind
@@ -335,9 +337,20 @@ def _on_elements(asset: Asset, masks: Masks) -> Labels:
     return _majority(element, found)[1]  # every element has a point
 
 
+def _whole_faces(asset: Asset, count: int) -> Loaded | None:
+    """The asset's own file where it has ``count`` faces, some of which were cut into triangles."""
+    path = None if asset.source is None or asset.mesh is None else asset.source.path
+    if path is None or path.suffix.lower() not in (".obj", ".ply") or not path.is_file():
+        return None
+    loaded = load_geometry(path, DEFAULT_MAX_BYTES)
+    return loaded if loaded.polygons == count else None
+
+
 def _labelled_points(masks: Masks, held: Loaded) -> tuple[FloatArray, Labels]:
     """(P, 3) points of the masks' own geometry, and (P,) their labels."""
     labels, vertices = masks.labels, held.vertices.astype(np.float64)
+    if held.polygon is not None and len(labels) == held.polygons:
+        labels = labels[held.polygon]
     if len(labels) not in (len(held.faces), len(vertices)):
         counts = f"{len(held.faces):,} faces and {len(vertices):,} vertices"
         problem = f"has {len(labels):,} labels for {counts}"

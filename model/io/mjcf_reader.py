@@ -291,13 +291,16 @@ class _Reader:
         return [_Motion(name, "prismatic", axis, origin, (low, high), dynamics)]
 
     def _mimics(self, joints: Sequence[Joint]) -> dict[str, Mimic]:
-        moving = {j.name for j in joints if j.moves}
+        moving = {j.name: j for j in joints if j.moves}
         out: dict[str, Mimic] = {}
-        for follower, mimic in self.source.mimics.items():
-            if {follower, mimic.joint} <= moving:
-                out[follower] = mimic
-            else:
-                self.notes.append(f"joint {follower!r} follows {mimic.joint!r}, which is not kept")
+        for follower, (leader, terms) in self.source.couplings.items():
+            if not {follower, leader} <= moving.keys():
+                self.notes.append(f"joint {follower!r} follows {leader!r}, which is not kept")
+                continue
+            if any(terms[2:]):
+                what = f"joint {follower!r} follows {leader!r} along a curve"
+                self.notes.append(f"{what}: read as a straight line over the leader's range")
+            out[follower] = Mimic(leader, *_line(terms, moving[leader]))
         return out
 
     def _dynamics(self, j: int) -> DeclaredDynamics | None:
@@ -371,7 +374,8 @@ class _Reader:
             return None
         material = self.looks.of(g)
         if kind == _MESH:
-            return self._of_mesh(int(model.geom_dataid[g]), link, pose, material)
+            made = self._of_mesh(int(model.geom_dataid[g]), link, pose, material)
+            return replace(made, repeat=self.looks.repeat(g))
         a, b, c = model.geom_size[g].tolist()
         if kind == _ELLIPSOID:
             mesh = ellipsoid((a, b, c))
@@ -431,6 +435,19 @@ class _Reader:
             if not inertial_problems({"": own}):
                 out[self.links[body]] = own
         return out
+
+
+def _line(terms: Sequence[float], leader: Joint) -> tuple[float, float]:
+    """Slope and offset of a polynomial; of a curve its chord from rest to the leader's far end."""
+    low, high = leader.motion_range
+    start = min(max(0.0, low), high)
+    end = max(low, high, key=lambda q: abs(q - start))
+    if not any(terms[2:]) or start == end:
+        offset, slope = [*terms, 0.0, 0.0][:2]
+        return slope, offset
+    values = np.polynomial.polynomial.polyval([start, end], terms)
+    slope = float(values[1] - values[0]) / (end - start)
+    return slope, float(values[0]) - slope * start
 
 
 def _turn(quaternion: Any) -> FloatArray:

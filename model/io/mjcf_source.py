@@ -26,7 +26,6 @@ from scipy.spatial.transform import Rotation
 from model.core.articulated_object import AFFORDANCE_KINDS, Affordance
 from model.core.errors import InputFileError
 from model.core.geometry import quaternion_wxyz
-from model.core.joint import Mimic
 from model.io.formats.loaded import DEFAULT_MAX_BYTES, ReferenceRefused, read_bytes, resolve
 from model.io.robot_xml import ASSETS, DEFAULTS, KEPT, LOST, MAX_BYTES, MJCF, ROOTS, WORLD, parse
 from model.io.urdf.writer import vector, xml_name
@@ -114,7 +113,7 @@ class MjcfSource:
         assets: key → a mesh file's bytes.
         meshes: mesh name → its file.
         textures: texture name → its image, which may be missing.
-        mimics: follower → the joint that it follows.
+        couplings: follower → the joint that it follows, and the coefficients of the polynomial.
         part_names: body → display name.
         files: that were included.
         notes: human-readable remarks on skipped content.
@@ -127,7 +126,7 @@ class MjcfSource:
     assets: dict[str, bytes] = field(default_factory=dict)
     meshes: dict[str, Path] = field(default_factory=dict)
     textures: dict[str, Path] = field(default_factory=dict)
-    mimics: dict[str, Mimic] = field(default_factory=dict)
+    couplings: dict[str, tuple[str, list[float]]] = field(default_factory=dict)
     part_names: dict[str, str] = field(default_factory=dict)
     files: tuple[Path, ...] = ()
     notes: tuple[str, ...] = ()
@@ -201,7 +200,7 @@ class _Source:
         self._expand(top)
         self._check(top)
         said = _said(top)
-        mimics = self._mimics(top)
+        couplings = self._couplings(top)
         lost = dict.fromkeys(
             LOST[e.tag] for e in top.iter() if e.tag in LOST and len(e) + len(e.attrib)
         )
@@ -214,7 +213,8 @@ class _Source:
         for element in kept:
             allowed = {"worldbody": WORLD, "default": DEFAULTS, "asset": ASSETS}
             _prune(element, allowed.get(element.tag, ()))
-        source = MjcfSource(top.get("model") or self.path.stem, "", mimics=mimics, part_names=said)
+        name = top.get("model") or self.path.stem
+        source = MjcfSource(name, "", couplings=couplings, part_names=said)
         self.pictured = {e.get("texture") for e in top.iter() if e.tag in ("material", "layer")}
         for element in (e for section in kept if section.tag == "asset" for e in section):
             self._asset(element, folders, source)
@@ -298,8 +298,8 @@ class _Source:
                     )
             element.text = element.tail = "\n"  # stray words that MuJoCo passes over
 
-    def _mimics(self, top: Element) -> dict[str, Mimic]:
-        out: dict[str, Mimic] = {}
+    def _couplings(self, top: Element) -> dict[str, tuple[str, list[float]]]:
+        out: dict[str, tuple[str, list[float]]] = {}
         for element in top.findall("equality/*"):
             if element.get("active") == "false":
                 continue
@@ -313,12 +313,7 @@ class _Source:
                 raise InputFileError(
                     self.path, f"polycoef of joint {follower!r} is not made of numbers"
                 ) from None
-            offset, slope, *rest = [*terms, *[0.0] * (2 - len(terms))]
-            if any(rest):
-                self.notes.append(
-                    f"joint {follower!r} follows {leader!r} along a curve: read as a straight line"
-                )
-            out[follower] = Mimic(leader, slope, offset)
+            out[follower] = (leader, terms)
         return out
 
     def _folders(self, kept: list[Element]) -> dict[str, list[str]]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -190,6 +190,22 @@ def is_model(path: Path) -> bool:
     return is_urdf(path) or is_mjcf(path) or is_sdf(path) or is_anymesh(path)
 
 
+def _with_unmoved(model: UrdfModel) -> UrdfModel:
+    """The model with a remark on joints that can't move: exporters write a range of 0 where none
+    was set."""
+    said = " ".join(model.notes)
+    names = [
+        repr(j.name)
+        for j in model.tree.joints
+        if j.limited and j.lower == j.upper and j.mimic is None and repr(j.name) not in said
+    ]
+    if not names:
+        return model
+    which = f"joint{'s'[: len(names) != 1]} {', '.join(names[:5])}{', …' if len(names) > 5 else ''}"
+    why = f"{which} can't move, as the range is empty: set a range, or predict the joints"
+    return replace(model, notes=(*model.notes, why))
+
+
 def articulated_stage(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> UrdfModel | None:
     """Articulated object of a USD stage; None for any other file.
 
@@ -197,7 +213,10 @@ def articulated_stage(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> UrdfMod
         InputFileError: where it is a damaged stage.
         ConfigurationError: where usd-core isn't installed.
     """
-    return read_usd_model(path, max_bytes) if path.suffix.lower() in USD_SUFFIXES else None
+    if path.suffix.lower() not in USD_SUFFIXES:
+        return None
+    model = read_usd_model(path, max_bytes)
+    return None if model is None else _with_unmoved(model)
 
 
 def read_model(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> UrdfModel:
@@ -213,7 +232,7 @@ def read_model(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> UrdfModel:
         ConfigurationError: for an MJCF or USD, where MuJoCo or usd-core isn't installed.
     """
     if path.suffix.lower() in MJCF_SUFFIXES:
-        return read_mjcf_model(path, max_bytes=max_bytes)
+        return _with_unmoved(read_mjcf_model(path, max_bytes=max_bytes))
     if path.suffix.lower() in USD_SUFFIXES:
         model = articulated_stage(path, max_bytes)
         if model is None:
@@ -221,7 +240,7 @@ def read_model(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> UrdfModel:
                 path, "holds no object with joints, or several", "open it as a scene or a mesh"
             )
         return model
-    return read_urdf_model(path)
+    return _with_unmoved(read_urdf_model(path))
 
 
 def files_named_by(path: Path) -> list[Path]:

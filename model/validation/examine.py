@@ -15,7 +15,7 @@ import numpy as np
 from model.core import names
 from model.core.articulated_object import ArticulatedObject
 from model.core.joint import Joint
-from model.core.tree import KinematicTree
+from model.core.tree import KinematicTree, driven
 from model.kinematics.surface import Surface
 from model.kinematics.sweep import Sweep, sweep_joint, sweep_path
 from model.validation import messages
@@ -88,6 +88,7 @@ class Scene:
 def examine(scene: Scene, joint: Joint) -> list[Finding]:
     """Run all checks of ``joint``, the other joints at rest."""
     found = limit_findings(scene, joint)
+    joint = driven(scene.obj.tree, joint)
     lower, upper = joint.motion_range
     if upper - lower < _empty(scene, joint):
         return found

@@ -124,6 +124,8 @@ class _Writer:
                 made.set("damping", number(dynamics.damping))
                 made.set("frictionloss", number(dynamics.friction))
                 made.set("solimpfriction", FRICTION_IMPEDANCE)
+                if dynamics.effort > 0:
+                    made.set("actuatorfrcrange", vector((-dynamics.effort, dynamics.effort)))
             if joint.limited and joint.lower != joint.upper:
                 made.set("range", vector((joint.lower or 0.0, joint.upper or 0.0)))
         return body

@@ -42,7 +42,7 @@ def read_dae(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
         vertex = absurd[1][:40].decode()
         raise InputFileError(path, f"a face uses vertex {vertex}", "the file is damaged")
     pieces: list[tuple[str, Loaded]] = []
-    textured = False
+    textured, lines = False, 0
     try:
         passed_over = [collada.common.DaeUnsupportedError, collada.common.DaeBrokenRefError]
         file = collada.Collada(io.BytesIO(data), ignore=passed_over)
@@ -53,6 +53,9 @@ def read_dae(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
                 triangles = (
                     primitive.triangleset() if hasattr(primitive, "triangleset") else primitive
                 )
+                if isinstance(primitive, collada.lineset.BoundLineSet):
+                    lines += 1
+                    continue
                 if getattr(triangles, "vertex_index", None) is None or triangles.vertex is None:
                     continue
                 faces = np.asarray(triangles.vertex_index, np.int64).reshape(-1, 3)
@@ -75,6 +78,10 @@ def read_dae(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
         raise InputFileError(path, "has no triangles in its scene", "export the object again")
     whole = join([p for _, p in pieces])
     remarks = ["textures of COLLADA files are not read"] if textured else []
+    if lines:
+        remarks.append(f"{lines} pieces of lines are left out")
+    if file.errors:
+        remarks.append(f"not read: {len(file.errors)} elements, such as: {file.errors[0]}"[:150])
     if len(file.controllers):
         remarks.append(f"not read: {len(file.controllers)} skins and morphs")
     names = tuple((name, len(p.faces)) for name, p in pieces if len(p.faces))

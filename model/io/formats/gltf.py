@@ -160,7 +160,8 @@ class Gltf:
             raise InputFileError(self.path, "there is no mesh in its scene", "export the object")
         counts = ((name, sum(len(p.faces) for p in primitives)) for name, primitives in placed)
         named = tuple((name, count) for name, count in counts if count)
-        return replace(joined(pieces), warnings=self.warnings, pieces=named)
+        whole = joined(pieces)
+        return replace(whole, warnings=(*whole.warnings, *self.warnings), pieces=named)
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -373,7 +374,10 @@ class Gltf:
 def joined(pieces: list[Loaded]) -> Loaded:
     """Triangles and points of a scene; points are left out where there are triangles."""
     solid = [p for p in pieces if len(p.faces)]
-    return join(solid or pieces)
+    whole = join(solid or pieces)
+    points = sum(len(p.vertices) for p in pieces if not len(p.faces)) if solid else 0
+    remarks = [f"{points:,} points beside the triangles are left out"] * bool(points)
+    return replace(whole, warnings=(*whole.warnings, *remarks))
 
 
 def _faces(order: Array, mode: int) -> Array:

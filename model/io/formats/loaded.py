@@ -44,7 +44,10 @@ class Loaded:
         warnings: human-readable remarks on skipped content.
         pieces: where the file is in pieces that have names, each one's name and number of faces,
             in the faces' order; else empty.
+        names_join: whether pieces of the same name are one.
         confidence: (V,) of a cloud's points where the file has it, or None.
+        polygon: (F,) face of the file that each triangle is a piece of, or None.
+        polygons: number of the file's faces.
     """
 
     vertices: Array
@@ -56,7 +59,10 @@ class Loaded:
     materials: tuple[Material, ...] = ()
     warnings: tuple[str, ...] = ()
     pieces: tuple[tuple[str, int], ...] = ()
+    names_join: bool = False
     confidence: Array | None = None
+    polygon: Array | None = None
+    polygons: int = 0
 
     def moved(self, matrix: Array) -> Loaded:
         """Under the (4, 4) affine ``matrix``; faces are turned where it mirrors."""

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from model.core.errors import InputFileError
 from model.core.geometry import Material
+from model.core.names import named_parts
 from model.io.formats.loaded import (
     DEFAULT_MAX_BYTES,
     Loaded,
@@ -41,6 +42,10 @@ class _Lines:
     material: list[int] = field(default_factory=list)
     libraries: dict[str, None] = field(default_factory=dict)  # in their order
     names: list[str] = field(default_factory=lambda: [""])
+    # Of each object (o) and group (g): its first f line, and its name.
+    begins: dict[str, list[tuple[int, str]]] = field(
+        default_factory=lambda: {"o": [(0, "")], "g": [(0, "")]}
+    )
 
 
 def read_obj(
@@ -100,7 +105,18 @@ def read_obj(
     else:
         uv, faces = None, corner_v[flat].reshape(-1, 3)
     return Loaded(
-        vertices, faces, None, colors, uv, face_material, materials, tuple(dict.fromkeys(warnings))
+        vertices,
+        faces,
+        None,
+        colors,
+        uv,
+        face_material,
+        materials,
+        tuple(dict.fromkeys(warnings)),
+        pieces=_pieces(lines, polygon),
+        names_join=True,
+        polygon=polygon,
+        polygons=len(lines.f),
     )
 
 
@@ -129,7 +145,22 @@ def _sort_lines(data: bytes) -> _Lines:
                 out.names.append(name)
         elif head == "mtllib":
             out.libraries[rest.strip()] = None
+        elif head in out.begins:
+            out.begins[head].append((len(f), rest.strip()))
     return out
+
+
+def _pieces(lines: _Lines, polygon: Array) -> tuple[tuple[str, int], ...]:
+    """Objects, or groups where these alone are called after parts, with their numbers of triangles;
+    a name may come again."""
+    found = []
+    for begins in lines.begins.values():
+        ends = np.searchsorted(polygon, [at for at, _ in begins] + [len(lines.f)])
+        runs = zip((name for _, name in begins), np.diff(ends).tolist(), strict=True)
+        found.append(tuple((name, count) for name, count in runs if count))
+    several = [runs for runs in found if len({name for name, _ in runs}) > 1]
+    named = [runs for runs in several if named_parts(list(dict(runs)))]
+    return next(iter(named or several), ())
 
 
 def _table(path: Path, lines: list[str], what: str) -> list[Array] | Array:
@@ -150,11 +181,16 @@ def _vertices(path: Path, lines: list[str]) -> tuple[Array, Array | None]:
         return np.array([row[:3] for row in table]), None
     if table.shape[1] < 3:
         raise _short(path, "v", 0, lines[0], "three numbers")
-    # x y z r g b, or x y z w r g b
-    colors = None
-    if table.shape[1] in (6, 7):
-        colors = colors_from(np.ascontiguousarray(table[:, -3:]))
+    colors, width = None, table.shape[1]
+    if width in (6, 7, 8):  # x y z, a weight or none, r g b, alpha or none
+        weighted = width == 8 or (width == 7 and _is_weight(table))
+        colors = colors_from(np.ascontiguousarray(table[:, 3 + weighted :]))
     return np.ascontiguousarray(table[:, :3]), colors
+
+
+def _is_weight(table: Array) -> bool:
+    """True if the fourth of seven numbers is a weight of 1, and the last no opaque alpha."""
+    return bool((table[:, 3] == 1).all() and not np.isin(table[:, 6], (1, 255)).all())
 
 
 def _uv(path: Path, lines: list[str]) -> Array:

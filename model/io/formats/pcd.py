@@ -14,7 +14,14 @@ import numpy as np
 import numpy.typing as npt
 
 from model.core.errors import InputFileError
-from model.io.formats.loaded import DEFAULT_MAX_BYTES, Loaded, colors_from, numbers, read_bytes
+from model.io.formats.loaded import (
+    DEFAULT_MAX_BYTES,
+    GREY,
+    Loaded,
+    colors_from,
+    numbers,
+    read_bytes,
+)
 
 Array = npt.NDArray[Any]
 _KINDS = {"F": "f", "I": "i", "U": "u"}
@@ -54,7 +61,9 @@ def read_pcd(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
     normals = None
     if {"normal_x", "normal_y", "normal_z"} <= set(columns):
         normals = np.stack([columns[f"normal_{n}"] for n in "xyz"], axis=1)
-    return Loaded(points, normals=normals, colors=_colors(columns))
+    lost = _lost_colors(columns) if header.data == "ascii" else 0
+    remarks = (f"{lost:,} of {len(points):,} colours are 'nan' and were taken as grey",)
+    return Loaded(points, normals=normals, colors=_colors(columns), warnings=remarks[: lost > 0])
 
 
 def _header(path: Path, data: bytes) -> _Header:
@@ -190,6 +199,16 @@ def lzf_decompress(data: bytes, size: int) -> bytes | None:
         else:  # the run repeats itself
             out += (out[begin:] * (length // offset + 1))[:length]
     return bytes(out) if len(out) == size and at <= end else None
+
+
+def _lost_colors(columns: dict[str, Array]) -> int:
+    """Make packed colours grey that a text has as "nan": as a float the bits say no number."""
+    packed = columns.get("rgb", columns.get("rgba"))
+    if packed is None or packed.dtype.kind != "f":
+        return 0
+    lost = np.isnan(packed)
+    packed.view(np.uint32)[lost] = int.from_bytes(bytes(GREY[:3]), "big")
+    return int(lost.sum())
 
 
 def _colors(columns: dict[str, Array]) -> Array | None:

@@ -70,9 +70,8 @@ def read_ply_columns(
         element: whose.
 
     Returns:
-        What was read, and (V,) or (F,) values by name of those that are there. Where the file's
-        texture coordinates or face colours made new vertices, or not all faces are triangles,
-        there are none.
+        What was read, and values by name of those that are there: (V,), or one a face of the file.
+        Where texture coordinates or face colours made new vertices, there are none of vertices.
 
     Raises:
         InputFileError: where it is no PLY, truncated, or inconsistent.
@@ -89,9 +88,9 @@ def read_ply_columns(
         raise InputFileError(path, "no vertices in it", "a mesh or a point cloud has vertices")
     loaded = _assemble(path, tables, comments)
     table = tables.get(element, {})
-    count = len(loaded.vertices if element == "vertex" else loaded.faces)
+    counts = [len(loaded.vertices)] if element == "vertex" else [len(loaded.faces), loaded.polygons]
     columns = {k.lower(): v for k, v in table.items() if k.lower() in extra}
-    fits = {k: v for k, v in columns.items() if isinstance(v, np.ndarray) and len(v) == count}
+    fits = {k: v for k, v in columns.items() if isinstance(v, np.ndarray) and len(v) in counts}
     return loaded, fits
 
 
@@ -204,6 +203,8 @@ def _assemble(path: Path, tables: dict[str, Table], comments: list[str]) -> Load
         material_of,
         materials,
         tuple(warnings),
+        polygon=polygon,
+        polygons=len(_face_lists(face).sizes),
     )
 
 

@@ -60,6 +60,12 @@ class Looks:
             self.made[look] = self._material(look)
         return self.made[look]
 
+    def repeat(self, geom: int) -> tuple[float, float]:
+        """How often the textures of a geom repeat along u and v."""
+        look = int(self.model.geom_matid[geom])
+        u, v = (1.0, 1.0) if look < 0 else self.model.mat_texrepeat[look].tolist()
+        return u, v
+
     def _material(self, look: int) -> Material:
         model = self.model
         rgba = np.asarray(model.mat_rgba[look], np.float64)
@@ -171,6 +177,7 @@ class UrdfVisual:
         color: RGBA in 0..255 from the URDF's material, or None. It is for what has no looks.
         mesh: geometry that no file holds, or None.
         material: takes the place of what a mesh file says of its looks, or None.
+        repeat: how often its textures repeat along u and v.
     """
 
     link: str
@@ -181,6 +188,7 @@ class UrdfVisual:
     color: tuple[int, int, int, int] | None = None
     mesh: Mesh | None = None
     material: Material | None = None
+    repeat: tuple[float, float] = (1.0, 1.0)
 
 
 SECTIONS = 32
@@ -245,7 +253,14 @@ def _load(
 
 
 def _with_material(mesh: Mesh, visual: UrdfVisual) -> Mesh:
-    return mesh if visual.material is None else with_material(mesh, visual.material)
+    if visual.material is None:
+        return mesh
+    made = with_material(mesh, visual.material)
+    if made.uv is None or visual.repeat == (1.0, 1.0):
+        return made
+    # MuJoCo repeats an image from its top, which is v = 1 here.
+    start = np.array([0.0, (1.0 - visual.repeat[1]) % 1.0])
+    return replace(made, uv=(made.uv * visual.repeat + start).astype(np.float32))
 
 
 def _plain(mesh: Mesh) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -40,6 +41,7 @@ LARGEST = 1e6
 """Metres of a size, an offset or a limit; with more, numbers are damaged and sums overflow."""
 _MOVING: dict[str, JointType] = {kind: kind for kind in JOINT_TYPES if kind != "fixed"}
 _TO_FIXED = ("planar", "floating")
+_VERTEX = re.compile(rb"(?m)^[ \t]*v[ \t]")
 _REMEDIES = {
     "at least one link": "of a xacro file, give the URDF that xacro makes of it",
     " roots instead of one": "join what stands apart by fixed joints",
@@ -72,12 +74,13 @@ def read_urdf(
 def read_urdf_model(
     path: str | Path, *, root: str | Path | None = None, lenient: bool = False
 ) -> UrdfModel:
-    """Read a URDF without loading meshes (their paths are checked, not their presence).
+    """Read a URDF without loading meshes.
 
     - Axes are normalised; limits stay as they are, as other readers have it.
     - Floating joints become fixed, planar ones a chain of three; ``notes`` says so.
     - Numbers that are separated by commas are read; ``notes`` says so.
     - Where no link has a visual, the collision geometry is taken.
+    - Meshes that aren't there or are empty are left out where others are there; ``notes`` says so.
     - A link without geometry is a helper; it is renamed where its name begins with ``link_``.
 
     Args:
@@ -109,6 +112,7 @@ class _Reader:
         self._commas = self.moved = False
         self._planar: set[str] = set()
         self._unlimited: list[str] = []  # mimic joints that take their leader's range
+        self._absent: set[Path] = set()  # meshes that aren't there or are empty
 
     def read(self) -> UrdfModel:
         if self.path.name == ANYMESH:
@@ -399,7 +403,21 @@ class _Reader:
                 visual = self._visual(element, link.get("name", ""))
                 if visual is not None:
                     out.append(visual)
-        return out
+        return out if self.lenient else self._present(out)
+
+    def _present(self, visuals: list[UrdfVisual]) -> list[UrdfVisual]:
+        """Without meshes that aren't there or are empty, as data sets name some that never were.
+
+        Where none is there, the file stands without its folder: loading them says so.
+        """
+        files = {v.file: v.link for v in visuals if v.file is not None}
+        absent = {file: why for file in files if (why := _absence(file))}
+        if len(absent) == len(files):
+            return visuals
+        for file, why in absent.items():
+            self.notes.append(f"mesh {file.name!r} of link {files[file]!r} {why}: left out")
+        self._absent |= absent.keys()
+        return [v for v in visuals if v.file not in absent]
 
     def _collisions(
         self, robot: Element, visuals: Sequence[UrdfVisual], object_from_link: Poses
@@ -413,8 +431,9 @@ class _Reader:
             found = [self._visual(e, name) for e in link.findall("collision")]
             wrong = self.problems[before:]
             del self.problems[before:]
-            pieces = tuple(_in_object(v, object_from_link) for v in found if v is not None)
-            if found:
+            kept = [v for v in found if v is not None and v.file not in self._absent]
+            pieces = tuple(_in_object(v, object_from_link) for v in kept)
+            if kept or wrong:
                 same = not wrong and repeats(pieces, [v for v in seen if v.link == name])
                 out[name] = DeclaredCollision(pieces, wrong[0] if wrong else "", same)
         return out
@@ -496,6 +515,14 @@ class _Reader:
         where = f"material {material.get('name', '')!r}"
         r, g, b, a = np.clip(self._numbers(color, "rgba", 4, [0.8, 0.8, 0.8, 1], where), 0, 1)
         return round(255 * r), round(255 * g), round(255 * b), round(255 * a)
+
+
+def _absence(file: Path) -> str:
+    """Why a mesh file has no geometry, as far as a glance can tell; "" where it may have some."""
+    if not file.is_file():
+        return "isn't there"
+    text = file.read_bytes() if file.suffix.lower() == ".obj" else b"v "
+    return "" if file.stat().st_size and _VERTEX.search(text) else "is empty"
 
 
 def _compose(tree: KinematicTree, locals_: Poses) -> dict[str, FloatArray]:

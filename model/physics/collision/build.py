@@ -17,6 +17,7 @@ from model.core.joint import Joint
 from model.core.memory import LruCache
 from model.core.progress import Progress, no_progress
 from model.core.shapes import Hull, Primitive, Shape, hull_of_shape, simplified, thick_hull
+from model.core.tree import driven
 from model.geometry.topology import same_points
 from model.kinematics.sweep import sweep_joint
 from model.physics.collision.convex_bodies import FaceExtents, Occupancy, occupancy, primitive_of
@@ -210,7 +211,8 @@ def _free_ranges(obj: ArticulatedObject) -> FreeRange:
         if joint.give_way:
             return -np.inf, np.inf
         if joint.name not in known:
-            known[joint.name] = sweep_joint(obj, joint, 9, points=SWEPT_POINTS).free
+            swept = driven(obj.tree, joint)
+            known[joint.name] = sweep_joint(obj, swept, 9, points=SWEPT_POINTS).free
         return known[joint.name]
 
     return free
