@@ -6,8 +6,10 @@ crash ends the batch, and the settings of physics.
 
 from __future__ import annotations
 
+import atexit
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -22,8 +24,13 @@ from model.core.errors import ArtiworldError, ConfigurationError, InputFileError
 from model.core.joint import JointDynamics
 from model.core.pool import robust_map
 from model.core.progress import Progress
+from model.io import model_files
+from model.io.assets.reader import NO_MODEL, NO_MODEL_REMEDY
 from model.io.export.registry import exporter_names, load_exporter
 from model.io.export.simready import AboutPackage, remember, remembered
+from model.io.model_files import is_model, model_of
+from model.io.urdf.files import allow
+from model.io.zips import unzipped
 from model.physics.collision.build import CollisionSettings, Method
 from model.physics.collision.store import default_store
 from model.physics.inertia import read_materials
@@ -44,29 +51,35 @@ class Crashed(RuntimeError):
 
 
 def find_assets(paths: Sequence[Path]) -> list[Path]:
-    """Assets among ``paths``: URDF and MJCF files, asset folders, and folders of these.
+    """Assets among ``paths``: files of models, asset folders, folders of these, and zips.
 
     Raises:
         InputFileError: for a path with nothing of the kind.
     """
     out: list[Path] = []
+    unpacked = ExitStack()
+    atexit.register(unpacked.close)
     for path in paths:
-        if path.is_file():
-            found = [path]
-        else:
-            found = _in_folder(path)
-            if not found and path.is_dir():
-                found = [a for child in sorted(path.iterdir()) for a in _in_folder(child)]
-        if not found and not path.exists():
+        if not path.exists():
             raise InputFileError(path, "no such file or folder", "check the path")
+        found = _below(path) if path.is_dir() else [unpacked.enter_context(unzipped(path))]
         if not found:
-            raise InputFileError(
-                path,
-                "is no URDF, SDF, USD or MJCF and holds no object.urdf",
-                "give assets or folders of assets",
-            )
+            raise InputFileError(path, NO_MODEL, NO_MODEL_REMEDY)
         out += found
     return list(dict.fromkeys(out))
+
+
+def _below(folder: Path) -> list[Path]:
+    """Assets that a folder is or holds; models of others only where it holds no assets."""
+    allow(folder)
+    found = _in_folder(folder) or [
+        a for child in sorted(folder.iterdir()) for a in _in_folder(child)
+    ]
+    if found:
+        return found
+    with suppress(InputFileError):
+        found = model_files.find_assets([folder])
+    return [p for p in found if is_model(p) or (p.is_dir() and model_of(p) is not None)]
 
 
 def _in_folder(folder: Path) -> list[Path]:
@@ -208,7 +221,7 @@ def export(options: ExportCommand, progress: Progress) -> Result:
         remember(workspace, package)
     physics, store = physics_settings(options.physics), shape_store(options.physics)
     check_output(options.out, *assets, *(a.parent for a in assets if a.is_file()))
-    several = len(assets) > 1 or _is_collection(options.assets)
+    several = len(assets) > 1 or _is_collection({*options.assets} - {*assets})
     tasks = []
     for asset, name in zip(assets, asset_names(assets), strict=True):
         base = options.out / name if several else options.out

@@ -26,9 +26,12 @@ from app.server.guard import Route, RouteAnswer, RouteRequest, guarded_server
 from app.server.login import Login
 from app.server.network import url
 from app.server.oidc import OidcLogin
+from app.server.uploads import keep_upload
 from model.core.errors import InputFileError, StoreError
 from model.core.files import static_assets
+from model.io.formats.loaded import DEFAULT_MAX_BYTES, read_bytes
 from model.io.model_files import find_assets, refusal
+from model.io.zips import is_zip
 from sessions.credentials import Person
 from sessions.store import Store
 
@@ -154,6 +157,11 @@ def paths_to_open(config: ServeConfig) -> list[Path]:
     for path in named:
         if not path.exists():
             raise InputFileError(path, "doesn't exist", "give a file or a folder that does")
+    uploads = Path(config.workspace) / "uploads"
+    named = [
+        keep_upload(uploads, p.name, read_bytes(p), DEFAULT_MAX_BYTES) if is_zip(p) else p
+        for p in named
+    ]
     found = find_assets(named or [static_assets() / "examples"])
     if not found:
         where = named[0] if named else static_assets() / "examples"

@@ -73,6 +73,7 @@ def open_model(
     max_bytes: int,
     progress: Progress = no_progress,
     model: UrdfModel | None = None,
+    given: Path | None = None,
 ) -> Opened:
     """Read a URDF, MJCF or USD with what lies beside it and tells more: names, a category.
 
@@ -82,15 +83,16 @@ def open_model(
         max_bytes: refuse larger meshes.
         progress: reports each link.
         model: what was read of the file already, or None.
+        given: folder that a person gave, which its meshes may lie in, too.
 
     Raises:
         InputFileError: naming the file and everything that is wrong in it.
     """
-    model = model or read_model(path, max_bytes)
+    model = model or read_model(path, max_bytes, given)
     for visual in model.visuals:
         if visual.file is not None and visual.file.is_file():
             _check_size(visual.file, max_bytes)
-    files = MaterialFiles(package_root(path))
+    files = MaterialFiles(package_root(path, given))
     if path.name == URDF and (path.parent / PROVENANCE).is_file():
         obj = load_object(path.parent, progress)
         names_of = {p.link: p.name for p in obj.parts if p.name}

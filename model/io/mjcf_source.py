@@ -12,6 +12,7 @@ with MuJoCo alone what it can do. Scenes put the object's id and a slash before.
 from __future__ import annotations
 
 import math
+import os
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
@@ -27,7 +28,19 @@ from model.core.articulated_object import AFFORDANCE_KINDS, Affordance
 from model.core.errors import InputFileError
 from model.core.geometry import quaternion_wxyz
 from model.io.formats.loaded import DEFAULT_MAX_BYTES, ReferenceRefused, read_bytes, resolve
-from model.io.robot_xml import ASSETS, DEFAULTS, KEPT, LOST, MAX_BYTES, MJCF, ROOTS, WORLD, parse
+from model.io.robot_xml import (
+    ASSETS,
+    DEFAULTS,
+    KEPT,
+    LOST,
+    LOST_VALUES,
+    MAX_BYTES,
+    MJCF,
+    ROOTS,
+    WORLD,
+    parse,
+)
+from model.io.urdf.files import package_root
 from model.io.urdf.writer import vector, xml_name
 
 if TYPE_CHECKING:
@@ -145,9 +158,9 @@ def is_mjcf(path: Path) -> bool:
 
 
 def named_files(path: Path) -> list[Path]:
-    """Possible places of the files that an MJCF names, absolute and beside it or below; as
-    ``urdf_model.named_meshes``, to find which files belong together."""
-    own = path.absolute().parent
+    """Possible places of the files that an MJCF names, absolute; as ``urdf_model.named_meshes``, to
+    find which files belong together."""
+    own, root = path.absolute().parent, package_root(path)
     out: dict[Path, None] = {}
     ahead = [path.absolute()]
     for file in ahead:
@@ -162,11 +175,11 @@ def named_files(path: Path) -> list[Path]:
         for name in names:
             for start, folder in ((s, f) for s in {own, file.parent} for f in folders):
                 try:
-                    target = resolve(f"{folder}/{name}" if folder else name, start, own)
+                    target = resolve(f"{folder}/{name}" if folder else name, start, root)
                 except ReferenceRefused:
                     continue
                 # Symbolic links aren't resolved: paths are compared with those that a search finds.
-                plain = Path(start, folder, name.replace("\\", "/"))
+                plain = Path(os.path.normpath(Path(start, folder, name.replace("\\", "/"))))
                 if target.is_file() and plain not in out:
                     out[plain] = None
                     if plain.suffix.lower() in MJCF_SUFFIXES and len(ahead) < MOST_FILES:
@@ -204,6 +217,8 @@ class _Source:
         lost = dict.fromkeys(
             LOST[e.tag] for e in top.iter() if e.tag in LOST and len(e) + len(e.attrib)
         )
+        values = ((e.tag, key) for e in top.iter() for key in e.attrib)
+        lost |= dict.fromkeys(LOST_VALUES[value] for value in values if value in LOST_VALUES)
         if lost:
             self.notes.append(f"not kept: {', '.join(lost)}")
         self.notes += MJCF.unread(top)
@@ -266,11 +281,9 @@ class _Source:
                 for folder in folders
             ]
         except ReferenceRefused as error:
-            remedy = (
-                "keep it in the model's folder"
-                if "outside" in str(error)
-                else ("write it as seen from the model")
-            )
+            remedy = "write it as seen from the model"
+            if "outside" in str(error):
+                remedy = "or keep it in the model's folder"
             raise InputFileError(self.path, f"{what} {error}", remedy) from None
         return next((p for p in tried if p.is_file()), tried[0])
 

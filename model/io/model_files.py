@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,7 @@ from model.io.urdf.files import (
     MOBILITY,
     PACKAGE,
     URDF_SUFFIX,
+    allow,
     is_anymesh,
     is_urdf,
     named_meshes,
@@ -219,20 +220,24 @@ def articulated_stage(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> UrdfMod
     return None if model is None else _with_unmoved(model)
 
 
-def read_model(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> UrdfModel:
+def read_model(
+    path: Path, max_bytes: int = DEFAULT_MAX_BYTES, given: Path | None = None
+) -> UrdfModel:
     """Read a file without loading meshes, which a USD stage holds itself; see
     ``read_urdf_model``, ``read_mjcf_model`` and ``read_usd_model``.
 
     Args:
         path: the file.
         max_bytes: refuse larger meshes where they are read at once.
+        given: folder that a person gave, which the model's files may lie in.
 
     Raises:
         InputFileError: naming the file and what is wrong in it.
         ConfigurationError: for an MJCF or USD, where MuJoCo or usd-core isn't installed.
     """
     if path.suffix.lower() in MJCF_SUFFIXES:
-        return _with_unmoved(read_mjcf_model(path, max_bytes=max_bytes))
+        root = package_root(path, given)
+        return _with_unmoved(read_mjcf_model(path, root=root, max_bytes=max_bytes))
     if path.suffix.lower() in USD_SUFFIXES:
         model = articulated_stage(path, max_bytes)
         if model is None:
@@ -240,7 +245,7 @@ def read_model(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> UrdfModel:
                 path, "holds no object with joints, or several", "open it as a scene or a mesh"
             )
         return model
-    return _with_unmoved(read_urdf_model(path))
+    return _with_unmoved(read_urdf_model(path, root=package_root(path, given)))
 
 
 def files_named_by(path: Path) -> list[Path]:
@@ -284,12 +289,14 @@ def model_of(folder: Path) -> Path | None:
     """The URDF or MJCF that tells what is in a folder; None where its part meshes do, or nothing.
 
     It is one that stands for its folder (``mobility.urdf``, ``object.urdf``, ``object.xml``), else
-    the only URDF there, or the only one in ``urdf/`` of a ROS package, else the only MJCF.
+    the only URDF there, or the only one in ``urdf/`` of a ROS package or beside ``meshes/``, else
+    the only MJCF or SDF.
     """
     named = _whole(folder)
     if named is not None or is_part_folder(folder, FOLDER_SUFFIXES):
         return named
-    return _only_urdf(folder) or _urdf_of_package(folder) or _only_mjcf(folder)
+    found = _only_urdf(folder) or _urdf_of_package(folder) or _only_mjcf(folder)
+    return found or _only(folder, is_sdf)
 
 
 def _whole(folder: Path) -> Path | None:
@@ -297,11 +304,16 @@ def _whole(folder: Path) -> Path | None:
 
 
 def _urdf_of_package(folder: Path) -> Path | None:
-    return _only_urdf(folder / "urdf") if (folder / PACKAGE).is_file() else None
+    whole = (folder / PACKAGE).is_file() or (folder / "meshes").is_dir()
+    return _only_urdf(folder / "urdf") if whole else None
 
 
 def _only_urdf(folder: Path) -> Path | None:
-    found = [p for p in folder.iterdir() if is_urdf(p)] if folder.is_dir() else []
+    return _only(folder, is_urdf)
+
+
+def _only(folder: Path, kind: Callable[[Path], bool]) -> Path | None:
+    found = [p for p in folder.iterdir() if kind(p)] if folder.is_dir() else []
     return found[0] if len(found) == 1 else None
 
 
@@ -331,6 +343,8 @@ def find_assets(paths: Iterable[str | Path]) -> list[Path]:
     for path in map(Path, paths):
         if not path.exists():
             raise InputFileError(path, "no such file or folder", "check the path")
+        if path.is_dir():
+            allow(path)
         found = _without_pieces(_search(path, set())) if path.is_dir() else [path]
         if not found:
             looked = ", ".join((*FOLDER_SUFFIXES, *MODEL_SUFFIXES))

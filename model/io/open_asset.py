@@ -44,6 +44,7 @@ from model.io.model_files import (
     model_of,
 )
 from model.io.urdf.model import UrdfModel, load_declared
+from model.io.zips import unzipped
 
 MOST_REMARKS = 50
 """A person reads no more, and a browser shows each."""
@@ -59,7 +60,7 @@ def open_asset(
     files: MaterialFiles | None = None,
     progress: Progress = no_progress,
 ) -> Asset:
-    """Open a file, a URDF or MJCF with its meshes, or a folder of part meshes.
+    """Open a file, a URDF or MJCF with its meshes, a folder of part meshes, or a zip of one object.
 
     Args:
         path: what to open.
@@ -82,7 +83,10 @@ def open_asset(
         turned_up(up_axis)
     if not (np.isfinite(unit_scale) and unit_scale > 0):
         raise ConfigurationError(f"unit scale {unit_scale} must be a positive number of metres")
-    asset = _opened(path, up_axis, unit_scale, max_bytes, files, progress)
+    with unzipped(path) as place:
+        asset = _opened(place, up_axis, unit_scale, max_bytes, files, progress)
+    if place != path and asset.source is not None:
+        asset = replace(asset, source=replace(asset.source, path=path))
     if len(asset.warnings) <= MOST_REMARKS:
         return asset
     more = f"{len(asset.warnings) - MOST_REMARKS:,} more remarks of this kind"
@@ -134,7 +138,8 @@ def _read_model(
     progress(0.0, f"reading {model.name}")
     matrix = turned_up(up_axis or "z")
     matrix[:3, :3] *= scale
-    found = open_model(model, matrix, max_bytes, progress, read)
+    given = path if path.is_dir() else None
+    found = open_model(model, matrix, max_bytes, progress, read, given)
     return Asset(
         asset_name(path),
         mesh=found.mesh,
@@ -219,7 +224,8 @@ def read_part_files(
     progress: Progress = no_progress,
 ) -> SegmentedObject:
     """Read a folder of part meshes or part clouds, all in one object frame, or any other source
-    that tells its parts: a URDF, an MJCF, a glTF file whose meshes are called after parts.
+    that tells its parts: a URDF, an MJCF, a glTF or OBJ file whose meshes are called after parts,
+    or a zip of one of these.
 
     The files of a folder are those of ``object.json`` where there is one, else ``link_*`` in
     natural order, else all mesh and cloud files. Each link is called after its file's stem.
@@ -227,7 +233,13 @@ def read_part_files(
     Raises:
         InputFileError: where a part can't be used, or a file tells no parts.
     """
-    path = Path(path)
+    with unzipped(Path(path)) as place:
+        return _part_files(place, up_axis, unit_scale, max_bytes, progress)
+
+
+def _part_files(
+    path: Path, up_axis: UpAxis | None, unit_scale: float, max_bytes: int, progress: Progress
+) -> SegmentedObject:
     if path.is_file() or (path.is_dir() and model_of(path) is not None):
         return _read_declared_parts(path, up_axis, unit_scale, max_bytes, progress)
     manifest = find_manifest(path, FOLDER_SUFFIXES)

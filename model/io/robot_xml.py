@@ -183,6 +183,13 @@ LOST = {
     "deformable": "soft bodies",
 }
 """Elements that have a remark of their own."""
+LOST_VALUES = {
+    ("joint", "armature"): "armature of joints",
+    ("geom", "friction"): "friction of surfaces",
+    ("body", "gravcomp"): "compensation of gravity",
+    ("body", "mocap"): "bodies moved by motion capture",
+}
+"""Attributes that have one."""
 _WORLD = " ".join((*WORLD, *LOST))
 
 MJCF = XmlSchema.of(

@@ -20,17 +20,21 @@ import numpy as np
 import numpy.typing as npt
 
 from model.core.articulated_object import Affordance, ArticulatedObject, Part, remarks_of
-from model.core.errors import ArtiworldError, GeometryError, InputFileError
+from model.core.errors import ArtiworldError, GeometryError, InputFileError, KinematicsError
 from model.core.files import OLD, read_json
 from model.core.geometry import affine
 from model.core.joint import DeclaredDynamics
 from model.core.progress import Progress, no_progress
 from model.core.textures import one_reading
-from model.io.geometry_files import SUFFIXES, read_geometry_file
-from model.io.model_files import articulated_stage, read_model, remarks_in
+from model.io.formats.loaded import size_of
+from model.io.geometry_files import read_geometry_file
+from model.io.model_files import articulated_stage, is_model, model_of, read_model, remarks_in
 from model.io.tree_json import affordances_in, tree_json_problems
-from model.io.urdf.model import DeclaredPhysics
+from model.io.urdf.files import URDF_SUFFIX
+from model.io.urdf.model import DeclaredPhysics, UrdfModel
+from model.io.urdf.sdf import SDF_SUFFIX
 from model.io.urdf.writer import link_origins
+from model.io.zips import unzipped
 
 FORMAT = 1
 URDF, TREE, PROVENANCE, MESHES = "object.urdf", "tree.json", "provenance.json", "meshes"
@@ -40,6 +44,12 @@ DECLARED = "told"
 """Entry of ``provenance.json`` that names the masses, joints and shapes the source declared."""
 COMPLETED = "completed"
 """Entry of ``provenance.json`` that names the completion of the parts' meshes."""
+
+NO_MODEL = "is no URDF, SDF, MJCF, or USD with joints, and holds none"
+NO_MODEL_REMEDY = (
+    "give one, a folder with an object.urdf, or a folder or zip of these; of a scan run artiworld "
+    "segment and predict first, or serve it"
+)
 
 _LOG = logging.getLogger(__name__)
 
@@ -69,27 +79,26 @@ def load_object(asset: str | Path, progress: Progress = no_progress) -> Articula
     saved asset those that its own source declared, while the others are computed again.
 
     Args:
-        asset: the folder; or a URDF or MJCF file, or a folder with an ``object.urdf`` alone, which
-            have neither category nor clouds.
+        asset: the folder; or a URDF, SDF, MJCF, or USD with joints, a folder of one (such as a ROS
+            package), or a zip of these, which have neither category nor clouds.
 
     Raises:
         InputFileError: for anything else, or a damaged file in it.
+        ConfigurationError: for an MJCF or USD, where MuJoCo or usd-core isn't installed.
     """
     path = Path(asset)
     recover(path)
-    if path.is_file():
-        if path.suffix.lower() in SUFFIXES and articulated_stage(path) is None:
-            raise InputFileError(
-                path,
-                "is no URDF or MJCF, and no USD with joints",
-                "run artiworld segment and predict on it first, or serve it",
-            )
-        obj, declared = _read(path, progress)
-        return declared.of(obj)
-    if not (path / URDF).is_file():
-        raise InputFileError(path, f"has no {URDF}", "give the folder of a saved asset, or a URDF")
-    obj, declared = _read(path / URDF, progress)
-    if not (path / PROVENANCE).is_file():
+    with unzipped(path) as place:
+        try:
+            return _load(place, progress)
+        except (GeometryError, KinematicsError) as error:
+            raise InputFileError(path, str(error), "the file is damaged") from None
+
+
+def _load(path: Path, progress: Progress) -> ArticulatedObject:
+    """The object of a folder or file."""
+    obj, declared = _read(path, progress)
+    if not (path / PROVENANCE).is_file() or not (path / URDF).is_file():
         return declared.of(obj)
     kept = read_provenance(path)["asset"]
     entries = {entry["link"]: entry for entry in kept.get("parts", [])}
@@ -127,12 +136,32 @@ def _affordances(path: Path) -> tuple[Affordance, ...]:
 
 
 def _read(path: Path, progress: Progress) -> tuple[ArticulatedObject, DeclaredPhysics]:
-    """The object of a URDF or MJCF, and the physics that the file declares."""
-    model = read_model(path)
+    """The object of a model's file or folder, and the physics that the file declares."""
+    model = _model(path)
     declared = model.declared
     for note in (*model.notes, *declared.notes):
         _LOG.warning("%s: %s", path, note)
     return model.load(progress), declared
+
+
+def _model(path: Path) -> UrdfModel:
+    """The model of a file, or of a folder with one.
+
+    Raises:
+        InputFileError: where it is none and holds none.
+    """
+    if path.is_dir():
+        file = path / URDF if (path / URDF).is_file() else model_of(path)
+        if file is not None:
+            return read_model(file, given=path)
+    elif is_model(path) or path.suffix.lower() in (URDF_SUFFIX, SDF_SUFFIX):
+        return read_model(path)
+    else:
+        size_of(path)
+        stage = articulated_stage(path)
+        if stage is not None:
+            return stage
+    raise InputFileError(path, NO_MODEL, NO_MODEL_REMEDY)
 
 
 def _listed(declared: DeclaredPhysics, entry: Any) -> DeclaredPhysics:
@@ -183,8 +212,8 @@ def declared_entry(obj: ArticulatedObject, shaped: Collection[str] = ()) -> dict
 def reading_notes(asset: str | Path, obj: ArticulatedObject) -> tuple[str, ...]:
     """Remarks on reading ``obj`` with :func:`load_object`: changes, and content that was skipped in
     its meshes or in the source they come from."""
-    path = Path(asset)
-    model = read_model(path if path.is_file() else path / URDF)
+    with unzipped(Path(asset)) as place:
+        model = _model(place)
     return (*model.notes, *model.declared.notes, *remarks_of(obj.parts))
 
 

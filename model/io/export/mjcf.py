@@ -40,6 +40,7 @@ COLLISION_GROUP = 3
 """And for those that are only felt."""
 FRICTION_IMPEDANCE = "0.999 0.9999 0.001 0.5 2"
 """MuJoCo's friction is soft by default: a lid that it should hold sinks by six degrees a second."""
+WORLD = "world"
 LEAST_AREA = 1e-12
 """m² of a material on a part; nobody sees less, and MuJoCo refuses it."""
 
@@ -83,16 +84,18 @@ class _Writer:
             self.physics.collision, self.obj.parts, self.folder, capsules=True, concave=False
         )
         affordances = find_affordances(self.obj, self.physics.collision)
-        bodies = {tree.root: ET.SubElement(world, "body", name=xml_name(tree.root))}
-        if not self.physics.fixed_base:
-            ET.SubElement(bodies[tree.root], "freejoint")
+        bodies = {tree.root: world}  # MuJoCo's own body has the name "world"
+        if xml_name(tree.root) != WORLD:
+            bodies = {tree.root: ET.SubElement(world, "body", name=xml_name(tree.root))}
+            if not self.physics.fixed_base:
+                ET.SubElement(bodies[tree.root], "freejoint")
         for i, link in enumerate(tree.order):
             progress(i / len(tree.order), f"writing {link}")
             body = bodies.get(link)
             if body is None:
                 joint = tree.joint_of[link]
                 body = bodies[link] = self._body(bodies[joint.parent], joint)
-            if link in inertials:
+            if link in inertials and body is not world:
                 self._inertial(body, inertials[link], link)
             if link in parts:
                 self._geoms(body, part_mesh(parts[link]), link, stems[link])

@@ -5,6 +5,7 @@ Files that a file names may not leave its folder.
 
 from __future__ import annotations
 
+import os
 import re
 import stat
 from collections.abc import Sequence
@@ -301,9 +302,12 @@ def resolve(reference: str, folder: Path, root: Path) -> Path:
         raise ReferenceRefused(f"{shown} is an address; only files of the folder are read")
     try:
         target = (folder / text).resolve()
-        inside = target.is_relative_to(root.resolve())
+        within = root.resolve()
     except (OSError, RuntimeError, ValueError) as error:
         raise ReferenceRefused(f"{shown} can't be followed: {error}") from None
-    if not inside:
-        raise ReferenceRefused(f"{shown} leads outside the folder {root.name or str(root)!r}")
+    if not target.is_relative_to(within):
+        both = Path(os.path.commonpath([within, target])).name
+        hint = f"; give the folder {both!r}, which would hold both" if both else ""
+        outside = f"{shown} leads outside the folder {within.name or str(root)!r}"
+        raise ReferenceRefused(outside + hint)
     return target

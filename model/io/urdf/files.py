@@ -35,6 +35,10 @@ MOBILITY = "mobility.urdf"
 """Name of an object's URDF in PartNet-Mobility."""
 PACKAGE = "package.xml"
 """File that marks the folder of a ROS package."""
+REPOSITORY = ".git"
+BORDER = "artiworld-zip"
+"""Empty file beside what a zip was unpacked to: no reference in there leaves this folder."""
+_GIVEN, _MOST_GIVEN = "ARTIWORLD_FOLDERS", 100
 PACKAGE_URI, MODEL_URI = "package://", "model://"
 _LEVELS = 4
 _FILENAME = re.compile(
@@ -49,14 +53,53 @@ def is_urdf(path: Path) -> bool:
     return path.suffix.lower() == URDF_SUFFIX and not name.startswith(".") and path.is_file()
 
 
-def package_root(path: Path) -> Path:
-    """The folder of the ROS package that a URDF belongs to, else the URDF's own folder.
+def allow(folder: Path) -> None:
+    """Let models below a folder that a person gave name files anywhere in it.
 
-    It is the nearest of the URDF's folder and the few above it that holds a ``package.xml``.
+    The environment holds the folders, where worker processes find them.
+    """
+    given = os.path.abspath(folder)
+    known = [f for f in os.environ.get(_GIVEN, "").split("\n") if f and f != given]
+    os.environ[_GIVEN] = "\n".join([*known, given][-_MOST_GIVEN:])
+
+
+def package_root(path: Path, given: Path | None = None) -> Path:
+    """The folder that the files of a model may not leave; its own, or a wider one above it.
+
+    That is the nearest of the few above it that hold a ``package.xml``, a repository's, one that a
+    person gave (``given``, or :func:`allow`), whichever is widest; of a zip its own.
     """
     own = path.absolute().parent
-    above = (own, *own.parents)[:_LEVELS]
-    return next((folder for folder in above if (folder / PACKAGE).is_file()), path.parent)
+    above = (own, *own.parents)
+    border = next((folder for folder in above if (folder / BORDER).is_file()), None)
+    if border is not None:
+        return border
+    known = {os.path.abspath(given), *_given()} if given is not None else _given()
+    package = [folder for folder in above[:_LEVELS] if (folder / PACKAGE).is_file()][:1]
+    repository = [folder for folder in above if (folder / REPOSITORY).exists()][:1]
+    wide = [*package, *repository, *(folder for folder in above if str(folder) in known)]
+    return min(wide, key=lambda folder: len(folder.parts), default=path.parent)
+
+
+def _given() -> set[str]:
+    return {*os.environ.get(_GIVEN, "").split("\n")} - {""}
+
+
+def _upwards(folder: Path, root: Path) -> list[Path]:
+    """``folder`` and those above it up to ``root``."""
+    folder, root = folder.absolute(), root.absolute()
+    above = (folder, *folder.parents)
+    return [f for f in above if f.is_relative_to(root)] or [folder, root]
+
+
+def _in_package(whole: str, folder: Path, root: Path) -> list[tuple[Path, str]]:
+    """Places of ``package/rest``, each as seen from a folder, the likeliest first: in the folder of
+    the package, wherever that is, then in any."""
+    name, _, rest = whole.partition("/")
+    starts = _upwards(folder, root)
+    exact = [(start, rest) for start in starts if start.name == name]
+    places = [*exact, *((s, whole) for s in starts), *((s, rest) for s in reversed(starts))]
+    return [(start, text) for start, text in places if text]
 
 
 def named_meshes(path: Path) -> list[Path]:
@@ -68,22 +111,21 @@ def named_meshes(path: Path) -> list[Path]:
     try:
         if path.stat().st_size > MAX_BYTES:
             return []
-        text = path.read_text("utf-8", "replace")
+        content = path.read_text("utf-8", "replace")
     except OSError:
         return []
-    own, root = os.path.abspath(path.parent), os.path.abspath(package_root(path))
+    own, root = Path(os.path.abspath(path.parent)), Path(os.path.abspath(package_root(path)))
     found: dict[str, None] = {}
-    for name in dict.fromkeys(a or b for a, b in _FILENAME.findall(text)):
+    for name in dict.fromkeys(a or b for a, b in _FILENAME.findall(content)):
         plain = unescape(name).strip().replace("\\", "/").removeprefix("file://")
         if plain.startswith(MODEL_URI):
             plain = PACKAGE_URI + plain.removeprefix(MODEL_URI)
-        places = [(own, plain)]
+        places = [(own, plain)] if plain else []
         if plain.startswith(PACKAGE_URI):
-            whole = plain.removeprefix(PACKAGE_URI)
-            places = [(at, t) for at in (root, own) for t in (whole.partition("/")[2], whole)]
-        for at, rest in places:
-            target = os.path.normpath(os.path.join(at, rest))
-            if rest and target.startswith(root + os.sep):
+            places = _in_package(plain.removeprefix(PACKAGE_URI), own, root)
+        for start, text in places:
+            target = os.path.normpath(start / text)
+            if target.startswith(str(root) + os.sep):
                 found[target] = None
     return list(map(Path, found))
 
@@ -91,8 +133,9 @@ def named_meshes(path: Path) -> list[Path]:
 def resolve_mesh(filename: str, folder: Path, root: Path) -> tuple[Path, bool]:
     """A mesh reference as a path inside ``root``, and whether only its end was found there.
 
-    ``package://name/rest`` is looked for as ``rest`` and as ``name/rest`` in ``root``, then in
-    ``folder``. A path of another machine, or of a folder that was moved, is looked for by its end.
+    ``package://name/rest`` is looked for as ``rest`` and as ``name/rest`` in ``folder`` and those
+    above it up to ``root``. A path of another machine, or of a folder that was moved, is looked for
+    by its end.
 
     Raises:
         ReferenceRefused: for an empty or remote reference, and for an absolute one or one that
@@ -108,10 +151,9 @@ def resolve_mesh(filename: str, folder: Path, root: Path) -> tuple[Path, bool]:
                 raise
             return found, True
     whole = text.removeprefix(PACKAGE_URI)
-    texts = [text for text in (whole.partition("/")[2], whole) if text]
-    inside = [resolve(text, start, root) for start in (root, folder) for text in texts]
-    if not inside:
+    if not whole:
         raise ReferenceRefused(f"{filename!r} is no file name")
+    inside = [resolve(text, start, root) for start, text in _in_package(whole, folder, root)]
     there = next((p for p in inside if p.exists()), None)
     found = there or _by_its_end(whole, folder, root)
     return found or inside[0], there is None and found is not None

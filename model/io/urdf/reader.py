@@ -46,7 +46,7 @@ _REMEDIES = {
     "at least one link": "of a xacro file, give the URDF that xacro makes of it",
     " roots instead of one": "join what stands apart by fixed joints",
     "cycle: ": "each link but one hangs on another one by one joint",
-    "leads outside": "keep the meshes in its folder, or a package.xml in the one that holds both",
+    "leads outside": "or put a package.xml there, or the meshes into the file's folder",
     "is an absolute path": "write it as seen from the URDF",
 }
 
@@ -58,8 +58,7 @@ def read_urdf(
 
     Args:
         path: the URDF.
-        root: the folder that mesh paths must not leave; by default that of the ROS package around
-            the URDF (``urdf_model.package_root``), else the URDF's own.
+        root: the folder that mesh paths must not leave; by default ``files.package_root``.
         progress: reports each link.
 
     Raises:
