@@ -19,7 +19,7 @@ from model.core.errors import InputFileError
 from model.core.files import draft_of
 from model.io.geometry_files import SUFFIXES
 from model.io.model_files import MODEL_SUFFIXES
-from model.io.urdf.files import URDF_SUFFIX
+from model.io.urdf.files import BORDER, URDF_SUFFIX
 from model.io.zips import unpack
 
 
@@ -52,6 +52,7 @@ def keep_upload(folder: Path, name: str, content: bytes, max_bytes: int) -> Path
     if not (own / safe).is_file() or (own / safe).read_bytes() != content:
         with draft_of(own / safe) as draft:
             draft.write_bytes(content)
+    (own / BORDER).touch()
     return own / safe
 
 
