@@ -28,7 +28,7 @@ LAYERS = (
 HEAVY = {
     "torch": (
         *"model.prediction.arti4urdf model.training model.segmentation.adapters".split(),
-        *"model.core.checkpoints app.cli".split(),
+        *"model.core.files app.cli".split(),
     ),
     "viser": ("app.viewer", "app.server", "app.cli"),
     "sqlalchemy": ("sessions", "app.cli"),

@@ -61,7 +61,7 @@ class Looks:
         return self.made[look]
 
     def repeat(self, geom: int) -> tuple[float, float]:
-        """How often the textures of a geom repeat along u and v."""
+        """Repetitions of a geom's textures along u and v."""
         look = int(self.model.geom_matid[geom])
         u, v = (1.0, 1.0) if look < 0 else self.model.mat_texrepeat[look].tolist()
         return u, v

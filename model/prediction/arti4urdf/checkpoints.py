@@ -26,9 +26,8 @@ from safetensors.torch import save_file
 from torch import Tensor
 
 from model.core import codec
-from model.core.checkpoints import read_safetensors, strict_load
 from model.core.errors import InputFileError
-from model.core.files import draft_of
+from model.core.files import draft_of, read_safetensors, strict_load
 from model.prediction.arti4urdf.language_model import Decoder, DecoderConfig
 from model.prediction.arti4urdf.point_bert import ULIP2, PointBert, PointBertConfig
 

@@ -18,8 +18,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from model.core.checkpoints import strict_load
 from model.core.errors import ConfigurationError, InputFileError
+from model.core.files import strict_load
 from model.core.packages import require
 from model.prediction.arti4urdf.checkpoints import (
     TOKENIZER_FILE,

@@ -19,9 +19,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from model.core.checkpoints import strict_load
 from model.core.errors import InputFileError
-from model.core.files import static_assets
+from model.core.files import static_assets, strict_load
 from model.prediction.arti4urdf import vocabulary
 from model.prediction.arti4urdf import vocabulary as v
 from model.prediction.arti4urdf.checkpoints import from_config, load_checkpoint, save_checkpoint

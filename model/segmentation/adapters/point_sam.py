@@ -21,8 +21,8 @@ from cachetools import LRUCache
 from scipy.spatial import KDTree
 
 from model.core.asset import Asset
-from model.core.checkpoints import read_safetensors, strict_load
 from model.core.errors import ConfigurationError, InputFileError
+from model.core.files import read_safetensors, strict_load
 from model.core.progress import Progress, no_progress
 from model.segmentation.arrays import Bool, Float32, Float64
 from model.segmentation.nodes import Nodes, nodes_of_asset

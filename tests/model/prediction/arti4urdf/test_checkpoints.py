@@ -15,8 +15,8 @@ pytest.importorskip("safetensors", reason="needs the extra network")
 
 from safetensors.torch import load_file, save_file  # noqa: E402
 
-from model.core.checkpoints import strict_load  # noqa: E402
 from model.core.errors import InputFileError  # noqa: E402
+from model.core.files import strict_load  # noqa: E402
 from model.prediction.arti4urdf.checkpoints import (  # noqa: E402  # noqa: E402
     ENCODER_PREFIX,
     from_config,
