@@ -89,7 +89,7 @@ def read_partnet_mobility(folder: Path) -> GroundTruth:
     """Read one PartNet-Mobility folder; see :func:`~model.io.merging.read_rigid`.
 
     Raises:
-        InputFileError: where ``mobility.urdf`` or a mesh is missing or broken.
+        InputFileError: where ``mobility.urdf``, or all meshes, are missing or broken.
     """
     obj, model, notes = read_rigid(folder / MOBILITY, folder.name)
     return GroundTruth(folder.name, obj, (*notes, *_disagreements(folder, model)))
@@ -180,7 +180,7 @@ class UrdfFolders:
         """Read one object, its rigid groups merged.
 
         Raises:
-            InputFileError: where the URDF or a mesh is missing or broken.
+            InputFileError: where the URDF or a mesh is broken, or all are missing.
         """
         obj, _, notes = read_rigid(self._path(object_id), object_id, root=self.root)
         return GroundTruth(object_id, obj, notes)
