@@ -147,13 +147,19 @@ class AddPart(Command, kind="add_part", words="add part {part}"):
 
 @dataclass(frozen=True)
 class NamePart(Command, kind="name_part", action="adjust"):
-    """Name a part: door, drawer, lid, …, or None for no name."""
+    """Name a part: door, drawer, lid, …, or None for no name.
+
+    Attributes:
+        others: parts of the same shape, which get the name too where they have none.
+    """
 
     part: int
     name: str | None
+    others: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
-        check_part(self.part)
+        for part in (self.part, *self.others):
+            check_part(part)
         name_field(self, "name", "the part's name")
 
     def describe(self) -> str:
@@ -169,7 +175,10 @@ class NamePart(Command, kind="name_part", action="adjust"):
         if known.name is None:
             # A name of one of six equal knobs holds for all that have none yet.
             first = self.part if known.like is None else known.like
-            named = [p for p in document.parts if p.name is None and first in (p.id, p.like)]
+            same = (first, *self.others)
+            named = [
+                p for p in document.parts if p.name is None and (p.id in same or p.like == first)
+            ]
         for one in named:
             document = with_part(document, replace(one, name=self.name))
         return document
@@ -334,12 +343,19 @@ class JointEdit(Command, action="adjust"):
 
 @dataclass(frozen=True)
 class SetJoint(JointEdit, kind="set_joint", words="change joint {joint.name}"):
-    """Replace the joint of ``joint.child``: type, axis, origin, limits, name or parent."""
+    """Replace the joint of ``joint.child``: type, axis, origin, limits, name or parent.
+
+    Attributes:
+        others: joints of other parts, replaced in the same step.
+    """
 
     joint: Joint
+    others: tuple[Joint, ...] = ()
 
     def _edited(self, document: Document, tree: KinematicTree) -> Edited:
-        return replace_joint(tree, self.joint), document.locked
+        for joint in (self.joint, *self.others):
+            tree = replace_joint(tree, joint)
+        return tree, document.locked
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import get_args
 
+import numpy as np
+
 from model.core.asset import UpAxis
 from model.core.errors import CommandError
-from model.segmentation.prompts import BASE
+from model.segmentation.prompts import BASE, Click
 from sessions.checks import (
     NAME_LIMIT,
     PATH_LIMIT,
@@ -30,6 +32,7 @@ from sessions.document import (
     ObjectFrame,
     PartInfo,
     Placement,
+    Position,
     RegionRef,
     as_record,
 )
@@ -210,12 +213,14 @@ class Prepare(Command, kind="prepare", words="{what}"):
         frame: the object's frame in that of the source as it is read.
         leave_out: what is left out from now on.
         what: human-readable summary of the change.
+        resizes: the size alone changes: parts and joints stay, at the new size.
     """
 
     unit_scale: float
     frame: ObjectFrame
     leave_out: LeaveOut
     what: str
+    resizes: bool = False
 
     def __post_init__(self) -> None:
         check_unit_scale(self.unit_scale, "unit_scale")
@@ -224,7 +229,12 @@ class Prepare(Command, kind="prepare", words="{what}"):
     def edit(self, document: Document, context: Context) -> Document:
         left_out = self.leave_out.record
         after = replace(document, unit_scale=self.unit_scale, frame=self.frame, left_out=left_out)
-        return document if after == document else replace(_afresh(after), joint_edits=0)
+        if after == document:
+            return document
+        if self.resizes and left_out == document.left_out:
+            before = document.unit_scale * document.frame.scale
+            return _resized(after, document, self.unit_scale * self.frame.scale / before)
+        return replace(_afresh(after), joint_edits=0)
 
 
 @dataclass(frozen=True)
@@ -263,6 +273,35 @@ class Placed(Placement, JobResult, kind="placed"):
         if placement == document.placement:
             return document
         return replace(document, placement=placement)
+
+
+def _resized(after: Document, before: Document, ratio: float) -> Document:
+    """Return ``after`` with the parts and joints of ``before``, ``ratio`` times as large."""
+    grown = np.diag([ratio, ratio, ratio, 1.0])
+
+    def place(at: Position) -> Position:
+        x, y, z = (ratio * float(v) for v in at)
+        return x, y, z
+
+    cuts = tuple(
+        replace(cut, planes=tuple(replace(p, point=place(p.point)) for p in cut.planes))
+        for cut in before.face_cuts
+    )
+    prompts = tuple(
+        replace(p, position=place(p.position)) if isinstance(p, Click) else p
+        for p in before.prompts
+    )
+    after = replace(
+        after,
+        prompts=prompts,
+        face_cuts=cuts,
+        prediction=None if before.prediction is None else before.prediction.moved(grown),
+        tree=None if before.tree is None else before.tree.moved(grown),
+    )
+    segmentation = before.segmentation
+    if segmentation is not None and before.segmentation_current:
+        after = replace(after, segmentation=replace(segmentation, prompts_key=after.key))
+    return after
 
 
 def _afresh(document: Document) -> Document:

@@ -8,6 +8,7 @@ import hashlib
 import math
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile
@@ -184,6 +185,12 @@ class OpenedAsset:
             return self.display_points
         assert self.display_vertices is not None and self.display_faces is not None
         return self.display_vertices[self.display_faces].mean(1)
+
+    @cached_property
+    def height(self) -> float:
+        """Metres from its lowest to its highest element, but for the few outermost ones."""
+        low, high = np.percentile(self.display_centers[:, 2], [0.05, 99.95])
+        return float(high - low)
 
     @property
     def diagonal(self) -> float:

@@ -48,6 +48,7 @@ from model.geometry.sampling import sample_surface
 from model.geometry.splitting import split
 from model.io.assets.asset_folder import write_draft
 from model.io.assets.reader import reload_check
+from model.kinematics.siblings import carried, fitting
 from model.kinematics.snapping import (
     axis_along_box,
     box_of,
@@ -390,6 +391,35 @@ def snap_joint(source: PartSource, tree: KinematicTree, child: str, to: str) -> 
     # Barrels parallel to the present axis give it more exactly than a contact does.
     found = on_barrels(replace(at_contact, axis=joint.axis), *both) or on_barrels(at_contact, *both)
     return found or at_contact
+
+
+def equal_parts(source: PartSource, part: int, others: tuple[int, ...]) -> tuple[int, ...]:
+    """Return those of ``others`` that have the shape of ``part``, or are its mirror image."""
+    points = {p.link: _surface_points(p) for p in parts_of(source)}
+    mine = points.get(f"link_{part}")
+    links = {k: points.get(f"link_{k}") for k in others}
+    return tuple(
+        k for k, own in links.items() if own is not None and mine is not None and fitting(mine, own)
+    )
+
+
+def joints_like(
+    source: PartSource, tree: KinematicTree, child: str, locked: frozenset[str]
+) -> tuple[Joint, ...]:
+    """Return the joints by which the parts that are equal to ``child`` move as it does.
+
+    Args:
+        locked: child links whose joints stay.
+    """
+    points = {p.link: _surface_points(p) for p in parts_of(source)}
+    joint, out = tree.joint_of[child], []
+    for own in tree.joints:
+        apart = own.child not in (child, joint.parent, *locked) and own.child in points
+        if not apart or child not in points or own.mimic is not None:
+            continue
+        for image in fitting(points[child], points[own.child])[:1]:
+            out.append(replace(carried(joint, own, image), parent=joint.parent))
+    return tuple(out)
 
 
 def change_type(source: PartSource, tree: KinematicTree, child: str, kind: JointType) -> Joint:

@@ -261,7 +261,8 @@ class Preparing:
     # --- decisions
 
     def turn(self, matrix: Array, what: str, who: str) -> None:
-        """Move the object by a (4, 4) rotation, uniform scale and shift in its present frame."""
+        """Move the object by a (4, 4) rotation, uniform scale and shift in its present frame; where
+        that only scales it, parts and joints stay."""
         self._obj.do(self._command(matrix, None, what), who)
 
     def set_unit(self, metres: float, what: str, who: str) -> None:
@@ -305,6 +306,7 @@ class Preparing:
     ) -> cmd.Prepare:
         doc = self._obj.document
         left, metres = doc.left_out, metres or doc.unit_scale
+        resizes = leave_out is None and np.array_equal(matrix, np.diag([matrix[0, 0]] * 3 + [1]))
         if leave_out is None and left is not None:
             leave_out = LeaveOut(left.elements, left.count, left.what)
         ratio = metres / doc.unit_scale
@@ -312,7 +314,7 @@ class Preparing:
         moved = matrix.copy()
         moved[:3, 3] *= ratio
         frame = ObjectFrame((x, y, z), doc.frame.wxyz, doc.frame.scale).then(moved)
-        return cmd.Prepare(metres, frame, leave_out or LeaveOut(None), what)
+        return cmd.Prepare(metres, frame, leave_out or LeaveOut(None), what, resizes)
 
     def remove(self, chosen: str, what: str, who: str) -> None:
         """Leave out stored elements of the present asset."""

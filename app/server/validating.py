@@ -13,7 +13,7 @@ from app.server.object_context import ObjectContext
 from app.server.part_tasks import validate_joints
 from model.core.errors import CommandError
 from model.core.tree import KinematicTree
-from model.validation.examine import with_low_confidence, with_unknown_names
+from model.validation.examine import with_low_confidence, with_unknown_names, with_unusual_height
 from model.validation.report import Fix, JointReport, Severity, ValidationReport
 from sessions.document import Document, link_problems
 from sessions.project_settings import ProjectSettings
@@ -25,8 +25,9 @@ REPORTS_KEPT = 16
 Revision = tuple[KinematicTree, str, bool | None]
 """The subject of a report: the tree, the reference of the labels, whether parts are completed."""
 
-Context = tuple[tuple[tuple[str, float], ...], tuple[tuple[str, str], ...], str | None]
-"""Child link and confidence of each joint that no person edited; names that aren't allowed."""
+Context = tuple[Hashable, ...]
+"""Child link and confidence of each joint that no person edited; names that aren't allowed; the
+category and the height."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,8 +100,8 @@ class Validation:
 
     @property
     def report(self) -> ValidationReport | None:
-        """The report on the present joints and parts, with low confidence and unknown names; None
-        while there is none. The same object until something changes."""
+        """The report on the present joints and parts, with low confidence, unknown names and an
+        unusual size; None while there is none. The same object until something changes."""
         document = self._obj.document
         revision = self._revision(document)
         report = None if revision is None else self._reports.get(revision)
@@ -108,12 +109,14 @@ class Validation:
             return None
         confidence = document.predicted_confidence
         names, category = unknown_names(document, self._obj.services.store.project.settings)
-        context = tuple(sorted(confidence.items())), tuple(names.items()), category
+        sized = document.category, self._obj.own_height
+        context = tuple(sorted(confidence.items())), tuple(names.items()), category, sized
         key = revision, context
         complete = self._complete.get(key)
         if complete is None:  # setdefault: all tabs get the same one, also two at a time
             report = with_low_confidence(report, revision[0], confidence)
             report = with_unknown_names(report, revision[0], names, category)
+            report = with_unusual_height(report, revision[0], *sized)
             complete = self._complete.setdefault(key, report)
         return complete
 

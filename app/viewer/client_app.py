@@ -164,9 +164,7 @@ class ClientApp:
         self.comments = Comments(tab, self._presses, lambda: self.picture.comments)
         self._folders = {s: gui.add_folder(None, visible=s == "Annotate") for s in STEPS}
         with self._folders["Prepare"]:
-            self.prepare = PrepareStep(
-                tab, self.pointing, self.picture, lambda: self.annotate.likely_category
-            )
+            self.prepare = PrepareStep(tab, self.pointing, self.picture)
         with self._folders["Annotate"]:
             self.annotate = AnnotateStep(
                 tab,

@@ -18,7 +18,7 @@ from model.core.errors import GeometryError, KinematicsError
 from model.core.geometry import Mesh, PointCloud
 from model.core.joint import Joint
 from model.core.shapes import Shape, moved_shape
-from model.core.tree import KinematicTree
+from model.core.tree import KinematicTree, moved_joint
 
 AffordanceKind = Literal["grasp", "hook", "push", "turn"]
 AFFORDANCE_KINDS: tuple[AffordanceKind, ...] = get_args(AffordanceKind)
@@ -333,3 +333,9 @@ class Prediction:
     def joint(self, child: str) -> Joint | None:
         """The joint of ``child``, or None."""
         return None if self.tree is None else self.tree.joint_of.get(child)
+
+    def moved(self, matrix: npt.NDArray[np.float64]) -> Prediction:
+        """The answer after (4, 4) ``matrix`` has moved the object."""
+        others = {k: tuple(moved_joint(j, matrix) for j in v) for k, v in self.alternatives.items()}
+        tree = None if self.tree is None else self.tree.moved(matrix)
+        return replace(self, tree=tree, alternatives=others)

@@ -211,6 +211,12 @@ def moving_chain(tree: KinematicTree, link: str, holds: Callable[[str], bool]) -
     return tuple(chain)
 
 
+def moved_joint(joint: Joint, matrix: npt.NDArray[np.float64]) -> Joint:
+    """A joint on its own after (4, 4) ``matrix`` has moved the object; it follows no other."""
+    alone = replace(joint, mimic=None)
+    return KinematicTree((joint.parent, joint.child), (alone,)).moved(matrix).joints[0]
+
+
 def _moved(
     joint: Joint,
     matrix: npt.NDArray[np.float64],

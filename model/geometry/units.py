@@ -39,11 +39,13 @@ class UnusualHeight:
 
     Attributes:
         low, high: the usual range, metres.
+        question: human-readable, such as "4.3 m high; oven: usually 0.55 to 1 m.".
         proposed: its middle.
     """
 
     low: float
     high: float
+    question: str
 
     @property
     def proposed(self) -> float:
@@ -53,10 +55,13 @@ class UnusualHeight:
 
 def unusual_height(category: str | None, height: float) -> UnusualHeight | None:
     """Check a height in metres against those of a category; None where it is usual or unknown."""
-    usual = USUAL_HEIGHTS.get((category or "").replace(" ", "").lower())
+    category = (category or "").lower()
+    usual = USUAL_HEIGHTS.get(category.replace(" ", ""))
     if usual is None or usual[0] / _UNUSUAL <= height <= usual[1] * _UNUSUAL:
         return None
-    return UnusualHeight(*usual)
+    low, high = usual
+    text = f"{height:.2g} m high; {category}: usually {low:.2g} to {high:.2g} m."
+    return UnusualHeight(low, high, text)
 
 
 def category_of(name: str) -> str | None:

@@ -16,12 +16,14 @@ from model.core import names
 from model.core.articulated_object import ArticulatedObject
 from model.core.joint import Joint
 from model.core.tree import KinematicTree, driven
+from model.geometry.units import unusual_height
 from model.kinematics.surface import Surface
 from model.kinematics.sweep import Sweep, sweep_joint, sweep_path
 from model.validation import messages
 from model.validation.messages import interval, length, value
 from model.validation.report import (
     Finding,
+    Fix,
     JointReport,
     Kind,
     Severity,
@@ -90,14 +92,18 @@ def examine(scene: Scene, joint: Joint) -> list[Finding]:
     found = limit_findings(scene, joint)
     joint = driven(scene.obj.tree, joint)
     lower, upper = joint.motion_range
-    if upper - lower < _empty(scene, joint):
-        return found
+    empty = upper - lower < _empty(scene, joint)
+    return found + ([] if empty else examine_motion(scene, joint))
+
+
+def examine_motion(scene: Scene, joint: Joint) -> list[Finding]:
+    """Check for collisions over the range of ``joint``, and whether its part comes off."""
     sweep = sweep_joint(
         scene.obj, joint, scene.samples, tolerance=scene.tolerance, points=scene.points
     )
     collision = collision_finding(scene, joint, sweep)
     off = detached_finding(scene, joint)
-    return found + [f for f in (collision, off) if f is not None]
+    return [f for f in (collision, off) if f is not None]
 
 
 def _empty(scene: Scene, joint: Joint) -> float:
@@ -336,19 +342,14 @@ def with_low_confidence(
     Returns:
         ``report`` itself where no joint is likely wrong.
     """
-    unlikely = [j for j in tree.joints if confidence.get(j.child, 1.0) < UNLIKELY]
-    if not unlikely:
-        return report
-    joints = {j.joint: j for j in report.joints}
-    for joint in unlikely:
-        percent = f"{100 * confidence[joint.child]:.0f}"
-        message = messages.LOW_CONFIDENCE.format(percent=percent)
-        q = {joint.name: _far_end(joint)} if joint.moves else {}
-        before = joints.get(joint.name, JointReport(joint.name, joint.child))
-        finding = Finding("unsure", Severity.WARNING, message, q=q)
-        findings = worst_first((*before.findings, finding))
-        joints[joint.name] = replace(before, findings=findings)
-    return replace(report, joints=tuple(sorted(joints.values(), key=lambda j: j.sort_key)))
+    found = []
+    for joint in tree.joints:
+        if confidence.get(joint.child, 1.0) < UNLIKELY:
+            percent = f"{100 * confidence[joint.child]:.0f}"
+            message = messages.LOW_CONFIDENCE.format(percent=percent)
+            q = {joint.name: _far_end(joint)} if joint.moves else {}
+            found.append((joint.child, Finding("unsure", Severity.WARNING, message, q=q)))
+    return _with(report, tree, found)
 
 
 def _far_end(joint: Joint) -> float:
@@ -356,6 +357,18 @@ def _far_end(joint: Joint) -> float:
     if joint.lower is None or joint.upper is None:
         return math.pi / 2
     return max(joint.lower, joint.upper, key=abs)
+
+
+def with_unusual_height(
+    report: ValidationReport, tree: KinematicTree, category: str | None, height: float | None
+) -> ValidationReport:
+    """Add a warning about the root where ``height`` (metres) is unusual for the category."""
+    odd = None if height is None else unusual_height(category, height)
+    if odd is None or height is None:
+        return report
+    to = f"{odd.proposed:.2g}"
+    fix = Fix("size", None, messages.FIX_SIZE.format(height=to), to, odd.proposed / height)
+    return _with(report, tree, [(tree.root, Finding("size", Severity.WARNING, odd.question))], fix)
 
 
 def with_unknown_names(
@@ -372,15 +385,22 @@ def with_unknown_names(
         ``report`` itself where all names are allowed. What is about the root, which has no joint,
         has "" as joint.
     """
-    found = [(link, messages.PART_NAME.format(name=name)) for link, name in parts.items()]
+    wrong = [(link, messages.PART_NAME.format(name=name)) for link, name in parts.items()]
     if category is not None:
-        found.append((tree.root, messages.CATEGORY_NAME.format(name=category)))
+        wrong.append((tree.root, messages.CATEGORY_NAME.format(name=category)))
+    return _with(report, tree, [(k, Finding("name", Severity.ERROR, text)) for k, text in wrong])
+
+
+def _with(
+    report: ValidationReport, tree: KinematicTree, found: list[tuple[str, Finding]], *fixes: Fix
+) -> ValidationReport:
+    """Add findings to those of the joints that move links; the fixes are for all of them."""
     if not found:
         return report
     joints = {j.child: j for j in report.joints}
-    for link, message in found:
+    for link, finding in found:
         joint = tree.joint_of.get(link)
         before = joints.get(link, JointReport("" if joint is None else joint.name, link))
-        finding = Finding("name", Severity.ERROR, message)
-        joints[link] = replace(before, findings=worst_first((*before.findings, finding)))
+        findings = worst_first((*before.findings, finding))
+        joints[link] = replace(before, findings=findings, fixes=(*before.fixes, *fixes))
     return replace(report, joints=tuple(sorted(joints.values(), key=lambda j: j.sort_key)))

@@ -19,8 +19,9 @@ from model.kinematics.contact import contact_between
 from model.kinematics.snapping import box_of
 from model.kinematics.sweep import sweep_joint
 from model.validation import messages
-from model.validation.examine import Scene, attached_range, collision_finding, detached_finding
+from model.validation.examine import Scene, attached_range, examine_motion
 from model.validation.report import Finding, Fix, Severity
+from model.validation.siblings import like_fix
 
 FIXABLE = ("collision", "jammed", "detached", "limits")
 LEAST_ANGLE, LEAST_SLIDE = math.radians(3.0), 0.01
@@ -36,16 +37,17 @@ FloatArray = npt.NDArray[np.float64]
 
 
 def find_fixes(scene: Scene, joint: Joint, findings: Iterable[Finding]) -> tuple[Fix, ...]:
-    """Fixes of a joint, best first: the other direction, another axis, a shorter range, smaller
-    collision shapes."""
+    """Fixes of a joint, best first: the motion of an equal part, the other direction, another axis,
+    a shorter range, smaller collision shapes."""
     if joint.mimic is not None:
         return ()
     problems = [f for f in findings if f.severity != Severity.OK]
     bad = [f for f in problems if f.kind in FIXABLE]
     shrink = _shrink(joint, problems)
+    unlike = [f.other for f in problems if f.kind == "siblings" and f.other is not None]
+    out = [fix for other in unlike for fix in like_fix(scene, joint, other)]
     if not bad:
-        return shrink
-    out: list[Fix] = []
+        return (*out, *shrink)
     # Axis and direction are hardly the cause of a warning.
     errors = [f.kind for f in bad if f.severity == Severity.ERROR and f.kind != "limits"]
     if "collision" in errors or "jammed" in errors:
@@ -69,13 +71,8 @@ def _shrink(joint: Joint, problems: Iterable[Finding]) -> tuple[Fix, ...]:
 
 def _is_fixed(scene: Scene, joint: Joint) -> bool:
     """True if ``joint`` neither collides nor leaves its support over its range."""
-    sweep = sweep_joint(
-        scene.obj, joint, scene.samples, tolerance=scene.tolerance, points=scene.points
-    )
-    changed = scene.with_joint(joint)
-    hit = collision_finding(changed, joint, sweep)
-    off = detached_finding(changed, joint)
-    return all(f is None or f.severity == Severity.OK for f in (hit, off))
+    found = examine_motion(scene.with_joint(joint), joint)
+    return all(f.severity == Severity.OK for f in found)
 
 
 def _flip(scene: Scene, joint: Joint) -> list[Fix]:

@@ -31,6 +31,9 @@ COMES_OFF = "Comes off {support}: {gap} gap at {at}."
 LIFTS_OFF = "Lifts off {support}: {gap} gap at {at}."
 SLIDES_OUT = "Slides out of {support}: {gap} gap at {at}."
 SLIDES_OFF = "Slides off {support}: {gap} gap at {at}."
+MOVES_ACROSS = "Moves across {other}, which has the same shape."
+MOVES_AGAINST = "Moves the other way than {other}, which has the same shape."
+MOVES_OTHERWISE = "Moves otherwise than {other}, which has the same shape."
 UNNAMED_PART = "another part"
 
 # Simulation
@@ -55,6 +58,8 @@ FIX_FLIP = "Flip the direction: the other way is free."
 FIX_AXIS = "Shift the axis to the contact line."
 FIX_AXIS_AND_FLIP = "Shift the axis to the contact line and flip the direction."
 FIX_RANGE = "Set the range to {range}."
+FIX_LIKE = "Give it the joint of {other}, at its own place."
+FIX_SIZE = "Resize it to {height} m; parts and joints stay."
 FIX_SHRINK = "Shrink the blocking collision shapes; the visible geometry stays."
 
 # Progress

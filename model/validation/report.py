@@ -86,12 +86,12 @@ _RANKS = {severity: k for k, severity in enumerate(Severity)}
 
 Kind = Literal[
     "geometry", "jammed", "floating", "limits", "collision", "detached", "physics", "combination",
-    "unsure", "name",
+    "siblings", "size", "unsure", "name",
 ]  # fmt: skip
 """Checks, in the order of equally bad findings; "unsure" is the written name of a low
 confidence."""
 KINDS: tuple[Kind, ...] = Kind.__args__  # type: ignore[attr-defined]
-FixKind = Literal["flip", "shift", "limits", "shrink"]
+FixKind = Literal["like", "flip", "shift", "limits", "shrink", "size"]
 
 
 @dataclass(frozen=True)
@@ -124,17 +124,22 @@ def worst_first(findings: Iterable[Finding]) -> tuple[Finding, ...]:
 
 @dataclass(frozen=True)
 class Fix:
-    """A changed joint in which validation no longer finds what the fix is for.
+    """A change after which validation no longer finds what the fix is for.
 
     Attributes:
-        kind: flip the direction, shift the axis, set the limits, or shrink the collision shapes.
-        joint: takes the place of its child's joint.
+        kind: move like an equal part, flip the direction, shift the axis, set the limits, shrink
+            the collision shapes, or change the object's size.
+        joint: takes the place of its child's joint; None where the object is resized.
         message: human-readable.
+        value: the part or the size that the fix is named after, human-readable; else "".
+        scale: of the object's new size over its present one.
     """
 
     kind: FixKind
-    joint: Joint
+    joint: Joint | None
     message: str
+    value: str = ""
+    scale: float = 1.0
 
 
 @dataclass(frozen=True)

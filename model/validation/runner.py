@@ -35,6 +35,7 @@ from model.validation.report import (
     ValidationReport,
     worst_first,
 )
+from model.validation.siblings import unlike_findings
 from model.validation.support import loose_parts
 
 POSES = 12
@@ -227,6 +228,8 @@ def _check_motion(scene: Scene, found: Findings, seed: int, progress: Progress) 
         name = display_name(obj, joint.child)
         progress(0.55 * k / max(len(moving), 1), messages.SWEEPING.format(part=name))
         found[joint.name] += examine(scene, joint)
+    for name, finding in unlike_findings(scene, found).items():
+        found.setdefault(name, []).append(finding)
     known = frozenset(
         frozenset((link, f.other))
         for joint in moving

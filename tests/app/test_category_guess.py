@@ -62,6 +62,8 @@ def test_a_name_that_tells_nothing_takes_what_was_said_last_of_its_series() -> N
     assert category_guesses(mine, queue) == ("Oven", "StorageFurniture", "Safe")
     assert category_guesses(record(7, "/data/office_chair.glb"), queue, "me") == ("Chair",)
     assert category_guesses(record(8, "/data/thing.glb"), queue, "me") == (), "no series"
+    numbered = [record(9, "/data/7179.obj", "Oven", "2026-01-01T10:00:00")]
+    assert category_guesses(record(10, "/data/7296.obj"), numbered, "me") == (), "no name"
 
 
 def test_many_short_ones_fit_one_row_too() -> None:
@@ -69,8 +71,8 @@ def test_many_short_ones_fit_one_row_too() -> None:
     said = ("Chair", "Laptop", "Kettle", "Lamp", "Safe")
     times = [f"2026-01-01T1{9 - i}:00:00" for i in range(len(said))]
     rows = enumerate(zip(said, times, strict=True), start=2)
-    queue = [record(i, f"/data/{i}.ply", category, at) for i, (category, at) in rows]
-    assert category_guesses(record(1, "/data/1.ply"), queue) == (
+    queue = [record(i, f"/data/scan_{i}.ply", category, at) for i, (category, at) in rows]
+    assert category_guesses(record(1, "/data/scan_1.ply"), queue) == (
         *"Chair Laptop Kettle Lamp".split(),
     )
 

@@ -11,7 +11,7 @@ import trimesh
 from app.server import part_tasks
 from model.core.joint import Joint
 from model.core.tree import KinematicTree
-from tests.builders import part
+from tests.builders import box, part
 
 
 @pytest.mark.parametrize("guess", [(0.01, -0.005), (0.1, -0.01)])
@@ -53,3 +53,28 @@ def test_each_joint_of_a_part_snaps_to_that_part(monkeypatch: pytest.MonkeyPatch
         assert snapped(joint.child, "Contact").origin[2] == pytest.approx(0.4, abs=0.02)
     upper = snapped("helper_1", "free range").upper
     assert upper is not None and upper > 0.3
+
+
+def test_equal_parts_are_found_and_get_the_joint_mirrored_where_they_are(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Two doors beside each other with knobs in the middle, and a drawer below them."""
+    doors = [
+        (box([0.01, -0.02, 0], [0.5, 0, 0.8]), box([0.04, -0.06, 0.3], [0.08, -0.02, 0.34])),
+        (box([-0.5, -0.02, 0], [-0.01, 0, 0.8]), box([-0.08, -0.06, 0.3], [-0.04, -0.02, 0.34])),
+    ]
+    parts = (
+        part("link_0", box([-0.5, 0, -0.3], [0.5, 0.5, 0.8])),
+        *(part(f"link_{k}", *pieces) for k, pieces in enumerate(doors, start=1)),
+        part("link_3", box([-0.5, -0.02, -0.3], [0.5, 0, -0.01])),
+    )
+    monkeypatch.setattr(part_tasks, "parts_of", lambda _: parts)
+    assert part_tasks.equal_parts(cast(Any, None), 1, (2, 3)) == (2,)
+    right = Joint("a", "revolute", "link_0", "link_1", (0, 0, 1), (0.5, 0, 0.4), 0.0, 1.5)
+    still = [Joint(n, "fixed", "link_0", f"link_{k}") for k, n in ((2, "b"), (3, "c"))]
+    tree = KinematicTree(("link_0", "link_1", "link_2", "link_3"), (right, *still))
+    (left,) = part_tasks.joints_like(cast(Any, None), tree, "link_1", frozenset())
+    assert (left.name, left.child, left.type, left.upper) == ("b", "link_2", "revolute", 1.5)
+    assert left.axis == pytest.approx((0, 0, -1)) and left.origin[0] == pytest.approx(-0.5)
+    assert not part_tasks.joints_like(cast(Any, None), tree, "link_1", frozenset({"link_2"}))
+    assert not part_tasks.joints_like(cast(Any, None), tree, "link_3", frozenset())

@@ -127,6 +127,32 @@ def test_a_broken_object_is_mended_or_accepted_with_a_reason(cupboard: OpenObjec
     assert np.isfinite(gate["joints"][0]["depth"])
 
 
+def test_an_unlikely_size_is_a_warning_and_its_fix_keeps_the_work(cupboard: OpenObject) -> None:
+    obj = cupboard
+    if obj.document.review.state == "accepted":
+        obj.do(cmd.Reopen(), "tester")
+    obj.do(cmd.SetJoint(DOOR), "tester")
+    judged(obj)
+    obj.do(cmd.SetCategory("Refrigerator"), "tester")
+    assert judged(obj).of("").message == "0.4 m high; refrigerator: usually 1.5 to 1.9 m."
+    with pytest.raises(UnseenWarningsError, match=r"1 warning\. base: 0\.4 m high"):
+        accept(obj, "", "tester")
+    fix = obj.validation.fix("", "size")
+    before = obj.document
+    obj.preparing.turn(np.diag([fix.scale] * 3 + [1.0]), "1.7 m high", "tester")
+    doc = obj.document
+    assert doc.tree.by_name["door"].origin == pytest.approx([fix.scale * v for v in DOOR.origin])
+    assert doc.segmentation_current and not doc.prediction_stale
+    assert (doc.prompts, doc.segmentation.labels) == (before.prompts, before.segmentation.labels)
+    wait_until(lambda: obj.asset and "open" not in obj.jobs, "it is read again")
+    assert obj.asset.bounds[1, 2] == pytest.approx(1.69, abs=0.01)
+    assert judged(obj).severity == Severity.OK
+    for _ in range(2):
+        obj.do(cmd.Undo(), "tester")
+    wait_until(lambda: obj.asset and "open" not in obj.jobs, "it is read again")
+    assert (obj.document.tree, obj.document.category) == (before.tree, None)
+
+
 def test_an_asset_comes_back_where_the_next_one_is_not_accepted(cupboard: OpenObject) -> None:
     obj = cupboard
     notes: list[str] = []

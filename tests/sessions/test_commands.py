@@ -28,6 +28,9 @@ NEWER_FIELDS = {
     "reject": {"decided_at": "", "joint": "", "place": None, "listed": False},
     "remove_prompt": {"count": 1},
     "decide_objects": {"looked": False},
+    "prepare": {"resizes": False},
+    "name_part": {"others": []},
+    "set_joint": {"others": []},
 }
 """What later versions added, with its default."""
 NEWER_REGION = {"like": None}

@@ -60,6 +60,12 @@ def test_one_name_is_for_all_that_were_found_alike():
     assert state_from_json(state_to_json(own)) == own
 
 
+def test_one_name_is_for_equal_parts_that_nobody_named():
+    named = cmd.NamePart(1, "door", (2, 3))
+    state = done(*(cmd.AddPart(k, "drawer" if k == 3 else None) for k in (1, 2, 3)), named)
+    assert state.present.part_names == {1: "door", 2: "door", 3: "drawer"}
+
+
 def test_parts_stay_alike_when_the_first_is_deleted():
     state = done(cmd.AddClick(Click((0, 0, 0), 1)), alike(2, 3), cmd.DeletePart(1))
     state = apply(state, cmd.AddClick(Click((1, 0, 0), 1)), HERE)

@@ -139,11 +139,14 @@ class JointEditor:
             words.LIMITS, (words.FREE_RANGE, words.CLOSED), hint=words.LIMITS_HINT
         )
         self._gizmo = gui.add_button(words.HANDLES, icon=viser.Icon.AXIS_X, color="gray")
+        self._copy = gui.add_button(
+            words.COPY, icon=viser.Icon.COPY, color="gray", hint=words.COPY_HINT
+        )
         self._name = gui.add_text(words.FILE_NAME, "", hint=words.FILE_NAME_HINT)
         self._locked = gui.add_checkbox(words.LOCK, False, hint=words.LOCK_HINT)
         self._reset = gui.add_button(words.reset_to(False), color="gray")
         numbers = (self._axis, self._origin, self._lower, self._upper)
-        others = (self._gizmo, self._name, self._locked, self._reset)
+        others = (self._gizmo, self._copy, self._name, self._locked, self._reset)
         self._edits = (self._type, self._parent, *numbers, *others)
         self._wire()
 
@@ -170,6 +173,7 @@ class JointEditor:
         )
         self._free.on_click(lambda e: tab.act(lambda: self._limits(e.target.value)))
         self._gizmo.on_click(lambda _: tab.act(motion.toggle_handles))
+        self._copy.on_click(lambda _: tab.act(self.copy_to_equal))
         self._reset.on_click(lambda _: tab.act(self._reset_joint))
 
     # --- what the user does
@@ -247,6 +251,22 @@ class JointEditor:
 
     def _likely_joints(self) -> tuple[Joint, ...]:
         return self._tab.selection.need_object().document.likely_joints(self._need_joint())
+
+    def copy_to_equal(self) -> None:
+        """Give the parts of the same shape the selected joint, as one step."""
+        obj, joint = self._tab.selection.need_object(), self._need_joint()
+        doc = obj.document
+        assert doc.tree is not None
+        job = self._worker.submit(
+            part_tasks.joints_like, obj.source(), doc.tree, joint.child, doc.locked, priority=EDITS
+        )
+        found: tuple[Joint, ...] = job.result(SNAP_SECONDS)
+        if not found:
+            self._tab.notify(words.UNCHANGED, words.NONE_EQUAL, "gray")
+            return
+        self._tab.do(cmd.SetJoint(joint, found))
+        titles = ", ".join(joint_title(doc, j.child) for j in found)
+        self._tab.notify(words.COPIED, words.copied(titles), "green")
 
     def flip(self) -> None:
         """Turn the axis round; the limits stay, so the part opens to the other side (F)."""

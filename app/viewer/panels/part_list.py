@@ -13,6 +13,8 @@ from typing import Any, Final
 
 import viser
 
+from app.server import part_tasks
+from app.server.jobs import EDITS
 from app.server.tool_tasks import NEXT_MASK
 from app.viewer.input.pointing import Pointing
 from app.viewer.panels.widgets import Choice, Presses, button, icon, offered, put
@@ -76,9 +78,10 @@ def category_guesses(
 
 
 def _alike(one: ObjectRecord, other: ObjectRecord) -> bool:
-    """True if two objects have the same name but for numbers, as those of one series."""
+    """True if two objects have the same name but for numbers, as those of one series; numbers
+    alone are names of many series."""
     a, b = (re.sub(r"\d+", "", r.path.stem).lower() for r in (one, other))
-    return a == b
+    return a == b and any(map(str.isalpha, a))
 
 
 @lru_cache(maxsize=4096)
@@ -219,6 +222,9 @@ class QuickNames:
 
 
 PARTS_SHOWN = 200
+ALIKE = 0.3
+"""Difference of two equal parts' areas, in one of them: scans show more of one than of another."""
+NAME_SECONDS = 30.0
 
 
 class PartList:
@@ -252,11 +258,7 @@ class PartList:
         if part and part not in {p.id for p in self._document().parts}:
             self._tab.do(cmd.AddPart(part, name))
             return
-        before = len(self._document().part_names)
-        self._tab.do(cmd.NamePart(part, name))
-        more = len(self._document().part_names) - before - 1
-        if name and more > 0:
-            self._tab.notify(*words.named_too(name, more), "green")
+        name_part(self._tab, part, name)
 
     def _clicked(self, part: int) -> None:
         if self._pointing.armed == "merge":
@@ -330,6 +332,24 @@ class PartList:
             trash = icon(viser.Icon.TRASH)
             row += button("part delete", "", words.DELETE_THIS, content=trash, style="aw-icon")
         return f'<div class="aw-part">{row}</div>'
+
+
+def name_part(tab: Tab, part: int, name: str | None) -> None:
+    """Name a part; unnamed parts of the same shape get the name too."""
+    obj = tab.selection.need_object()
+    doc, shares = obj.document, obj.segmenting.shares
+    known, mine, others = doc.part(part), shares.get(part, 0.0), ()
+    if name and known is not None and known.name is None and doc.segmentation_current:
+        free = (p.id for p in doc.parts if p.id not in (BASE, part) and p.name is None)
+        others = tuple(k for k in free if 1 - ALIKE < shares.get(k, 0.0) / (mine or 1) < 1 + ALIKE)
+    if others:  # some are as large
+        task = part_tasks.equal_parts
+        job = obj.lane.geometry.submit(task, obj.source(), part, others, priority=EDITS)
+        others = job.result(NAME_SECONDS)
+    tab.do(cmd.NamePart(part, name, others))
+    more = len(obj.document.part_names) - len(doc.part_names) - 1
+    if name and more > 0:
+        tab.notify(*words.named_too(name, more), "green")
 
 
 def parts_listed(parts: Iterable[int], chosen: int) -> list[int]:

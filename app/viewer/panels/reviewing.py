@@ -13,6 +13,7 @@ from itertools import cycle
 from pathlib import Path
 from typing import Any, cast
 
+import numpy as np
 import viser
 
 from app.server.bulk import BulkWork
@@ -126,7 +127,6 @@ class RejectButtons:
 
 SHOWN = 8
 """Joints with buttons; the others are counted."""
-_FIX_OF: dict[str, FixKind] = {word: kind for kind, word in words.FIXES.items()}
 
 
 class ValidationList:
@@ -202,11 +202,15 @@ class ValidationList:
         self._tab.selection.set_step("Review")
         self.show(found[(at + 1) % len(found)])
 
-    def _fix(self, joint: str, label: str) -> None:
+    def _fix(self, joint: str, kind: FixKind) -> None:
         tab = self._tab
-        fix = tab.selection.need_object().validation.fix(joint, _FIX_OF[label])
+        obj = tab.selection.need_object()
+        fix = obj.validation.fix(joint, kind)
         self._motion.reset()
-        tab.do(cmd.SetJoint(fix.joint))
+        if fix.joint is not None:
+            tab.do(cmd.SetJoint(fix.joint))
+        else:
+            obj.preparing.turn(np.diag([fix.scale] * 3 + [1.0]), fix.message, tab.user)
         tab.notify(words.FIXED, words.fixed(fix.message), "green")
 
     # --- drawing
@@ -256,10 +260,12 @@ class ValidationList:
             lines.append(words.also(plain(", ".join(titles[1:]), 200)))
         self._rows += [button, gui.add_markdown("  \n".join(lines))]
         if report.fixes:
-            labels = tuple(words.FIXES[f.kind] for f in report.fixes)
+            kinds: dict[str, FixKind] = {
+                words.FIXES[f.kind].format(value=f.value): f.kind for f in report.fixes
+            }
             hint = " ".join(f.message for f in report.fixes)
-            fixes = gui.add_button_group(words.FIX, labels, hint=hint)
-            fixes.on_click(lambda e: tab.act(lambda: self._fix(joint, e.target.value)))
+            fixes = gui.add_button_group(words.FIX, tuple(kinds), hint=hint)
+            fixes.on_click(lambda e: tab.act(lambda: self._fix(joint, kinds[e.target.value])))
             self._rows.append(fixes)
 
 

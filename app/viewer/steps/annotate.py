@@ -12,14 +12,14 @@ from app.server.open_object import OpenObject
 from app.viewer.input.pointing import Pointing
 from app.viewer.panels.comments import Instructions
 from app.viewer.panels.extracting import SourcePanel
-from app.viewer.panels.part_list import CategoryGuess, PartList, PromptList
+from app.viewer.panels.part_list import CategoryGuess, PartList, PromptList, category_in
 from app.viewer.panels.widgets import Choice, PredictButtons, Presses, offered, put
 from app.viewer.picture import palette
 from app.viewer.picture.stage import may_be_a_room
 from app.viewer.steps.prepare import PrepareStep
 from app.viewer.tab import Tab
 from app.viewer.words import annotate as words
-from app.viewer.words.prepare import PREPARE
+from app.viewer.words.prepare import PREPARE, SEARCHING
 from model.segmentation.prompts import BASE, Click
 from sessions import commands as cmd
 from sessions.database import ObjectRecord
@@ -140,6 +140,7 @@ class AnnotateStep:
             selection.picking,
             doc.segmentation is None,
             id(obj.preparing.current),
+            "prepare" in obj.busy,
             id(obj.likeness.offer),
             self._project.settings,
         )
@@ -149,7 +150,7 @@ class AnnotateStep:
             self.instructions.draw()
             self._category.offer(offered(settings.categories, palette.CATEGORIES, settings.strict))
             self._draw_hint(obj, doc)
-            ready = doc.segmentation is not None and not self._room.visible
+            ready = doc.segmentation is not None and self._room.color != "blue"
             self._predict.show(not selection.picking, "blue" if ready else "gray")
             picking = selection.picking  # what is taken out is named above
             self._category.show(doc.category, not picking)
@@ -166,25 +167,32 @@ class AnnotateStep:
         wide = asset is not None and may_be_a_room(asset.bounds)
         room = wide and not self._tab.in_scene and doc.placement is None
         whole = room and doc.left_out is None and not doc.prompts
+        # A name or a category says that it is one thing, at whatever size.
+        named = doc.category or category_in(obj.record.path.stem)
+        sure = room and named is None and doc.tree is None
+        searching = sure and "prepare" in obj.busy
         noticed = self._prepare.notice(obj)
         put(self._to_prepare, visible=noticed is not None)
-        alike = None if room or noticed or selection.picking else obj.likeness.wanted
+        alike = None if sure or noticed or selection.picking else obj.likeness.wanted
         if alike is not None:
             put(self._alike, label=words.take_alike(len(alike.regions), object_name(alike.folder)))
         put(self._alike, visible=alike is not None)
         mine = [p for p in doc.prompts if p.part == selection.part]
         put(self._room, label=words.EXCLUDE_ROOM if whole else words.EXTRACT)
-        put(self._room, color="blue" if whole or doc.segmentation is not None else "gray")
-        put(self._room, visible=room and noticed is None)
+        acts = sure and (whole or doc.segmentation is not None)
+        put(self._room, color="blue" if acts else "gray")
+        put(self._room, visible=room and noticed is None and not searching)
         if selection.picking:
             text = words.extracting(selection.part)
         elif noticed is not None:
             text = noticed
         elif doc.review.state == "accepted":
             text = words.IS_ACCEPTED
-        elif whole:
+        elif searching:
+            text = SEARCHING
+        elif whole and sure:
             text = words.IS_ROOM
-        elif room:
+        elif room and sure:
             text = words.IN_ROOM
         elif not mine and (selection.part or not doc.prompts):
             text = words.CLICK_A_PART

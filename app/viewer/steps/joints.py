@@ -12,7 +12,7 @@ from app.server.open_object import OpenObject
 from app.viewer.input.pointing import Pointing
 from app.viewer.panels.joint_editor import JointEditor
 from app.viewer.panels.joint_tree import JointTree, shown
-from app.viewer.panels.part_list import CategoryGuess, QuickNames
+from app.viewer.panels.part_list import CategoryGuess, QuickNames, name_part
 from app.viewer.panels.widgets import PredictButtons, Presses, offered, predict, put
 from app.viewer.picture.motion import Motion
 from app.viewer.picture.palette import CATEGORIES, PART_NAMES
@@ -233,7 +233,7 @@ class JointsStep:
     def _named(self, name: str) -> None:
         unnamed, _ = self._unknown(self._tab.selection.need_object().document)
         if unnamed:
-            self._tab.do(cmd.NamePart(unnamed[0].id, name))
+            name_part(self._tab, unnamed[0].id, name)
             # Others of the same shape have the name as well now.
             unnamed, _ = self._unknown(self._tab.selection.need_object().document)
             if unnamed:

@@ -35,26 +35,17 @@ _LEVEL_KEYS = {words.LEVEL_ACTIONS[1]: "floor", words.LEVEL_ACTIONS[2]: "edge"}
 class PrepareStep:
     """Controls of the prepare step.
 
-    Args:
-        category: gives the category that is set or suggested.
-
     Attributes:
         noticed: whether the open object needs preparing.
     """
 
-    def __init__(
-        self,
-        tab: Tab,
-        pointing: Pointing,
-        picture: ObjectPicture,
-        category: Callable[[], str | None],
-    ) -> None:
+    def __init__(self, tab: Tab, pointing: Pointing, picture: ObjectPicture) -> None:
         self._tab, self._pointing, self._picture = tab, pointing, picture
-        self._category = category
         self._marks = PrepareMarks(tab, picture, self._handle_released)
         self._handle = False
         self._length: float | None = None
         self._typed = False  # a size that nothing has taken yet
+        self._waits = False  # to apply what is still being found
         self._shown_for: Any = None
         self._marked_for: Any = None
         self._switched: Any = None
@@ -103,7 +94,7 @@ class PrepareStep:
     def _forget(self) -> None:
         """Another object is opened."""
         self._handle, self._length, self._switched = False, None, None
-        self._typed = False
+        self._typed = self._waits = False
         self._marked_for = None
 
     def _reset_marks(self, raw: bool = False) -> None:
@@ -196,6 +187,11 @@ class PrepareStep:
         """Level and clean as shown, then annotate; where nothing is offered, just go there."""
         tab = self._tab
         obj = tab.selection.need_object()
+        if not self._waits and _searching(obj):
+            self._waits = True  # a second time goes on without it
+            tab.say(words.APPLIED_WHEN_FOUND)
+            return
+        self._waits = False
         metres = odd_unit(obj.need_asset())
         frame, marks, size = self._frame(obj), self._marked(obj), ""
         if self._typed:
@@ -347,11 +343,12 @@ class PrepareStep:
         self._pointing.arm("length")
 
     def _use_usual(self) -> None:
+        """Put the usual height in the field; it is applied with all else that is proposed."""
         obj = self._tab.selection.need_object()
-        height = self._height(obj)
-        odd = unusual_height(self._category(), height)
+        odd = unusual_height(obj.document.category, self._height(obj))
         if odd is not None:
-            self._rescale(odd.proposed / height, words.resized(f"{odd.proposed:.2g}"))
+            self._length, self._size.value = None, float(f"{odd.proposed:.2g}")
+            self._size_typed()
 
     def _rescale(self, ratio: float, what: str) -> None:
         if not (np.isfinite(ratio) and ratio > 0):
@@ -381,6 +378,8 @@ class PrepareStep:
             return
         obj.preparing.propose_for_step()
         self._mark_by_default(obj)
+        if self._waits and not _searching(obj):
+            self._tab.act(lambda: self.apply() if self._waits else None)
         found = obj.preparing.current
         frame, marks = self._frame(obj), self._marked(obj)
         here = (self._handle, self._length, self._typed)
@@ -430,12 +429,12 @@ class PrepareStep:
         put(self._size, label=words.HEIGHT if self._length is None else words.LENGTH)
         if self._length is None and not self._typed:
             put(self._size, value=round(height, 3))
-        odd = unusual_height(self._category(), height)
+        odd = None if self._typed else unusual_height(doc.category, height)
         put(self._usual, visible=odd is not None)
         lines = self._hints(obj, doc, found, marks)
         if odd is not None:
             put(self._usual, label=words.use_height(odd.proposed))
-            lines.append(words.usual(self._category() or "", height, odd.low, odd.high))
+            lines.append(odd.question)
         for word, scale in UNITS.items():
             if abs(scale - doc.unit_scale) < 1e-9:
                 put(self._unit, value=word)
@@ -463,6 +462,11 @@ class PrepareStep:
         lines += self._orientation(obj)
         does = words.enter(obj.preparing.frame() is not None, marks != Marks())
         return [*lines, does] if lines or does else [words.UPRIGHT]
+
+
+def _searching(obj: OpenObject) -> bool:
+    """True while it isn't known yet what is proposed."""
+    return obj.preparing.current is None and not obj.busy.keys().isdisjoint(("open", "prepare"))
 
 
 def _odd_size(obj: OpenObject) -> OddSize | None:

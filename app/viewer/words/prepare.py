@@ -16,6 +16,7 @@ CONTINUE: Final = "Annotate (Enter)"
 # --- what was found
 
 SEARCHING: Final = "*Finding floor and orientation…*"
+APPLIED_WHEN_FOUND: Final = "Applied once floor and orientation are found · again: go on without"
 NOT_FOUND: Final = "**Auto** finds floor and orientation."
 UPRIGHT: Final = "**Upright,** nothing to remove."
 GIVEN: Final = "**Shown in another direction.**"
@@ -100,13 +101,6 @@ LENGTH: Final = "Length [m]"
 resized = Message("{metres} m high")
 measured = Message("a length of {metres} m")
 unit_set = Message("read in {unit}")
-
-
-def usual(category: str, height: float, low: float, high: float) -> str:
-    """An unusual height of a category, and the usual range, metres."""
-    return f"{height:.2g} m high; {category.lower()}: usually {low:.2g} to {high:.2g} m."
-
-
 use_height = Message("Use {metres:.2g} m")
 
 # --- cleaning

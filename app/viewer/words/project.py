@@ -57,6 +57,8 @@ KINDS: Final[dict[Kind, str]] = {
     "detached": "Comes off",
     "physics": "Simulation",
     "combination": "Two joints",
+    "siblings": "Unlike equal parts",
+    "size": "Unusual size",
     "unsure": "Low confidence",
     "name": "Other names",
 }

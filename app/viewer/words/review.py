@@ -148,10 +148,12 @@ FINDINGS: Final = "Findings, worst first"
 SHOW_WORST: Final = "Show the worst pose (Tab: next)"
 FIX: Final = "Fix"
 FIXES: Final[dict[FixKind, str]] = {
+    "like": "Move like {value}",
     "flip": "Flip",
     "shift": "Shift axis",
     "limits": "Fit limits",
     "shrink": "Shrink colliders",
+    "size": "Use {value} m",
 }
 FIXED: Final = "Fixed"
 NO_POSE: Final = "No pose to show"

@@ -1,0 +1,100 @@
+"""Equal parts of an object, as its drawers, knobs and mirrored doors, and how one of them moves
+where it moves as another one does.
+
+Parts are equal where the points of one lie on the other after a shift, or after a mirroring in the
+direction from one to the other. Points are (N, 3), metres, object frame.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import KDTree
+
+from model.core.geometry import affine
+from model.core.joint import Joint
+from model.core.tree import moved_joint
+
+Float = npt.NDArray[np.float64]
+
+EXTENT = 0.05
+"""Largest difference between the sides of equal parts, in their diagonal."""
+NEAR, COVERED = 0.04, 0.9
+"""Distance to the other part's points, in its diagonal, and the share of points within it."""
+ASIDE = 0.3
+"""Share of the way from one part to the other in a direction from which they may be mirrored."""
+LEAST = 0.02
+"""Difference of two fits that counts, in the part's diagonal."""
+PARALLEL = math.cos(math.radians(20))
+HINGE = 0.2
+"""Distance between the lines of two equal hinges, in the part's diagonal."""
+
+
+def same_extents(a: Float, b: Float) -> bool:
+    """True if the upright boxes of two parts' points are equally large."""
+    one, other = np.ptp(a, axis=0), np.ptp(b, axis=0)
+    return bool(np.abs(one - other).max() <= EXTENT * np.linalg.norm(other))
+
+
+def images(a: Float, b: Float) -> Iterator[Float]:
+    """Yield the (4, 4) maps that lay part ``a`` over ``b``, where these are equally large: a shift,
+    then the mirrorings."""
+    if not same_extents(a, b):
+        return
+    here, there = (np.stack([p.min(0), p.max(0)]).mean(0) for p in (a, b))
+    step = there - here
+    far = float(np.linalg.norm(step))
+    level = np.array([step[0], step[1], 0.0])
+    normals = [np.eye(3)[k] for k in range(3) if abs(step[k]) > ASIDE * far]
+    if min(abs(level[:2])) > ASIDE * far:  # their object faces between two axes
+        normals.append(level / np.linalg.norm(level))
+    for turn in (np.eye(3), *(np.eye(3) - 2 * np.outer(n, n) for n in normals)):
+        yield affine(turn, there - turn @ here)
+
+
+def fitting(a: Float, b: Float) -> list[Float]:
+    """Return those of :func:`images` after which the points of ``a`` lie on ``b``, best first: by
+    the few points that lie farthest, as handles are small. Of equally good ones the shift is first;
+    the list is empty where the parts aren't equal."""
+    size, tree = float(np.linalg.norm(np.ptp(b, axis=0))), KDTree(b)
+    found: list[tuple[int, Float]] = []
+    for image in images(a, b):
+        off = np.sort(tree.query(a @ image[:3, :3].T + image[:3, 3])[0]) / size
+        if (off < NEAR).mean() > COVERED:
+            found.append((round(float(off[-max(len(off) // 100, 1) :].mean()) / LEAST), image))
+    return [image for _, image in sorted(found, key=lambda f: f[0])]
+
+
+def carried(joint: Joint, own: Joint, image: Float) -> Joint:
+    """Return ``joint`` after the (4, 4) map to another part, in place of that part's ``own``."""
+    there = moved_joint(joint, image)
+    return replace(there, name=own.name, child=own.child, parent=own.parent)
+
+
+def alike(a: Joint, b: Joint, size: float) -> bool:
+    """True if two joints move one part of ``size`` (metres) alike, whatever their ranges."""
+    if a.type != b.type and not (a.rotates and b.rotates):
+        return False
+    if not a.moves:
+        return True
+    cosine = float(np.dot(a.axis, b.axis))
+    if abs(cosine) < PARALLEL or cosine * _way(a) * _way(b) < 0:
+        return False
+    apart = np.cross(np.subtract(a.origin, b.origin), b.axis)
+    return not a.rotates or float(np.linalg.norm(apart)) < HINGE * size
+
+
+def _way(joint: Joint) -> float:
+    """Sign of the values that a joint moves to; 0 where it moves both ways."""
+    lower, upper = joint.motion_range
+    return 0.0 if not joint.limited or min(-lower, upper) > 0.3 * upper else np.sign(lower + upper)
+
+
+def move_alike(joint: Joint, own: Joint, a: Float, b: Float) -> bool:
+    """True if part ``b`` moves by ``own`` as ``a`` does by ``joint``; neither shape is compared."""
+    size = float(np.linalg.norm(np.ptp(b, axis=0)))
+    return any(alike(carried(joint, own, image), own, size) for image in images(a, b))
