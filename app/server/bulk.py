@@ -18,6 +18,7 @@ from app.server.object_context import Services
 from app.server.open_object import OpenObject
 from model.core.errors import ArtiworldError, CommandError
 from model.core.progress import Cancelled, each
+from model.validation.report import ValidationReport
 from sessions import commands as cmd
 from sessions.command_log import BULK, TimedJob, record_job
 from sessions.state import SessionState
@@ -81,8 +82,23 @@ class BulkWork:
             self._wait(lambda: "predict" not in obj.jobs)
             if obj.document.tree is None:
                 raise CommandError("no prediction")
+            self._checked(obj)
 
         self._start("Predict", ids, one, notify)
+
+    def check(self, ids: Sequence[int], notify: Notify) -> None:
+        """Run the checks of predicted objects."""
+
+        def one(id: int) -> None:
+            if self._checked(self._opened(id)) is None:
+                raise CommandError("can't be checked")
+
+        self._start("Check", ids, one, notify)
+
+    def _checked(self, obj: OpenObject) -> ValidationReport | None:
+        obj.validation.update()
+        self._wait(lambda: not obj.validation.awaited)
+        return obj.validation.report
 
     def accept(self, ids: Sequence[int], who: str, notify: Notify) -> None:
         """Accept objects as they are now, however long it takes; those with warnings that nobody

@@ -146,15 +146,20 @@ class Gallery:
         Args:
             query: "first" and "count" of the piece; "search", "state" and "sort" of the list;
                 "current" is the id of an object whose place is asked for; "ids" for all ids, of
-                predictions with a confidence of at least "above" percent.
+                predictions with a confidence of at least "above" percent those in which the checks
+                found nothing, and those that nobody checked.
         """
         records = self.records()
         names = self.names(records)
         chosen = self._chosen(records, names, query)
         if query.get("ids"):
             above = whole_number(query.get("above"), -1)
-            sure = (r for r in chosen if above < 0 or 100 * (self.confidence(r) or -1) >= above)
-            return {"ids": [r.id for r in sure]}
+            sure = [r for r in chosen if above < 0 or 100 * (self.confidence(r) or -1) >= above]
+            if above < 0:
+                return {"ids": [r.id for r in sure]}
+            found = {r.id: self.passed(r) for r in sure}
+            names_of = ((True, "ids"), (None, "unchecked"))
+            return {name: [i for i, ok in found.items() if ok is is_ok] for is_ok, name in names_of}
         first = max(whole_number(query.get("first"), 0), 0)
         count = min(max(whole_number(query.get("count"), 60), 1), MOST_ROWS)
         current = whole_number(query.get("current"), -1)
@@ -214,6 +219,14 @@ class Gallery:
         if record.state != "predicted":
             return None
         return self._confidence(record)
+
+    def passed(self, record: ObjectRecord) -> bool | None:
+        """True if the checks found nothing in the present state of an object; None where they
+        haven't run."""
+        for session in self.sessions([record.id]):
+            seq, ok = self._services.checked.get(session, (-1, False))
+            return ok if seq == record.seq else None
+        return None
 
     def _assigned(self, record: ObjectRecord, assigned: Mapping[int, str]) -> str:
         found = [assigned[i] for i in self.sessions([record.id]) if i in assigned]

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +37,12 @@ from sessions.store import ObjectRecord, Store
 
 @dataclass(frozen=True, eq=False)
 class Services:
-    """Settings, store, workers and queue of one server."""
+    """Settings, store, workers and queue of one server.
+
+    Attributes:
+        checked: object id → number of the state that was checked last, and whether nothing was
+            found.
+    """
 
     config: ServeConfig
     store: Store
@@ -46,6 +51,7 @@ class Services:
     drafts: AssetDrafts
     queue: ObjectQueue
     acceptances: PendingAcceptances
+    checked: dict[int, tuple[int, bool]] = field(default_factory=dict)
 
     @property
     def workspace(self) -> Path:

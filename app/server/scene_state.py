@@ -363,7 +363,10 @@ class Saving:
             for i in scene.items.values()
         ]
         decided = {
-            i: self._decided(w, w.item.copy in copies) for w in scene.wanted() for i in w.ids
+            i: self._decided(w, w.item.copy in copies)
+            for w in scene.wanted()
+            for i in w.ids
+            if scene.work(i) is w  # a twin may be static
         }
         return scene.scene, tuple(items), copies, decided
 

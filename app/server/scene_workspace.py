@@ -471,6 +471,7 @@ class SceneGallery(Gallery):
             category=item.category,
             who=review.by.replace(AUTHOR, ""),
             updated=review.at,
+            seq=0 if work is None else work.state.seq,
         )
 
     def sessions(self, ids: Sequence[int]) -> list[int]:

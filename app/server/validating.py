@@ -118,6 +118,8 @@ class Validation:
             report = with_unknown_names(report, revision[0], names, category)
             report = with_unusual_height(report, revision[0], *sized)
             complete = self._complete.setdefault(key, report)
+        found = self._obj.state.seq, complete.severity == Severity.OK
+        self._obj.services.checked[self._obj.record.id] = found
         return complete
 
     @property

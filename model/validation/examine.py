@@ -367,7 +367,7 @@ def with_unusual_height(
     if odd is None or height is None:
         return report
     to = f"{odd.proposed:.2g}"
-    fix = Fix("size", None, messages.FIX_SIZE.format(height=to), to, odd.proposed / height)
+    fix = Fix("size", None, messages.FIX_SIZE.format(height=to), f"{to} m", odd.proposed / height)
     return _with(report, tree, [(tree.root, Finding("size", Severity.WARNING, odd.question))], fix)
 
 

@@ -70,8 +70,8 @@ def test_what_is_removed_is_of_the_part_whose_prompts_are_listed():
 
     assert press(1, "Last") == RemovePrompt(1, 1)
     assert press(2, "Last") == RemovePrompt(2, 1)
-    assert press(3, "Last") == press(3, "This part") == "This part has no prompts"
-    assert press(1, "This part") == ClearPrompts(1)
+    assert press(3, "Last") == press(3, "Of this part") == "This part has no prompts"
+    assert press(1, "Of this part") == ClearPrompts(1)
     assert press(3, "All") == ClearPrompts()
     assert len(done) == 6
 

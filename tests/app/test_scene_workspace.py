@@ -165,8 +165,9 @@ def test_the_list_of_a_scene_is_a_queue_of_its_objects(world: World) -> None:
     works = {scene.work(ids[i]).id for i in predicted}  # type: ignore[union-attr]
     assert set(gallery.sessions(predicted)) == works and len(works) == 2
     least = min(r.confidence for r in scene.rows() if r.status == "predicted")
-    above = gallery.rows({"ids": "1", "above": str(int(100 * least))})["ids"]
-    assert above == predicted and gallery.rows({"ids": "1", "above": "101"})["ids"] == []
+    above = gallery.rows({"ids": "1", "above": str(int(100 * least))})
+    assert above == {"ids": [], "unchecked": predicted}
+    assert gallery.rows({"ids": "1", "above": "101"})["unchecked"] == []
     assert [r["name"] for r in gallery.rows({"search": "floor"})["rows"]] == ["slab"]
     assert gallery.thumbnail(ids.index("slab")) is None
 
@@ -618,12 +619,20 @@ def test_the_saved_scene_loads_and_holds_what_was_accepted(accepted: World) -> N
     assert small is not None
     scene_workspace.do(DecideObjects("reject", (small.id,), reason="axis"), "bob")
     world.settle()
-    scene_workspace.saving.save(False, "ann")
-    wait_until(lambda: scene_workspace.document.saved, "the scene is saved")
+
+    def save() -> dict[str, Any]:
+        scene_workspace.saving.save(False, "ann")
+        wait_until(lambda: scene_workspace.document.saved, "the scene is saved")
+        world.settle()
+        out = Path(scene_workspace.document.saved.folder)
+        return {o["id"]: o for o in json.loads((out / "scene.json").read_text())["objects"]}
+
+    # What is shown as static is saved so, whatever was decided about its twin.
+    scene_workspace.set_articulable("twin", False, "ann")
+    assert statuses(scene_workspace)["twin"] == save()["twin"]["state"] == "static"
+    scene_workspace.set_articulable("twin", True, "ann")
     world.settle()
-    assert scene_workspace.document.saved is not None
-    out = Path(scene_workspace.document.saved.folder)
-    said = {o["id"]: o for o in json.loads((out / "scene.json").read_text())["objects"]}
+    said, out = save(), Path(scene_workspace.document.saved.folder)
     now = {"first": "accepted", "twin": "accepted", "small": "rejected", EVIL: "todo"}
     now |= {"lost": "missing", "bad": "failed", "slab": "plain"}
     assert {i: o["state"] for i, o in said.items()} == now

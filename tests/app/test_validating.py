@@ -127,6 +127,28 @@ def test_a_broken_object_is_mended_or_accepted_with_a_reason(cupboard: OpenObjec
     assert np.isfinite(gate["joints"][0]["depth"])
 
 
+def test_what_is_offered_for_many_has_been_checked(
+    cupboard: OpenObject, app_state: AppState
+) -> None:
+    obj, asked = cupboard, {"ids": "1", "above": "50"}
+    if obj.document.review.state == "accepted":
+        obj.do(cmd.Reopen(), "tester")
+    labels = obj.document.segmentation.labels
+    sure = Prediction(KinematicTree(("link_0", "link_1"), (DOOR,)), confidence={"link_1": 0.9})
+    obj.do(cmd.RecordPrediction(sure, labels), "tester")
+    judged(obj)
+    assert app_state.gallery.rows(asked) == {"ids": [obj.record.id], "unchecked": []}
+    turned = replace(sure, tree=sure.tree.with_joint(replace(DOOR, axis=(0, 0, 1))))
+    obj.do(cmd.RecordPrediction(turned, labels), "tester")
+    if obj.validation.report is None:  # not before somebody looks
+        assert app_state.gallery.rows(asked) == {"ids": [], "unchecked": [obj.record.id]}
+    said: list[str] = []
+    app_state.bulk.check([obj.record.id], lambda *note: said.append(note[1]))
+    wait_until(lambda: said, "it is checked")
+    assert said == ["1 of 1 done"]
+    assert app_state.gallery.rows(asked) == {"ids": [], "unchecked": []}
+
+
 def test_an_unlikely_size_is_a_warning_and_its_fix_keeps_the_work(cupboard: OpenObject) -> None:
     obj = cupboard
     if obj.document.review.state == "accepted":

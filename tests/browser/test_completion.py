@@ -10,7 +10,7 @@ from model.io.assets.reader import read_provenance
 from tests.browser.browsing import wait_until
 from tests.browser.objects import write_cloud
 
-LABEL = "Complete what the scan doesn't show"
+LABEL = "Fill in surfaces that the scan missed"
 
 
 def test_a_scan_is_completed_where_it_is_checked(start: Any, open_tab: Any, tmp_path: Path):

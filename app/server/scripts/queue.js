@@ -4,7 +4,7 @@
   const PIECE = 40, LATER_MS = 30, DRAWN_MS = 1200, TRIES = 60;
   const LIST = { width: 0, height: 54 }, GALLERY = { width: 184, height: 182 };
   const view = { search: "", state: "", sort: "order", wide: false };
-  let sure = new Set();  // predicted with at least the confidence of the box
+  let sure = new Set(), unchecked = [];  // predicted with at least the confidence of the box
   const picked = new Set(), cards = new Map(), pieces = new Map(), asked = new Set();
   let words = null, answer = { total: 0, all: 0, states: {}, today: 0, at: -1 };
   let current = null, followed = null, serial = 0, timer = 0, root = null, parts = {};
@@ -17,8 +17,8 @@
     return node;
   };
   const send = (action, value) => window.__artiworldMarkup.send(action, value);
-  const bulk = (action, value = "") =>
-    send("bulk", JSON.stringify({ action, value, ids: [...picked] }));
+  const bulk = (action, value = "", ids = [...picked]) =>
+    send("bulk", JSON.stringify({ action, value, ids }));
 
   // --- what is asked for
 
@@ -41,7 +41,9 @@
   const count = async () => {
     if (!picked.size) return;
     const all = { search: "", state: "", ids: 1, above: parts.above.value || 0 };
-    sure = new Set((await (await fetch(url(all))).json()).ids);
+    const found = await (await fetch(url(all))).json();
+    sure = new Set(found.ids);
+    unchecked = found.unchecked;
     draw();
   };
   const anew = () => { pieces.clear(); parts.scroll.scrollTop = 0; again(); };
@@ -95,6 +97,7 @@
       parts.category, known,
       press(words.set, words.setCategory, "aw-small", () => bulk("category", parts.category.value)),
       press(words.predict, words.predict, "aw-small", () => bulk("predict")),
+      press(words.check, words.check, "aw-small", () => bulk("check", "", mine()), "check"),
       press(words.accept, words.accept, "aw-small", () => bulk("accept", parts.above.value), "accept"),
       parts.above, make("span", "", {}, "%"),
       press(words.exportThem, words.exportThem, "aw-small", () => bulk("export")),
@@ -111,6 +114,7 @@
     parts.widen.innerHTML = words.icon;
     parts.project.innerHTML = words.projectIcon;
   };
+  const mine = () => unchecked.filter((id) => picked.has(id));
   const pickAll = async () => {
     for (const id of (await (await fetch(url({ ids: 1 }))).json()).ids) picked.add(id);
     draw();
@@ -211,6 +215,9 @@
       .replace("{count}", answer.total).replace("{today}", answer.today);
     root.classList.toggle("picking", picked.size > 0);
     const counted = [...picked].filter((id) => sure.has(id)).length;
+    parts.check.hidden = !mine().length;
+    parts.check.textContent = words.checkThem.replace("{count}", mine().length);
+    parts.accept.disabled = !counted;
     parts.accept.textContent = words.acceptSure.replace("{count}", counted);
     parts.pickAll.textContent = `${words.pickAll} (${answer.total})`;
   };

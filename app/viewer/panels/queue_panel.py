@@ -127,9 +127,11 @@ class QueuePanel:
             sure = [
                 i
                 for i in places
-                if known[i].state == "predicted" and (gallery.confidence(known[i]) or 0) >= least
+                if (gallery.confidence(known[i]) or -1) >= least and gallery.passed(known[i])
             ]
             self._accept(gallery.sessions(sure), least)
+        elif action == "check":
+            bulk.check(ids, self._notify)
         elif action == "export":
             self._export(ids)
         elif action == "assign":
@@ -138,11 +140,11 @@ class QueuePanel:
     def _accept(self, ids: list[int], least: float) -> None:
         """Accept objects that have at least that confidence, 0..1; in a scene as one decision."""
         scene, user = self._app_state.scene, self._tab.user
+        if not ids:
+            raise CommandError(NONE_ABOVE)
         if scene is None:
             self._app_state.bulk.accept(ids, user, self._notify)
             return
-        if not ids:
-            raise CommandError(NONE_ABOVE)
         scene.do(DecideObjects("accept", tuple(ids), above=least), user, self._tab.notify)
 
     def _people(self) -> list[tuple[str, str]]:
@@ -211,6 +213,7 @@ def _page_words(*, in_scene: bool) -> dict[str, Any]:
     return {
         **words.PAGE_WORDS,
         "acceptSure": str(words.accept_sure),
+        "checkThem": str(words.check_them),
         "found": str(words.found),
         "because": str(words.on_hold_because),
         "states": [[s, states[s]] for s in filters],

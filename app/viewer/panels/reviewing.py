@@ -261,7 +261,7 @@ class ValidationList:
         self._rows += [button, gui.add_markdown("  \n".join(lines))]
         if report.fixes:
             kinds: dict[str, FixKind] = {
-                words.FIXES[f.kind].format(value=f.value): f.kind for f in report.fixes
+                f"{words.FIXES[f.kind]} {f.value}".strip(): f.kind for f in report.fixes
             }
             hint = " ".join(f.message for f in report.fixes)
             fixes = gui.add_button_group(words.FIX, tuple(kinds), hint=hint)

@@ -107,7 +107,7 @@ TOOL_TIPS: Final[dict[str, str]] = {
     "shrink": "Shrink (J) by one ring of neighbors",
     "same shape": "Same shape (Z): make parts of all pieces of this shape, such as knobs",
     "mirror": "Mirror: the counterpart across the symmetry plane",
-    "propose": "All parts: segment everything",
+    "propose": "All parts: propose all moving parts",
     "merge": "Merge (M): click the part to merge into the selected one",
     "split": "Split: one part per connected piece",
     "leftovers": "Fragments: assign small pieces to the part that they touch",
@@ -119,7 +119,7 @@ TOUCH_HINT: Final = "Touch screen: taps select, without keys"
 CUT, CUT_RECTANGLE, NEXT = "Cut", "Cut a rectangle", "Next mask"
 NOTHING_FOUND: Final[dict[str, str]] = {
     "split": "The part is one connected piece",
-    "same shape": "No other piece has this shape",
+    "same shape": "No similar parts found",
     "leftovers": "There are no fragments",
     "mirror": "No counterpart, or it is a part already",
     "propose": "No more parts found: click on one",
@@ -185,9 +185,9 @@ hint_mask = Message("Mask {number} of {total}: {share} · Tab: larger · Shift+T
 # --- prompts
 
 PROMPTS: Final = "Prompts"
-PROMPTS_REMOVE: Final = "Remove"
-PROMPT_LIST: Final = "One by one"
-PROMPT_ACTIONS: Final = ("Last", "This part", "All")
+PROMPTS_REMOVE: Final = "Remove clicks"
+PROMPT_LIST: Final = "Clicks"
+PROMPT_ACTIONS: Final = ("Last", "Of this part", "All")
 NO_PROMPTS: Final = "No prompts yet."
 NONE_ON_PART: Final = "This part has no prompts"
 OTHER_MASK: Final = "other mask"

@@ -90,7 +90,7 @@ JOBS: Final[dict[str, str]] = {
     "save": "Saving",
     "predict": "Predicting joints",
     "room": "Processing the scan",
-    "prepare": "Finding floor and orientation",
+    "prepare": "Finding the floor and the upright direction",
     "segment": "Segmenting",
     "encode": "Preparing",
     "tool": "Running the tool",
@@ -154,7 +154,7 @@ STEPS: Final[tuple[str, ...]] = (
     "Then press P: the joints are predicted.",
     "Space plays the joints. Drag the slider at the right, and correct type, axis or limits.",
     "Open Review: the checks list the joints, worst first. Y accepts the object, X rejects it.",
-    "That is all. N opens the next object, ? shows all keys, and this tour is in the rail.",
+    "Done. N opens the next object, ? shows all keys, and this tour is in the rail.",
 )
 """Each ends by itself once it is done, but the last one."""
 NEXT, SKIP, END = "Next", "Skip the tour", "End the tour"

@@ -15,7 +15,7 @@ CONTINUE: Final = "Annotate (Enter)"
 
 # --- what was found
 
-SEARCHING: Final = "*Finding floor and orientation…*"
+SEARCHING: Final = "*Finding the floor and the upright direction…*"
 APPLIED_WHEN_FOUND: Final = "Applied once floor and orientation are found · again: go on without"
 NOT_FOUND: Final = "**Auto** finds floor and orientation."
 UPRIGHT: Final = "**Upright,** nothing to remove."

@@ -59,7 +59,8 @@ PAGE_WORDS: Final[dict[str, str]] = {
     "set": "Set",
     "setCategory": "Set the category of the selected objects",
     "predict": "Predict",
-    "accept": "Accept from",
+    "accept": "Accept those that passed the checks",
+    "check": "Check those that nobody has checked",
     "exportThem": "Export…",
     "assign": "Assign to",
     "assignHint": "Assign the selected objects",
@@ -67,6 +68,7 @@ PAGE_WORDS: Final[dict[str, str]] = {
     "project": "Project",
 }
 """Words of the queue that the page's own script shows, by its names for them."""
+check_them = Message("Check {count}")
 accept_sure = Message("Accept {count} from")
 found = Message("{count} objects · {today} accepted today")
 SORTS: Final[dict[str, str]] = {

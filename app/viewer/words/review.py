@@ -14,7 +14,7 @@ OVERRIDE_HINT: Final = "Required where the checks found errors"
 COMMENT: Final = "Comment"
 AUTO_ADVANCE: Final = "Auto-advance"
 AUTO_ADVANCE_HINT: Final = "Go to the next object after a decision, lowest confidence first"
-COMPLETE: Final = "Complete what the scan doesn't show"
+COMPLETE: Final = "Fill in surfaces that the scan missed"
 COMPLETE_HINT: Final = (
     "The saved asset gets closed surfaces, thick doors, trays behind drawers and openings for "
     "them. The scanned points are saved as they are"
@@ -148,12 +148,12 @@ FINDINGS: Final = "Findings, worst first"
 SHOW_WORST: Final = "Show the worst pose (Tab: next)"
 FIX: Final = "Fix"
 FIXES: Final[dict[FixKind, str]] = {
-    "like": "Move like {value}",
+    "like": "Move like",
     "flip": "Flip",
     "shift": "Shift axis",
     "limits": "Fit limits",
     "shrink": "Shrink colliders",
-    "size": "Use {value} m",
+    "size": "Use",
 }
 FIXED: Final = "Fixed"
 NO_POSE: Final = "No pose to show"

@@ -126,7 +126,7 @@ EXTRACT_FIRST: Final = "Extract an object first."
 
 STILL_READING: Final = "The scene is still being read."
 NOTHING_TO_DECIDE: Final = "Nothing to decide"
-NONE_ABOVE: Final = "no predicted object has that confidence"
+NONE_ABOVE: Final = "no predicted object has that confidence and has passed the checks"
 NEED_SELECTION: Final = "select an object first: click it, or press N"
 undone = Message("Undone: {what}")
 is_static = Message("{id} is static: there is nothing to decide")
