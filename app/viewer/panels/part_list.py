@@ -224,7 +224,8 @@ class QuickNames:
 PARTS_SHOWN = 200
 ALIKE = 0.3
 """Difference of two equal parts' areas, in one of them: scans show more of one than of another."""
-NAME_SECONDS = 30.0
+NAME_SECONDS = 4.0
+"""So long a name waits for the comparison."""
 
 
 class PartList:
@@ -345,7 +346,11 @@ def name_part(tab: Tab, part: int, name: str | None) -> None:
     if others:  # some are as large
         task = part_tasks.equal_parts
         job = obj.lane.geometry.submit(task, obj.source(), part, others, priority=EDITS)
-        others = job.result(NAME_SECONDS)
+        try:
+            others = job.result(NAME_SECONDS)
+        except TimeoutError:
+            others = ()
+            tab.say(words.NOT_COMPARED)
     tab.do(cmd.NamePart(part, name, others))
     more = len(obj.document.part_names) - len(doc.part_names) - 1
     if name and more > 0:

@@ -79,6 +79,7 @@ def alike_taken(count: int, name: str) -> tuple[str, str]:
 
 category_set = Message("Category: {category}")
 name_set = Message("Part {part}: {name}")
+NOT_COMPARED: Final = "Busy: only this part is named"
 
 
 def named_too(name: str, count: int) -> tuple[str, str]:

@@ -9,7 +9,7 @@ from model.validation import messages
 
 TABLE = """at=104°|by= by 3 mm|cause=, pushed by the collision shapes of door 1
 command=pip install 'artiworld[physics]'|depth=121 mm|driven=drawer 2 is
-engine=MuJoCo|error=XML Error: mesh|first=door 1|free=0° to 90°|gap=290 mm|name=dor
+engine=MuJoCo|error=XML Error: mesh|first=door 1|free=0° to 90°|gap=290 mm|height=1.7|name=dor
 how=becomes unstable|message=The part is a single point.|nearest=base
 other=carcass 0|part=base|percent=35|range=0° to 485.8°|ratio=1.3
 second=drawer 2|support=carcass 0|turns=1.3|value=3 mm"""
