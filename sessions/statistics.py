@@ -135,6 +135,11 @@ class Figures:
         return 3600 * self.accepted / self.active if self.active else math.nan
 
     @property
+    def has_rate(self) -> bool:
+        """True if there is enough for a rate that tells anything: ten accepted, or an hour."""
+        return self.active > 0 and (self.accepted >= 10 or self.active >= 3600)
+
+    @property
     def seconds_each(self) -> float:
         """Active seconds for each accepted object; NaN without any."""
         return self.active / self.accepted if self.accepted else math.nan

@@ -349,7 +349,7 @@ class SceneWorkspace(SceneState):
             self._record(work, prepared)
 
         done = len(works) - len(waiting)
-        message = f"{work.item.obj.id} ({done + 1} of {len(works)})"
+        message = f"{work.item.obj.id} ({done + 1} of {len(works)} different ones)"
         files = (work.item.path or self.path,)
         self.start("prepare", job, keep, (done / len(works), message), work, files)
 

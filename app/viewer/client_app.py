@@ -86,7 +86,7 @@ class ClientApp:
         self.rail = ToolRail(tab, self._presses, self.pointing, self._rail_actions())
         self._build()
         steps = (self.prepare, self.annotate, self.joints, self.review)
-        self.commands.connect(steps, self.scene, self.comments)
+        self.commands.connect(steps, self.scene, self.comments, self.queue.open_held)
         view = (self.pointing, self.motion, self.picture, self._sheet, self.rail, self.views)
         add_keys(tab, bindings(tab, self.commands, steps, self.scene, view), self.guard.decide)
         self.pointing.listen(self._pointer_actions())

@@ -51,6 +51,7 @@ class Commands:
 
     Attributes:
         rejecting: asks why something is rejected.
+        open_held: opens the first object on hold.
     """
 
     def __init__(self, tab: Tab, navigation: Navigation) -> None:
@@ -62,10 +63,11 @@ class Commands:
         steps: tuple[PrepareStep, AnnotateStep, JointsStep, ReviewStep],
         scene: SceneStep | None,
         comments: Comments,
+        open_held: Callable[[], None],
     ) -> None:
         """Set what the commands are for; widgets that give them are made before."""
         self.prepare, self._annotate, self._joints, self._review = steps
-        self._scene, self._comments = scene, comments
+        self._scene, self._comments, self.open_held = scene, comments, open_held
 
     @property
     def _overview(self) -> SceneStep | None:
@@ -290,6 +292,7 @@ def bindings(
     yield Binding(words.EXTRACT, None, annotate.source.cut_out)
     yield Binding(words.TITLE, None, sheet.toggle)
     yield Binding(words.ACCEPT, "Y", commands.accept, decides=True)
+    yield Binding(words.HELD, "Y", commands.open_held, "shift")
     yield Binding(words.REJECT, "X", commands.reject)  # which asks; the answer decides
     yield Binding(words.NEXT, "N", _with(commands.step, 1))
     yield Binding(words.PREVIOUS, "B", _with(commands.step, -1))

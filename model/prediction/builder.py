@@ -41,7 +41,7 @@ def left_out(mechanism: str) -> bool:
     return LEFT_OUT.get() == mechanism
 
 
-COLLISION_FREE = "Range: collision-free"
+COLLISION_FREE = "Range: from a motion sweep"
 CHAIN_PLANE = "normal to the plane of its chain"
 FREE_AXIS = "Axis: from the network alone"
 LOCKED = "Locked joint"
@@ -53,7 +53,7 @@ def as_on(objects: int) -> str:
 
 
 def explain(title: str, reasons: Iterable[str] = (), *more: str) -> str:
-    """As in "Hinge: opposite the handle, at visible barrels. Range: collision-free".
+    """As in "Hinge: opposite the handle, at visible barrels. Range: from a motion sweep".
 
     Args:
         title: of the motion. reasons: for its place. more: further sentences, "" for none.

@@ -562,6 +562,8 @@ def test_the_end_of_the_review_is_told() -> None:
     decided = rows("rejected", "accepted", "accepted")
     assert order(decided) == []
     assert count_text(decided) == "3 of 3 decided; 1 rejected."
+    assert count_text(rows("missing", "failed")[:1]) == "⚠ 1 can't be read."
+    assert count_text(rows("predicted", "missing")) == "**1** predicted. ⚠ 1 can't be read."
 
 
 def test_a_refused_acceptance_is_no_step_after_the_end_of_the_server(accepted: World) -> None:

@@ -286,8 +286,10 @@ def test_y_before_the_verdict_goes_on_and_what_is_held_back_comes_again(
     tab.page.get_by_title("grazing: on hold: 1 warning. part 1").wait_for()
     tab.page.screenshot(path=str(tmp_path / "look_again.png"))
 
-    # The button opens it at the worst pose, with the comment; Y accepts it now.
-    tab.button("On hold: grazing").click()
+    # One key opens it at the worst pose, with the comment; Y accepts it now.
+    tab.button("On hold: grazing").wait_for()
+    tab.page.get_by_text("1 on hold").wait_for()
+    tab.page.keyboard.press("Shift+Y")
     wait_until(lambda: tab.object is grazing, "back at it")
     worst = grazing.validation.report.joints[0].worst
     wait_until(lambda: tab.app.motion.q == dict(worst.q), "the worst pose")

@@ -318,7 +318,7 @@ def today_html(found: Overview) -> str:
             who,
             f.objects,
             f.accepted,
-            "–" if math.isnan(f.per_hour) or not f.accepted else f"{f.per_hour:.1f}",
+            f"{f.per_hour:.1f}" if f.has_rate else words.TOO_FEW,
             duration(f.active),
             duration(f.waiting),
             f.clicks,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from datetime import UTC, datetime
 from typing import Any
 
@@ -64,7 +64,7 @@ class QueuePanel:
         self._tab, self._app_state, self.open = tab, app_state, open_object
         self._export, self._current = export, current
         self._shown: tuple[Any, ...] | None = None
-        self._on_hold = 0
+        self._held: list[int] = []
         gui, warning = tab.client.gui, palette.SEVERITY_COLORS[Severity.WARNING]
         panel = gui.add_panel()
         title = SCENE if tab.in_scene else words.TITLE
@@ -94,7 +94,7 @@ class QueuePanel:
         navigate.on_click(
             lambda e: tab.act(lambda: step(1 if e.target.value == common.PREVIOUS_NEXT[1] else -1))
         )
-        self.on_hold.on_click(lambda _: tab.act(lambda: open_object(self._on_hold)))
+        self.on_hold.on_click(lambda _: tab.act(self.open_held))
         self._restore.on_click(lambda _: tab.act(lambda: open_object(app_state.queue.restore())))
         presses.on("open", lambda id: open_object(int(id)))
         presses.on("bulk", self._bulk)
@@ -186,24 +186,27 @@ class QueuePanel:
         today = datetime.now(UTC).date().isoformat()
         accepted = sum(r.state == "accepted" and r.updated[:10] == today for r in records)
         total = counts.total() - sum(counts[s] for s in words.UNDECIDABLE)
-        put(self._summary, content=words.progress(dict(counts), accepted))
+        held = [i for i, (state, _) in exceptions.items() if state == "on_hold"]
+        put(self._summary, content=words.progress(dict(counts), accepted, len(held)))
         put(self._bar, value=round(100 * counts["accepted"] / max(total, 1), 1))
         removed = app_state.queue.removed
         put(self._restore, visible=bool(removed))
         if removed:
             name = app_state.store.object(removed[-1]).name
             put(self._restore, label=words.restore(clipped(name, NAME_LENGTH - 4)))
-        on_hold = [i for i, (state, _) in exceptions.items() if state == "on_hold" and i != current]
-        self._draw_on_hold(on_hold, gallery.names(records))
+        self._held = [i for i in held if i != current]
+        put(self.on_hold, visible=bool(self._held))
+        if self._held:
+            name = clipped(gallery.names(records)[self._held[0]], NAME_LENGTH - 10)
+            put(self.on_hold, label=words.on_hold(name, len(self._held) - 1))
         call_page(self._tab.client, "Queue.changed", current)
 
-    def _draw_on_hold(self, ids: list[int], names: Mapping[int, str]) -> None:
-        """Show the button that opens the first object on hold."""
-        put(self.on_hold, visible=bool(ids))
-        if ids:
-            name = clipped(names[ids[0]], NAME_LENGTH - 10)
-            put(self.on_hold, label=words.on_hold(name, len(ids) - 1))
-            self._on_hold = ids[0]
+    def open_held(self) -> None:
+        """Open the first object on hold (Shift+Y)."""
+        if self._held:
+            self.open(self._held[0])
+        else:
+            self._tab.say(words.NONE_HELD)
 
 
 def _page_words(*, in_scene: bool) -> dict[str, Any]:

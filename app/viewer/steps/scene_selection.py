@@ -61,6 +61,8 @@ def count_text(rows: Sequence[Row], coming: int = 0) -> str:
     )
     if not text and any(r.work is not None for r in rows):
         text = words.sentence(decided_text(rows))
+    if lost := shown["missing"] + shown["failed"]:
+        text = f"{text} {words.lost(lost)}".strip()
     if len(rows) == 1 and rows[0].status == "static":
         return text or words.EXTRACT_FIRST
     return text or words.NOTHING_ARTICULABLE

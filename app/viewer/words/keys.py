@@ -36,7 +36,7 @@ SHEET: Final[tuple[tuple[str, str], ...]] = (
     ("Drag a limit's grip", "set the limit; Shift snaps to 5° or 5 mm"),
     ("Number pad 1, 3, 7; 9; 5", "front, right, top (Ctrl: other side); opposite; flat"),
     ("/; Shift+M", "isolate the part; measure between two clicks"),
-    ("Y", "accept; again: accept anyway"),
+    ("Y; Shift+Y", "accept; again: accept anyway; what is on hold"),
     ("X, then 1 … 6", "reject, with a reason"),
     ("N, B; Shift+I, C", "next, previous object; instructions, comment"),
     ("Enter, Backspace", "scene: edit the object, go back"),
@@ -63,7 +63,7 @@ TAKE_CATEGORY: Final = "Take the suggested category"
 CUT: Final = "Tool: Cut along a line or a rectangle"
 PREVIEW: Final = "Preview"
 EXCLUDE_ROOM, EXTRACT = "Exclude floor and walls", "Extract this part as an object"
-ACCEPT, REJECT = "Accept", "Reject"
+ACCEPT, HELD, REJECT = "Accept", "Open what is on hold", "Reject"
 NEXT, PREVIOUS = "Next object", "Previous object"
 FRAME: Final = "Frame object"
 INSTRUCTIONS: Final = "Instructions"

@@ -24,7 +24,11 @@ COLUMNS: Final = tuple(
 ACCEPTED: Final = "accepted"
 DAY: Final = "day (UTC)"
 HOURS, MINUTES = "active hours", "active minutes"
-ACTIVE_HINT: Final = "Times between actions; pauses of more than 30 s left out. Days of UTC."
+ACTIVE_HINT: Final = (
+    "Times between actions; pauses of more than 30 s left out. Days of UTC. Accepted/h from ten "
+    "accepted objects or an hour on."
+)
+TOO_FEW: Final = "too few"
 DIALOGS: Final = (
     ("labels", "Instructions and labels", "What people read beside the picture, and which names"),
     ("checks", "Checks and export", "Which checks must pass, and how assets are written"),

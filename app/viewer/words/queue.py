@@ -25,13 +25,13 @@ UNDECIDABLE: Final = ("static", "failed", "missing")
 """States of a scene's objects about which there is nothing to decide."""
 
 
-def progress(counts: dict[str, int], today: int) -> str:
-    """Progress of all objects, and number accepted today."""
+def progress(counts: dict[str, int], today: int, held: int) -> str:
+    """Progress of all objects, and numbers accepted today and on hold."""
     total = sum(count for state, count in counts.items() if state not in UNDECIDABLE)
     done = counts.get("accepted", 0)
     others = [f"{counts[s]} {STATES[s]}" for s in STATE_ORDER[1:] if counts.get(s)]
     first = f"**{done}/{total} accepted**" + (f", {today} today" if today else "")
-    return " · ".join([first, *others])
+    return " · ".join([first, *([f"**{held} {HELD}** (Shift+Y)"] if held else ()), *others])
 
 
 def on_hold(name: str, others: int) -> str:
@@ -39,6 +39,7 @@ def on_hold(name: str, others: int) -> str:
     return f"On hold: {name}{f' (+{others})' if others else ''}"
 
 
+NONE_HELD: Final = "Nothing else is on hold"
 on_hold_because = Message("on hold: {why}")
 # --- the list and the gallery
 

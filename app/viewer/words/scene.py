@@ -119,6 +119,7 @@ def to_decide(predicted: int, checking: int, held: int, coming: int, clicks: int
 
 
 sentence = Message("{text}.")
+lost = Message("⚠ {count} can't be read.")
 NOTHING_ARTICULABLE: Final = "No articulable objects."
 EXTRACT_FIRST: Final = "Extract an object first."
 
