@@ -108,7 +108,7 @@ def collect_votes(
         voter += [row] * len(best)
         features.append(answer.features[best])
         scores.append(answer.scores[best])
-        progress((row + 1) / len(voters), "looking for parts")
+        progress((row + 1) / len(voters), "")
     return Votes(
         np.stack(masks),
         np.array(voter),

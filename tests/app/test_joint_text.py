@@ -68,7 +68,7 @@ def test_an_edited_joint_is_called_so() -> None:
     assert "confidence" not in said
     assert "edited" in said
     note = joint_note(replace(DOOR, upper=1.0), document(), [])
-    assert note.startswith("Edited. Gray arrow: prediction")
+    assert note.startswith("Edited. The gray arrow is the predicted axis")
 
 
 def test_odd_ranges_are_told() -> None:

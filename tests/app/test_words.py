@@ -33,6 +33,7 @@ NAMED_SAMPLES = {
     ("common", "job"): {"name": ("predict",)},
     ("scene", "job"): {"name": ("read",)},
     ("prepare", "kind"): {"kind": (1, 2, 3)},
+    ("review", "finding"): {"titles": (["one"], ["one", "two", "three"])},
     ("joints", "tree_line"): {"confidence": ("", "87 %", "edited")},
 }
 OUR_OWN = re.compile(
@@ -113,3 +114,9 @@ def test_counts_have_their_plural() -> None:
     found = dict(zip(reversed(Severity), (1, 4, 3), strict=True))
     assert review.checks(found) == "**Checks: ✖ 1 error · ▲ 4 warnings · ✓ 3 OK**"
     assert review.moment("detached", 0.29) == "290 mm gap"
+    names = [f"drawer {k}" for k in (1, 2, 3, 4)]
+    said = [review.finding(Severity.WARNING, names[:k]) for k in (1, 2, 4)]
+    told = "drawer 1", "drawer 1 and drawer 2", "drawer 1, drawer 2 and 2 more"
+    assert said == [f"▲ {who}: warning" for who in told]
+    assert review.state("to review", "root") == "**Predicted** by root, waiting for review"
+    assert "**2 on hold** (Shift+Y)" in module_of("queue").progress({"todo": 3}, 0, 2)

@@ -64,7 +64,7 @@ def check_the_package(tab: Tab) -> None:
     tab.field("Read back and compare").uncheck()
     tab.field("Author").fill("A. Author")
     tab.field("License").fill("")
-    tab.field("Folder").fill("ready")
+    tab.field("Server folder (empty: download)").fill("ready")
     tab.button("Export").click()
     page.get_by_text("names its author and its license", exact=False).wait_for()
     tab.field("License").fill("CC-BY-4.0")

@@ -77,7 +77,7 @@ def check_the_export(tab: Tab) -> None:
     tab.step("Review")
     tab.button("Export…").click()
     tab.field("Read back and compare").uncheck()
-    tab.field("Folder").fill("mine")
+    tab.field("Server folder (empty: download)").fill("mine")
     tab.button("Export").click()
     page.get_by_text("Written to", exact=False).wait_for()
     out = Path(tab.server.config.workspace) / "exports" / "mine"

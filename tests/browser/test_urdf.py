@@ -21,7 +21,7 @@ def test_its_joints_move_at_once_and_an_edit_goes_back_to_the_file(
     tab.key("r")
     tab.key("f")
     wait_until(lambda: tab.document.edited_joints == ("link_1",), "the axis is turned")
-    page.get_by_text("Gray arrow: from the file").wait_for()
+    page.get_by_text("The gray arrow is the axis in cupboard.urdf").wait_for()
     page.get_by_role("button", name="Reset to the file's joint").click()
     wait_until(lambda: not tab.document.edited_joints, "as in the file")
     tab.key("p")

@@ -93,7 +93,7 @@ def joint_note(joint: Joint, doc: Document, checks: list[JointCollision]) -> str
         note = doc.prediction.notes.get(joint.child)
         text = f"*{plain(display_text(doc, note), 300)}*" if note else ""
         if joint != doc.prediction.joint(joint.child):
-            text = words.edited(doc.joints_file is not None, text)
+            text = words.edited(plain(doc.joints_file or ""), text)
         lines += [text] if text else []
     lines += [warning(text) for text in range_warnings(joint)]
     for check in checks:

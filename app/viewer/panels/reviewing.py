@@ -250,14 +250,14 @@ class ValidationList:
         joint, following = report.joint, cycle([j.joint for j in group])
         titles = [joint_title(doc, j.child) for j in group]
         button = gui.add_button(
-            words.finding(report.severity, titles[0], len(group) - 1),
+            words.finding(report.severity, titles),
             color=palette.SEVERITY_COLORS[report.severity],
             hint=words.SHOW_WORST,
         )
         button.on_click(lambda _: tab.act(lambda: self.show(next(following))))
         lines = [plain(f.message, 200) for f in report.findings[:3]]
-        if len(group) > 1:
-            lines.append(words.also(plain(", ".join(titles[1:]), 200)))
+        if len(group) > 2:
+            lines.append(words.also(plain(", ".join(titles[2:]), 200)))
         self._rows += [button, gui.add_markdown("  \n".join(lines))]
         if report.fixes:
             kinds: dict[str, FixKind] = {

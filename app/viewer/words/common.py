@@ -93,7 +93,7 @@ JOBS: Final[dict[str, str]] = {
     "prepare": "Finding the floor and the upright direction",
     "segment": "Segmenting",
     "encode": "Preparing",
-    "tool": "Running the tool",
+    "tool": "Proposing parts",
 }
 """Running jobs, the most important one first."""
 KEYS_BUTTON: Final = "Keys and mouse (?)"

@@ -141,10 +141,10 @@ def tree_line(kind: str, confidence: str, locked: bool, odd_range: bool, collide
     return " · ".join(w for w in words if w)
 
 
-def edited(file: bool, note: str) -> str:
-    """A joint was edited; ``note`` says how it was predicted."""
-    arrow = "from the file" if file else "prediction"
-    return f"Edited. Gray arrow: {arrow}{f' ({note})' * bool(note)}."
+def edited(file: str, note: str) -> str:
+    """A joint was edited; ``note`` says how it was predicted, where it isn't from a ``file``."""
+    axis = f"axis in {file}" if file else f"predicted axis{f' ({note})' * bool(note)}"
+    return f"Edited. The gray arrow is the {axis}."
 
 
 def collision(other: str, at: str, millimetres: float) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from app.server.open_object import INTERRUPTED
-from app.viewer.words.common import Message, plural
+from app.viewer.words.common import STATES, Message, plural
 from model.validation.report import FixKind, Severity
 from sessions.review import RejectReason
 
@@ -90,6 +90,8 @@ def pending(waiting: bool, held: str, interrupted: bool) -> str:
 
 def state(state: str, user: str) -> str:
     """The state, and who decided it."""
+    if user and state == STATES["predicted"]:
+        return f"**Predicted** by {user}, waiting for review"
     return f"**{state.capitalize()}**" + (f" by {user}" if user else "")
 
 
@@ -182,13 +184,14 @@ def checking(share: float, detail: str) -> str:
 no_physics = Message("*Physics: {why}*")
 
 
-def finding(severity: Severity, title: str, more: int = 0) -> str:
-    """A joint with findings, and how many more of its kind have the same."""
-    others = f" and {more} more" if more else ""
-    return f"{SIGNS[severity]} {title}{others}: {SEVERITIES[severity]}"[:60]
+def finding(severity: Severity, titles: list[str]) -> str:
+    """Joints with the same findings."""
+    *others, last = titles if len(titles) < 3 else (*titles[:2], f"{len(titles) - 2} more")
+    named = f"{', '.join(others)} and {last}" if others else last
+    return f"{SIGNS[severity]} {named}: {SEVERITIES[severity]}"[:60]
 
 
-also = Message("The same: {titles}")
+also = Message("Also {titles}")
 
 
 more_findings = Message("… and {count} more (Tab).")
