@@ -143,7 +143,7 @@ class ReviewStep:
                     seen=self.validation_list.looked_at(obj),
                     refused=refused,
                 )
-        except UnseenWarningsError as error:
+        except CommandError as error:
             self._refused(obj, error)
 
     def _submit(self, obj: OpenObject) -> None:
