@@ -48,7 +48,7 @@ from model.geometry.sampling import sample_surface
 from model.geometry.splitting import split
 from model.io.assets.asset_folder import write_draft
 from model.io.assets.reader import reload_check
-from model.kinematics.siblings import carried, fitting
+from model.kinematics.siblings import carried, fitting, namesakes
 from model.kinematics.snapping import (
     axis_along_box,
     box_of,
@@ -411,7 +411,9 @@ def joints_like(
     Args:
         locked: child links whose joints stay.
     """
-    points = {p.link: _surface_points(p) for p in parts_of(source)}
+    parts = {p.link: p for p in parts_of(source)}
+    mine = parts.get(child)
+    points = {k: _surface_points(p) for k, p in parts.items() if mine and namesakes(p, mine)}
     joint, out = tree.joint_of[child], []
     for own in tree.joints:
         apart = own.child not in (child, joint.parent, *locked) and own.child in points

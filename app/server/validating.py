@@ -102,7 +102,8 @@ class Validation:
     def report(self) -> ValidationReport | None:
         """The report on the present joints and parts, with low confidence, unknown names and an
         unusual size; None while there is none. The same object until something changes."""
-        document = self._obj.document
+        state = self._obj.state
+        document = state.present
         revision = self._revision(document)
         report = None if revision is None else self._reports.get(revision)
         if revision is None or report is None:
@@ -118,7 +119,7 @@ class Validation:
             report = with_unknown_names(report, revision[0], names, category)
             report = with_unusual_height(report, revision[0], *sized)
             complete = self._complete.setdefault(key, report)
-        found = self._obj.state.seq, complete.severity == Severity.OK
+        found = state.seq, complete.severity == Severity.OK
         self._obj.services.checked[self._obj.record.id] = found
         return complete
 

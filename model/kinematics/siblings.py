@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import KDTree
 
+from model.core.articulated_object import Part
 from model.core.geometry import affine
 from model.core.joint import Joint
 from model.core.tree import moved_joint
@@ -32,6 +33,11 @@ LEAST = 0.02
 PARALLEL = math.cos(math.radians(20))
 HINGE = 0.2
 """Distance between the lines of two equal hinges, in the part's diagonal."""
+
+
+def namesakes(a: Part, b: Part) -> bool:
+    """True if two parts may be equal by their names: a drawer's front is no door."""
+    return a.name == b.name or not (a.name and b.name)
 
 
 def same_extents(a: Float, b: Float) -> bool:

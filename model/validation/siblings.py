@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from model.core.joint import Joint
-from model.kinematics.siblings import carried, fitting, move_alike
+from model.kinematics.siblings import carried, fitting, move_alike, namesakes
 from model.validation import messages
 from model.validation.examine import Scene, examine_motion
 from model.validation.report import Finding, Fix, Severity, worst_first
@@ -30,8 +30,13 @@ def unlike_findings(scene: Scene, found: Mapping[str, list[Finding]]) -> dict[st
         for j in scene.obj.tree.joints
         if j.mimic is None and j.child in points and j.parent in points
     }
+    parts = {p.link: p for p in scene.obj.parts}
+    others = {
+        link: [o for o in joints if o != link and namesakes(parts[o], parts[link])]
+        for link in joints
+    }
     like = {
-        link: sum(move_alike(joints[o], own, points[o], points[link]) for o in joints if o != link)
+        link: sum(move_alike(joints[o], own, points[o], points[link]) for o in others[link])
         for link, own in joints.items()
     }
 
@@ -42,7 +47,7 @@ def unlike_findings(scene: Scene, found: Mapping[str, list[Finding]]) -> dict[st
 
     out: dict[str, Finding] = {}
     for link, own in joints.items():
-        better = [o for o in joints if o != link and joints[o].moves and rank(o) >= rank(link)]
+        better = [o for o in others[link] if joints[o].moves and rank(o) >= rank(link)]
         better.sort(key=lambda o: np.linalg.norm(points[o].mean(0) - points[link].mean(0)))
         better.sort(key=rank, reverse=True)
         for other in better:

@@ -74,5 +74,10 @@ def test_mirrored_doors_turn_about_mirrored_edges() -> None:
 
 
 def test_parts_of_another_shape_may_move_as_they_like() -> None:
+    named = (
+        replace(p, name=n)
+        for p, n in ((drawer("link_1", 0.05), "drawer"), (drawer("link_2", 0.27), "door"))
+    )
+    assert not unlike(checked(OUT, SIDEWAYS, parts=named)), "a drawer's front is no door"
     low = part("link_2", box([-0.47, -W, 0.27], [0.47, 0.1, 0.33]))
     assert not unlike(checked(OUT, SIDEWAYS, parts=(drawer("link_1", 0.05), low)))
