@@ -147,9 +147,9 @@ class LexiconFinder:
                 continue
             kind, word, likeness = found
             article = "an" if kind.name[0] in "aeiou" else "a"
-            taken = f'recognised as {article} {kind.name} by the {source} "{text}"'
+            taken = f"its {source} {text!r} is {article} {kind.name}"
             if word != kind.name:
-                taken = f'recognised as {article} {kind.name} from the words "{word}"'
+                taken += f" (by {word!r})"
             if kind.needs and not any(re.search(rf"\b{n}", said) for n in kind.needs):
                 why = f"{taken}, which moves only with one of: {', '.join(kind.needs)}"
                 return Decision(False, (), why, kind.name, kind.base, 0.6)
