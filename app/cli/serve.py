@@ -16,9 +16,8 @@ from app.server import backend_server
 from app.server.config import TOKEN_VARIABLE, ServeConfig
 from app.server.ending import EndSignals
 from app.server.jobs import WorkerProcess
-from app.server.login import Login, new_token
+from app.server.login import SECRET_VARIABLE, Login, OidcSettings, new_token
 from app.server.network import check_address, free_port, is_loopback, url
-from app.server.oidc import SECRET_VARIABLE, OidcSettings
 from model.core.errors import ConfigurationError, InputFileError
 from model.core.packages import install_command
 from model.core.progress import Progress

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from model.prediction import DEFAULT as DEFAULT_PREDICTOR
 
 if TYPE_CHECKING:
-    from app.server.oidc import OidcSettings
+    from app.server.login import OidcSettings
     from model.core.asset import UpAxis  # imports numpy, which a help page doesn't need
 
 TOKEN_VARIABLE = "ARTIWORLD_TOKEN"

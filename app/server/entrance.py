@@ -12,9 +12,8 @@ from collections.abc import Callable
 from typing import Any
 from urllib.parse import urlsplit
 
-from app.server.login import Attempts, Login, secrets_in
+from app.server.login import Attempts, Login, OidcLogin, secrets_in
 from app.server.network import is_loopback
-from app.server.oidc import OidcLogin
 from model.core.errors import ConfigurationError
 from sessions.accounts import TooManyAttempts
 from sessions.credentials import SCOPES, Person

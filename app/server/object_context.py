@@ -70,14 +70,11 @@ class ObjectContext(Observable):
     """An object's session, its asset once it is read, and the jobs under way.
 
     Attributes:
-        in_scene: whether it belongs to the open scene.
         live: the session with all commands.
         asset: None until it is read.
         jobs: the jobs under way, by their kind.
         lane: the processes that answer clicks on it.
     """
-
-    in_scene = False
 
     def __init__(self, record: ObjectRecord, services: Services) -> None:
         super().__init__()
@@ -103,12 +100,6 @@ class ObjectContext(Observable):
     def do(self, command: cmd.Command, who: str) -> SessionState:
         """Carry out one user decision; it is on disk when this returns."""
         return self.live.do(command, who)
-
-    @property
-    def own_height(self) -> float | None:
-        """Metres, once it is read; None too where a scene or a scan decides on the size."""
-        given = self.in_scene or self.document.placement is not None
-        return None if self.asset is None or given else self.asset.height
 
     def need_asset(self) -> OpenedAsset:
         """Return the asset.

@@ -42,9 +42,12 @@ class OpenObject(ObjectContext):
     """One object as all its tabs see it: asset, session, labels, running jobs.
 
     Attributes:
+        in_scene: whether it belongs to the open scene.
         present: the people with accounts who have it open, in any server.
         kept_until: until then (monotonic clock) a script is taken to work on it.
     """
+
+    in_scene = False
 
     def __init__(self, record: ObjectRecord, services: Services) -> None:
         super().__init__(record, services)
@@ -61,7 +64,7 @@ class OpenObject(ObjectContext):
         self.segmenting = Segmenting(self)
         self.likeness = Likeness(self)
         self.preparing = Preparing(self)
-        self.validation = Validation(self)
+        self.validation = Validation(self, sized=not self.in_scene)
         self._unsubscribe = self.live.subscribe(lambda state, command: self._decided(state))
 
     # --- state

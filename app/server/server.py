@@ -23,9 +23,8 @@ from app.server.ending import EndSignals
 from app.server.entrance import Entrance
 from app.server.gallery import Gallery, whole_number
 from app.server.guard import Route, RouteAnswer, RouteRequest, guarded_server
-from app.server.login import Login
+from app.server.login import Login, OidcLogin
 from app.server.network import url
-from app.server.oidc import OidcLogin
 from app.server.uploads import keep_upload
 from model.core.errors import InputFileError, StoreError
 from model.core.files import static_assets

@@ -82,10 +82,14 @@ class AcceptanceRequest:
 
 
 class Validation:
-    """Validates an object and keeps the reports by revision."""
+    """Validates an object and keeps the reports by revision.
 
-    def __init__(self, obj: ObjectContext) -> None:
-        self._obj = obj
+    Args:
+        sized: whether it has a size of its own, as no object of a scene.
+    """
+
+    def __init__(self, obj: ObjectContext, *, sized: bool) -> None:
+        self._obj, self._sized = obj, sized
         self._reports: OrderedDict[Revision, ValidationReport] = OrderedDict()
         self._complete: dict[tuple[Revision, Context], ValidationReport] = {}
         self._requested: Revision | None = None
@@ -110,7 +114,7 @@ class Validation:
             return None
         confidence = document.predicted_confidence
         names, category = unknown_names(document, self._obj.services.store.project.settings)
-        sized = document.category, self._obj.own_height
+        sized = document.category, self._height()
         context = tuple(sorted(confidence.items())), tuple(names.items()), category, sized
         key = revision, context
         complete = self._complete.get(key)
@@ -122,6 +126,11 @@ class Validation:
         found = state.seq, complete.severity == Severity.OK
         self._obj.services.checked[self._obj.record.id] = found
         return complete
+
+    def _height(self) -> float | None:
+        """Metres, once it is read; None too where a scene or a scan decides on the size."""
+        asset, given = self._obj.asset, self._obj.document.placement is not None
+        return asset.height if asset is not None and self._sized and not given else None
 
     @property
     def awaited(self) -> bool:

@@ -23,7 +23,7 @@ from model.physics.simulation_values import physics_of
 from model.validation import messages
 from model.validation.engines import ENGINES, MUJOCO
 from model.validation.examine import Scene, between, examine
-from model.validation.fixes import find_fixes
+from model.validation.fixes import find_fixes, unlike_findings
 from model.validation.messages import length, value
 from model.validation.physics import run_physics
 from model.validation.report import (
@@ -35,7 +35,6 @@ from model.validation.report import (
     ValidationReport,
     worst_first,
 )
-from model.validation.siblings import unlike_findings
 from model.validation.support import loose_parts
 
 POSES = 12

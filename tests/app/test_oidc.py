@@ -11,7 +11,7 @@ from urllib.parse import parse_qs, urlencode, urlsplit
 
 import pytest
 
-from app.server.oidc import OidcError, OidcLogin, OidcSettings
+from app.server.login import OidcError, OidcLogin, OidcSettings
 from app.server.server import Server
 from model.core.errors import ConfigurationError
 from sessions.store import Store

@@ -9,9 +9,8 @@ from fastapi.responses import HTMLResponse, RedirectResponse
 from pydantic import BaseModel, Field
 
 from app.server.api.guard import Json, State, TheEntrance, Visitor
-from app.server.login import cookie_name, login_page
+from app.server.login import OidcLogin, cookie_name, login_page
 from app.server.network import API, url
-from app.server.oidc import OidcLogin
 from model.core.errors import ConfigurationError
 from sessions.accounts import TooManyAttempts
 from sessions.credentials import LOGIN_SECONDS, SESSION_SECONDS
