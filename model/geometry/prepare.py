@@ -7,6 +7,7 @@ x = y = 0. The nearest quarter turn about z puts the object's main upright surfa
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -19,7 +20,7 @@ from model.core.geometry import affine, uniform_scale
 from model.core.joint import Joint
 from model.core.progress import Progress, no_progress, scaled_progress
 from model.core.tree import KinematicTree
-from model.geometry.cleaning import KIND_NAMES, OBJECT, OUTLIER, Kinds, classify
+from model.geometry.cleaning import KIND_NAMES, OBJECT, OUTLIER, Kinds, classify, outlier_points
 from model.geometry.crop import crop
 from model.geometry.levelling import (
     LYING_DECLARED,
@@ -173,7 +174,9 @@ def _found_up(
     """The up direction by the surface, and by the height of what the file is named after."""
     # Where the axis that was taken for the file's up is wrong, it is mostly the other of z and y.
     other = -1.0 if asset.source is not None and asset.source.up_axis == "y" else 1.0
-    found = find_up(points, normals, progress, mistaken=other)
+    kept = _without_outliers(points)
+    normals = None if normals is None else normals[kept]
+    found = find_up(points[kept], normals, progress, mistaken=other)
     category = category_of(asset.name)
     if found.lying is None or category is None:
         return found
@@ -184,6 +187,18 @@ def _found_up(
     others = tuple(v for v in (found.up, *found.alternatives) if v != up)
     lying = 1 - LYING_DECLARED if stands else max(found.lying, LYING_DECLARED)
     return Levelling(up, max(lying, 1 - lying), None, others, lying=lying)
+
+
+def _without_outliers(points: Array) -> npt.NDArray[Any]:
+    """The points that up is found by, or all where few are none: those far off would be taken for
+    the object's extent."""
+    chosen = np.arange(0, len(points), max(len(points) // _SAMPLES, 1))
+    some = points[chosen]
+    finite = np.isfinite(some).all(1)
+    outliers = outlier_points(some[finite], KDTree(some[finite])) if finite.any() else []
+    if not len(outliers):
+        return np.arange(len(points))
+    return np.delete(chosen[finite], outliers)
 
 
 def prepare(

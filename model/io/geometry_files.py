@@ -1,7 +1,7 @@
 """Files with one mesh or cloud to :class:`~model.core.asset.Asset` values, and checks on them.
 
 Up axis by default: glTF and GLB are +y up by their standard; a single OBJ file is taken as +y up,
-as modelling tools write it; PLY, STL, PCD, NPZ, text, LAS and E57 are +z up. USD
+as modelling tools write it; PLY, STL, PCD, NPZ, text, LAS, E57 and PTX are +z up. USD
 and COLLADA files state their axis and unit, which are applied. Folders of part meshes lie in
 one object frame that is +z up already, whatever their format, except for glTF.
 
@@ -33,8 +33,9 @@ from model.io.formats.obj import read_obj
 from model.io.formats.pcd import read_pcd
 from model.io.formats.ply import read_ply
 from model.io.formats.points import read_npz, read_text
+from model.io.formats.stations import read_e57, read_ptx
 from model.io.formats.stl import read_stl
-from model.io.formats.surveys import read_e57, read_las
+from model.io.formats.surveys import read_las
 from model.io.formats.usd import read_usd
 
 MIN_POINTS = 4
@@ -234,11 +235,14 @@ def _unit(
     return normals / length[:, None].astype(normals.dtype), warnings
 
 
+Piece = tuple[str, bool]
+"""Name of a piece of a file, and whether the centre of its box is its origin."""
 _Reader = Callable[[Path, int], Loaded]
 _READERS: dict[str, _Reader] = {".ply": read_ply, ".obj": read_obj, ".glb": read_gltf}
 _READERS |= {".gltf": read_gltf, ".stl": read_stl, ".pcd": read_pcd}
 _READERS |= dict.fromkeys((".xyz", ".xyzrgb", ".xyzn"), read_text)
-_READERS |= {".las": read_las, ".laz": read_las, ".e57": read_e57, ".dae": read_dae}
+_READERS |= {".las": read_las, ".laz": read_las, ".e57": read_e57, ".ptx": read_ptx}
+_READERS |= {".dae": read_dae}
 _READERS |= dict.fromkeys((".usd", ".usda", ".usdc", ".usdz"), read_usd)
 _READERS |= {**dict.fromkeys((".pts", ".asc", ".txt", ".csv"), read_text), ".npz": read_npz}
 SUFFIXES: tuple[str, ...] = tuple(_READERS)
@@ -318,8 +322,13 @@ def read_geometry_file(
     max_bytes: int = DEFAULT_MAX_BYTES,
     files: MaterialFiles | None = None,
     progress: Progress = no_progress,
+    piece: Piece | None = None,
 ) -> Asset:
     """Read one file with a mesh or a cloud; see :func:`model.io.open_asset.open_asset`.
+
+    Args:
+        piece: the only one of its named pieces that is taken; all where it has none of that name,
+            with a warning.
 
     Raises:
         InputFileError: where it can't be used.
@@ -327,9 +336,30 @@ def read_geometry_file(
     """
     progress(0.0, f"reading {path.name}")
     loaded = load_geometry(path, max_bytes, files)
+    if piece is not None:
+        loaded = _only(loaded, *piece)
     up = up_axis or default_up_axis(path)
     progress(0.7, "checking")
     return _asset_of(path, path.stem, loaded, file_digest([path]), up, unit_scale)
+
+
+def _only(loaded: Loaded, name: str, centered: bool) -> Loaded:
+    names, sizes = zip(*loaded.pieces, strict=True) if loaded.pieces else ((), ())
+    wanted = np.repeat([n == name for n in names], sizes).astype(bool)
+    if not wanted.any() or len(wanted) != len(loaded.faces):
+        whole = f"the whole mesh is read: it has no submesh {name!r}"
+        return replace(loaded, warnings=(*loaded.warnings, whole))
+    faces, material = loaded.faces[wanted], loaded.face_material
+    corners = loaded.vertices[faces.reshape(-1)]
+    middle = (corners.min(0) + corners.max(0)) / 2 if centered else np.zeros(3)
+    return replace(
+        loaded,
+        vertices=loaded.vertices - middle,
+        faces=faces,
+        face_material=material[wanted] if len(material) else material,
+        pieces=(),
+        polygon=None,
+    )
 
 
 def _asset_of(

@@ -15,6 +15,8 @@ from model.core.errors import InputFileError
 from model.geometry.topology import same_points
 from model.io.formats.loaded import DEFAULT_MAX_BYTES, Loaded, numbers, read_bytes
 
+_MAGICS = b"COLOR="
+"""In a header where Magics wrote colours; others set the highest bit of attributes."""
 _RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
 
@@ -28,8 +30,12 @@ def read_stl(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
     promised = int.from_bytes(data[80:84], "little") if len(data) >= 84 else -1
     room = (len(data) - 84) // _RECORD.itemsize
     # Binary files may begin with "solid" too, so the size decides.
+    remarks: tuple[str, ...] = ()
     if promised >= 0 and 84 + promised * _RECORD.itemsize == len(data):
-        corners = np.frombuffer(data, _RECORD, promised, 84)["corners"].reshape(-1, 3)
+        records = np.frombuffer(data, _RECORD, promised, 84)
+        corners = records["corners"].reshape(-1, 3)
+        if (records["attribute"] >> 15).any() or _MAGICS in data[:80]:
+            remarks = ("colours of STL files are not read",)
     elif data.lstrip()[:5].lower() == b"solid" and _is_ascii(data):
         corners = _ascii(path, data)
     elif 0 < promised <= room:
@@ -43,7 +49,7 @@ def read_stl(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
             "the file is cut off or is no STL; export it again",
         )
     first, inverse = same_points(corners)
-    return Loaded(corners[first], inverse.reshape(-1, 3))
+    return Loaded(corners[first], inverse.reshape(-1, 3), warnings=remarks)
 
 
 def _is_ascii(data: bytes) -> bool:

@@ -1,17 +1,24 @@
-"""Surveyed clouds: LAS and LAZ (ASPRS LAS 1.4, through laspy), E57 (ASTM E2807, through pye57)."""
+"""Surveyed clouds: LAS and LAZ (ASPRS LAS 1.4, through laspy)."""
 
 from __future__ import annotations
 
 import io
 import struct
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from model.core.errors import InputFileError
 from model.core.packages import require
-from model.io.formats.loaded import DEFAULT_MAX_BYTES, Loaded, colors_from, read_bytes, size_of
+from model.io.formats.loaded import DEFAULT_MAX_BYTES, Loaded, colors_from, read_bytes
+from model.io.formats.survey_crs import Units, units_of_keys, units_of_wkt
 
+_NOISE = (7, 18)
+"""Classes of low and of high noise."""
+_WKT, _GEOTIFF = 2112, (34735, 34737)
+"""Numbers of the records of coordinate systems: WKT; GeoTIFF's keys and texts."""
 _PANIC = "PanicException"
 """Exception of failing Rust libraries; no ``Exception``."""
 _LASZIP = 22204
@@ -23,7 +30,9 @@ _PACKED = 0x80
 
 
 def read_las(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
-    """Read one LAS or LAZ file; +z up, in the unit of its coordinate system, mostly metres.
+    """Read one LAS or LAZ file; +z up, metres by the units of its coordinate system.
+
+    Points that are flagged as withheld or classified as noise are left out, with their number.
 
     Raises:
         InputFileError: where it is no such file, damaged, or has no points.
@@ -41,21 +50,52 @@ def read_las(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
             if declared > max_bytes:
                 raise InputFileError(path, "unpacks to more than the limit", "thin the scan first")
             cloud = file.read()
+            units = _units(file.header)
         points = np.column_stack([cloud.x, cloud.y, cloud.z]).astype(np.float64)
-        names = set(cloud.point_format.dimension_names)
+        kept, remarks = _counting(cloud)
         colors = None
-        if {"red", "green", "blue"} <= names:
+        if {"red", "green", "blue"} <= set(cloud.point_format.dimension_names):
             rgb = np.column_stack([cloud.red, cloud.green, cloud.blue]).astype(np.uint16)
-            colors = colors_from(rgb) if rgb.any() else None
+            colors = colors_from(rgb)[kept] if rgb.any() else None
     except InputFileError:
         raise
     except BaseException as error:  # laspy and lazrs raise many kinds for damaged files
         if not isinstance(error, Exception) and type(error).__name__ != _PANIC:
             raise
         raise InputFileError(path, f"can't be read as LAS ({error})", "export it again") from None
-    if not len(points):
-        raise InputFileError(path, "has no points", "export the scan again")
-    return Loaded(points, colors=colors)
+    if not kept.any():
+        why = "has no points" if not len(points) else f"has no points that count ({remarks[0]})"
+        raise InputFileError(path, why, "export the scan again")
+    if units.plane is None:
+        what = f"has longitudes and latitudes ({units.name}), in which nothing has a size"
+        raise InputFileError(path, what, "export it in a projected coordinate system, in metres")
+    points = points[kept] * [units.plane, units.plane, units.height]
+    return Loaded(points, colors=colors, warnings=(units.remark, *remarks))
+
+
+def _counting(cloud: Any) -> tuple[npt.NDArray[np.bool_], list[str]]:
+    """(N,) points that are to be processed, and remarks on the others."""
+    withheld = np.asarray(cloud.withheld, bool)
+    noise = np.isin(np.asarray(cloud.classification), _NOISE) & ~withheld
+    counts = {"flagged as withheld": withheld.sum(), "classified as noise": noise.sum()}
+    remarks = [f"{n:,} points {what} are left out" for what, n in counts.items() if n]
+    return ~(withheld | noise), remarks
+
+
+def _units(header: Any) -> Units:
+    """By the records of the coordinate system; of the two forms the one that the header names."""
+    records = [*header.vlrs, *(header.evlrs or ())]
+    text = next((getattr(r, "string", "") for r in records if r.record_id == _WKT), "")
+    by_text = units_of_wkt(text) if text.strip("\0 ") else None
+    geo = {r.record_id: r for r in records if r.record_id in _GEOTIFF}
+    if by_text is not None and (header.global_encoding.wkt or _GEOTIFF[0] not in geo):
+        return by_text
+    if _GEOTIFF[0] not in geo:
+        return by_text or Units()
+    names = getattr(geo.get(_GEOTIFF[1]), "strings", ())
+    keys = getattr(geo[_GEOTIFF[0]], "geo_keys", ())
+    codes = {int(k.id): int(k.value_offset) for k in keys if not k.tiff_tag_location}
+    return units_of_keys(codes, " ".join(names))
 
 
 def _plausible(data: bytes) -> bool:
@@ -102,43 +142,3 @@ def _chunk_bytes(data: bytes) -> int:
             return 0 if points == 2**32 - 1 else points * point
         at += 54 + size
     return 0
-
-
-_POINT_BYTES = 24
-
-
-def read_e57(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
-    """Read all scans of one E57 file in their common frame; metres, +z up.
-
-    Raises:
-        InputFileError: where it is no such file, damaged, or has no points.
-        ConfigurationError: where pye57 isn't installed.
-    """
-    pye57 = require("pye57", "artiworld[scans]")
-    if size_of(path) > max_bytes:
-        raise InputFileError(path, "is over the limit of bytes", "thin the scan first")
-    points: list[np.ndarray] = []
-    colors: list[np.ndarray | None] = []
-    try:
-        file = pye57.E57(str(path))
-        try:
-            total = sum(file.get_header(k).point_count for k in range(file.scan_count))
-            if total * _POINT_BYTES > max_bytes:
-                raise InputFileError(path, f"has {total} points, over the limit", "thin the scan")
-            for k in range(file.scan_count):
-                data = file.read_scan(k, colors=True, ignore_missing_fields=True)
-                points.append(np.column_stack([data[f"cartesian{a}"] for a in "XYZ"]))
-                shown = [data.get(f"color{c}") for c in ("Red", "Green", "Blue")]
-                colors.append(None if any(c is None for c in shown) else np.column_stack(shown))  # type: ignore[arg-type]
-        finally:
-            file.close()
-    except InputFileError:
-        raise
-    except Exception as error:  # libE57 raises its own kinds, and KeyError for missing fields
-        raise InputFileError(path, f"can't be read as E57 ({error})", "export it again") from None
-    if not sum(map(len, points)):
-        raise InputFileError(path, "has no points", "export the scan again")
-    rgb = None
-    if all(c is not None for c in colors):
-        rgb = colors_from(np.concatenate(colors).astype(np.uint16))  # type: ignore[arg-type]
-    return Loaded(np.concatenate(points).astype(np.float64), colors=rgb)
