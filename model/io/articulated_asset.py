@@ -7,6 +7,7 @@ all.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -148,11 +149,16 @@ def _loaded(
         exported, ours = declared_category(path.parent)
         if ours:  # exports of ArtiWorld name links, and visuals where they can, after parts
             category = category or exported
-            own = {p.link: p.name or part_name_in(p.link) for p in parts}
+            own = {p.link: _named(p.name) or part_name_in(p.link) for p in parts}
             names_of = {link: name for link, name in own.items() if name} | names_of
         names_of = dict(model.part_names) | names_of
     known = category if isinstance(category, str) else None
     return ArticulatedObject(model.name, tuple(parts), model.tree, known), names_of
+
+
+def _named(visual: str | None) -> str | None:
+    """A visual's name where it is a part's: in SDF each needs one."""
+    return None if visual is None or re.fullmatch(r"visual(_\d+)?", visual) else visual
 
 
 def _opened(

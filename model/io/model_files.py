@@ -25,6 +25,7 @@ from model.io.urdf.files import (
     PACKAGE,
     URDF_SUFFIX,
     allow,
+    gazebo_model,
     is_anymesh,
     is_urdf,
     named_meshes,
@@ -300,7 +301,8 @@ def model_of(folder: Path) -> Path | None:
 
 
 def _whole(folder: Path) -> Path | None:
-    return next((p for n in _WHOLE_FOLDER if is_model(p := folder / n)), None)
+    named = (p for n in _WHOLE_FOLDER if is_model(p := folder / n))
+    return next(named, None) or gazebo_model(folder)
 
 
 def _urdf_of_package(folder: Path) -> Path | None:

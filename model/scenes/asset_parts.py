@@ -31,12 +31,13 @@ from model.io.geometry_files import FOLDER_SUFFIXES
 from model.io.merging import read_rigid
 from model.io.model_files import is_part_folder
 from model.io.open_asset import open_asset, read_part_files
-from model.io.urdf.files import MOBILITY, URDF_SUFFIX
+from model.io.urdf.files import MOBILITY, MODEL_CONFIG, URDF_SUFFIX, gazebo_model
+from model.io.urdf.sdf import is_sdf
 from model.scenes.scene import Anchor, FloatArray, SceneObject
 from model.segmentation.prompts import Click, Prompts, Region
 from model.segmentation.registry import load_segmenter
 
-_URDF_NAMES = (MOBILITY, "object.urdf")
+_URDF_NAMES = (MOBILITY, "object.urdf", MODEL_CONFIG)
 _FOLDERS_MODEL = "raw_model"
 """Name of the mesh in the folder of each model of 3D-FUTURE."""
 
@@ -80,8 +81,8 @@ class AssetIndex:
 def index_assets(folders: Iterable[str | Path]) -> AssetIndex:
     """Search folders in depth for assets.
 
-    An asset is a folder with a ``mobility.urdf`` or ``object.urdf``, a folder of part meshes,
-    another URDF, or a mesh file.
+    An asset is a folder with a ``mobility.urdf`` or ``object.urdf``, that of a Gazebo model, a
+    folder of part meshes, another URDF or SDF, or a mesh file.
 
     Raises:
         InputFileError: where a folder isn't there.
@@ -114,7 +115,8 @@ def _assets_in(root: Path) -> Iterable[Path]:
             yield folder
             continue
         for name in sorted(files):
-            if Path(name).suffix.lower() in (*FOLDER_SUFFIXES, URDF_SUFFIX):
+            suffix = Path(name).suffix.lower()
+            if suffix in (*FOLDER_SUFFIXES, URDF_SUFFIX) or is_sdf(folder / name):
                 yield folder / name
 
 
@@ -190,6 +192,9 @@ def known_parts(path: Path) -> AssetParts:
             return _of_urdf(path / "object.urdf")
         if is_part_folder(path, FOLDER_SUFFIXES):
             return _at_least_two(read_part_files(path).parts, "its part files")
+    file = gazebo_model(path) if path.is_dir() else path
+    if file is not None and is_sdf(file):
+        return _of_urdf(file)
     asset = read_unshifted(path)
     if asset.element_part is not None and not path.is_dir():
         named = split(asset, asset.element_part, dict(enumerate(asset.part_names)))
@@ -273,10 +278,10 @@ def _at_least_two(parts: tuple[Part, ...], how: str) -> AssetParts:
 
 
 def _of_urdf(path: Path) -> AssetParts:
-    root = None if path.name == MOBILITY else path.parent.parent
+    root = None if path.name == MOBILITY or is_sdf(path) else path.parent.parent
     obj, model, _ = read_rigid(path, root=root, shapes=True)
     # Not the remarks on merged links: that fixed links are one part is no change.
-    found = _at_least_two(obj.parts, "links of its URDF")
+    found = _at_least_two(obj.parts, f"links of its {path.suffix[1:].upper()}")
     weighed, shaped = (declared_links(path.parent, what) for what in ("masses", "collision"))
 
     def its_own(link: str, listed: list[str] | None) -> bool:

@@ -33,8 +33,9 @@ from model.core.errors import ArtiworldError, ConfigurationError
 from model.core.files import write_json
 from model.core.pool import robust_map
 from model.core.progress import Progress, no_progress
-from model.io.urdf.files import MOBILITY
+from model.io.urdf.files import MOBILITY, URDF_SUFFIX, gazebo_model
 from model.io.urdf.reader import read_urdf_model
+from model.io.urdf.sdf import is_sdf
 from model.prediction.registry import DEFAULT
 from model.scenes import jobs as job_module
 from model.scenes.asset_parts import AssetIndex, ClickedObject, ObjectClicks, asset_digest
@@ -226,6 +227,9 @@ def decide(
                 if outcome.path not in truths:
                     truths[outcome.path] = _moves(outcome.path)
                 outcome.truth = truths[outcome.path]
+                if obj.asset in inside.files and outcome.truth and not decision.articulable:
+                    why = "the scene's file declares joints of it"
+                    outcome.decision = replace(decision, articulable=True, reason=why)
         out.append(outcome)
     return out
 
@@ -238,11 +242,12 @@ def _filled(obj: SceneObject, assets: AssetIndex) -> SceneObject:
 
 
 def _moves(path: Path) -> bool | None:
-    """True if the asset's own URDF has a moving joint; None without a readable URDF."""
-    for name in (MOBILITY, "object.urdf"):
-        if (path / name).is_file():
+    """True if the asset's own URDF or SDF has a moving joint; None without a readable one."""
+    files = [path / MOBILITY, path / "object.urdf", gazebo_model(path) or path]
+    for file in files:
+        if file.is_file() and (file.suffix == URDF_SUFFIX or is_sdf(file)):
             try:
-                return any(j.moves for j in read_urdf_model(path / name).tree.joints)
+                return any(j.moves for j in read_urdf_model(file).tree.joints)
             except ArtiworldError:
                 return None
     return None

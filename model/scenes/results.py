@@ -330,19 +330,33 @@ def _write_lisdf(scene: Scene, urdf_of: dict[str, str], path: Path) -> None:
     root = parse(scene.path)
     world = root.find("world")
     assert world is not None
+    elements = {tag: world.findall(tag) for tag in ("include", "model")}
     for obj in scene.objects:
         if obj.id not in urdf_of or not obj.place:
             continue
         tag, index = obj.place
-        element = world.findall(str(tag))[int(index)]
+        element = elements[str(tag)][int(index)]
+        if tag == "model":
+            for child in [c for c in element if c.tag not in ("pose", "static")]:
+                element.remove(child)
+            element.tag = "include"
+            ET.SubElement(element, "uri")
+            ET.SubElement(element, "name").text = element.attrib.pop("name", obj.id)
         uri, scale = element.find("uri"), element.find("scale")
         assert uri is not None
         uri.text = urdf_of[obj.id]
+        framed = bool(element.attrib.pop("placement_frame", ""))
+        for frame in element.findall("placement_frame"):
+            element.remove(frame)
+            framed = True
+        was = ["1"] if scale is None else (scale.text or "1").split()
         if scale is not None:  # the URDF is at its size in the scene
-            was = (scale.text or "1").split()
             scale.text = " ".join(["1.0"] * len(was))
-            if any(float(word) < 0 for word in was):  # so part of its mirroring is a turn
-                _pose_of(element).text = pose_text(obj.world_from_object)
+        # Where it is mirrored, a part of that is a turn; without a pose the model's own counted.
+        if framed or element.find("pose") is None or any(float(word) < 0 for word in was):
+            pose = _pose_of(element)
+            pose.attrib.clear()
+            pose.text = pose_text(obj.world_from_object)
     _write_bytes(path, ET.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n")
 
 

@@ -111,8 +111,12 @@ class Unpacker:
 
     def add(self, asset: str, stem: str, pieces: Pieces) -> None:
         """Write one object; ``pieces`` is called for its geometry."""
+        self.put(asset, lambda: write_object(self._folder, stem, pieces()))
+
+    def put(self, asset: str, write: Callable[[], Path]) -> None:
+        """Take the file or folder that ``write`` writes."""
         try:
-            self.files[asset] = write_object(self._folder, stem, pieces())
+            self.files[asset] = write()
         except (
             ArtiworldError,
             KeyError,
@@ -166,8 +170,11 @@ def unpack(scene: Scene, folder: Path) -> Unpacked:
 
 
 def holds_geometry(scene: Scene) -> bool:
-    """True if the scene's own file holds the assets."""
-    return _geometry_reader(scene) is not None
+    """True if the scene's own file holds all assets."""
+    inside = f"{scene.path.name}#"
+    return _geometry_reader(scene) is not None and all(
+        o.asset is None or o.asset.startswith(inside) for o in scene.objects
+    )
 
 
 def _geometry_reader(scene: Scene) -> GeometryReader | None:

@@ -84,6 +84,7 @@ class SdfExporter(FileExporter):
         parts = write_parts(obj, folder, clouds=False, progress=progress)
         shapes = write_collision(physics.collision, obj.parts, folder, capsules=True)
         visuals = {p.link: p.mesh for p in parts}
+        called = {p.link: p.name for p in obj.parts}
         sdf = ET.Element("sdf", version=VERSION)
         model = ET.SubElement(sdf, "model", name=xml_name(obj.name), canonical_link=obj.tree.root)
         tree, pitches = sdf_tree(obj)
@@ -94,6 +95,8 @@ class SdfExporter(FileExporter):
             _inertial(element, physics.inertials.get(link, HELPER), origins[link])
             if link in visuals:
                 _geometry(element, "visual", visuals[link], 0, origins[link])
+                if name := called.get(link):  # reading takes the part's name from it
+                    element[-1].set("name", xml_name(name))
             held = zip(shapes.get(link, []), physics.collision.get(link, ()), strict=True)
             for i, (shape, whole) in enumerate(held):
                 convex = not isinstance(whole, Solid)

@@ -15,6 +15,7 @@ from __future__ import annotations
 import json
 import os
 import re
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from xml.sax.saxutils import unescape
@@ -24,7 +25,7 @@ import numpy as np
 from model.core.errors import InputFileError
 from model.core.files import read_json
 from model.io.formats.loaded import ReferenceRefused, read_bytes, resolve
-from model.io.robot_xml import MAX_BYTES
+from model.io.robot_xml import MAX_BYTES, parse
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
@@ -40,6 +41,8 @@ BORDER = "artiworld-zip"
 """Empty file beside what a zip was unpacked to: no reference in there leaves this folder."""
 _GIVEN, _MOST_GIVEN = "ARTIWORLD_FOLDERS", 100
 PACKAGE_URI, MODEL_URI = "package://", "model://"
+MODEL_CONFIG = "model.config"
+"""File that marks the folder of a Gazebo model."""
 _LEVELS = 4
 _FILENAME = re.compile(
     r"""filename\s*=\s*["']([^"'<>]{1,1000})["']|<uri>\s*([^<>]{1,1000}?)\s*</uri>"""
@@ -66,8 +69,9 @@ def allow(folder: Path) -> None:
 def package_root(path: Path, given: Path | None = None) -> Path:
     """The folder that the files of a model may not leave; its own, or a wider one above it.
 
-    That is the nearest of the few above it that hold a ``package.xml``, a repository's, one that a
-    person gave (``given``, or :func:`allow`), whichever is widest; of a zip its own.
+    That is the nearest of the few above it that hold a ``package.xml``, the one of Gazebo's models,
+    a repository's, one that a person gave (``given``, or :func:`allow`), whichever is widest; of a
+    zip its own.
     """
     own = path.absolute().parent
     above = (own, *own.parents)
@@ -77,7 +81,8 @@ def package_root(path: Path, given: Path | None = None) -> Path:
     known = {os.path.abspath(given), *_given()} if given is not None else _given()
     package = [folder for folder in above[:_LEVELS] if (folder / PACKAGE).is_file()][:1]
     repository = [folder for folder in above if (folder / REPOSITORY).exists()][:1]
-    wide = [*package, *repository, *(folder for folder in above if str(folder) in known)]
+    models = above[1:2] if (own / MODEL_CONFIG).is_file() else ()
+    wide = [*package, *models, *repository, *(folder for folder in above if str(folder) in known)]
     return min(wide, key=lambda folder: len(folder.parts), default=path.parent)
 
 
@@ -85,7 +90,7 @@ def _given() -> set[str]:
     return {*os.environ.get(_GIVEN, "").split("\n")} - {""}
 
 
-def _upwards(folder: Path, root: Path) -> list[Path]:
+def upwards(folder: Path, root: Path) -> list[Path]:
     """``folder`` and those above it up to ``root``."""
     folder, root = folder.absolute(), root.absolute()
     above = (folder, *folder.parents)
@@ -96,10 +101,32 @@ def _in_package(whole: str, folder: Path, root: Path) -> list[tuple[Path, str]]:
     """Places of ``package/rest``, each as seen from a folder, the likeliest first: in the folder of
     the package, wherever that is, then in any."""
     name, _, rest = whole.partition("/")
-    starts = _upwards(folder, root)
+    starts = upwards(folder, root)
     exact = [(start, rest) for start in starts if start.name == name]
     places = [*exact, *((s, whole) for s in starts), *((s, rest) for s in reversed(starts))]
     return [(start, text) for start, text in places if text]
+
+
+def gazebo_model(folder: Path) -> Path | None:
+    """The SDF in the folder of a Gazebo model, of several the one of the latest version."""
+    try:
+        config = parse(folder / MODEL_CONFIG, ("model",), "a model.config")
+    except InputFileError:
+        return None
+    found: dict[tuple[int, ...], Path] = {}
+    for entry in config.findall("sdf"):
+        with suppress(ReferenceRefused, ValueError):
+            file = resolve(entry.text or "", folder, folder)
+            if file.is_file():
+                version = tuple(int(n) for n in entry.get("version", "1").split("."))
+                found.setdefault(version, folder / file.relative_to(folder.resolve()))
+    return found[max(found)] if found else None
+
+
+def _reference(text: str) -> str:
+    """A reference with slashes; to a Gazebo model as to a ROS package."""
+    text = text.strip().replace("\\", "/")
+    return PACKAGE_URI + text.removeprefix(MODEL_URI) if text.startswith(MODEL_URI) else text
 
 
 def named_meshes(path: Path) -> list[Path]:
@@ -117,9 +144,7 @@ def named_meshes(path: Path) -> list[Path]:
     own, root = Path(os.path.abspath(path.parent)), Path(os.path.abspath(package_root(path)))
     found: dict[str, None] = {}
     for name in dict.fromkeys(a or b for a, b in _FILENAME.findall(content)):
-        plain = unescape(name).strip().replace("\\", "/").removeprefix("file://")
-        if plain.startswith(MODEL_URI):
-            plain = PACKAGE_URI + plain.removeprefix(MODEL_URI)
+        plain = _reference(unescape(name).removeprefix("file://"))
         places = [(own, plain)] if plain else []
         if plain.startswith(PACKAGE_URI):
             places = _in_package(plain.removeprefix(PACKAGE_URI), own, root)
@@ -141,7 +166,7 @@ def resolve_mesh(filename: str, folder: Path, root: Path) -> tuple[Path, bool]:
         ReferenceRefused: for an empty or remote reference, and for an absolute one or one that
             leaves ``root`` of which no end is there.
     """
-    text = filename.strip().replace("\\", "/")
+    text = _reference(filename)
     if not text.startswith(PACKAGE_URI):
         try:
             return resolve(text, folder, root), False

@@ -29,7 +29,7 @@ from model.core.textures import (
 )
 from model.geometry.topology import connected_shells
 from model.io.formats.mtl import MaterialFiles, OneMaterial
-from model.io.geometry_files import read_geometry_file
+from model.io.geometry_files import Piece, read_geometry_file
 
 UNSAID = (0.5, 0.5, 0.5, 1.0)
 """RGBA that MuJoCo gives to geoms of which nothing is said."""
@@ -176,8 +176,11 @@ class UrdfVisual:
             a file.
         color: RGBA in 0..255 from the URDF's material, or None. It is for what has no looks.
         mesh: geometry that no file holds, or None.
-        material: takes the place of what a mesh file says of its looks, or None.
+        material: takes the place of what a mesh file says of its looks, or None; one without a
+            picture leaves textures.
         repeat: how often its textures repeat along u and v.
+        piece: the only one of the file's named pieces that counts, and whether its box' centre is
+            its origin; None for the whole file.
     """
 
     link: str
@@ -189,6 +192,7 @@ class UrdfVisual:
     mesh: Mesh | None = None
     material: Material | None = None
     repeat: tuple[float, float] = (1.0, 1.0)
+    piece: Piece | None = None
 
 
 SECTIONS = 32
@@ -240,12 +244,16 @@ def _load(
     # A URDF takes mesh files as they are: the format's usual up axis doesn't count.
     inside = files is not None and visual.file.resolve().is_relative_to(files.root.resolve())
     within = files if inside else None
-    if visual.material is not None:
+    if visual.material is not None and visual.material.pictured:
         within = OneMaterial(visual.file.parent, visual.material)
-    asset = read_geometry_file(visual.file, up_axis="z", files=within)
+    asset = read_geometry_file(visual.file, up_axis="z", files=within, piece=visual.piece)
     remarks += (f"{visual.file.name}: {w}" for w in asset.warnings)
     mesh = asset.mesh
     if mesh is not None and visual.material is not None:
+        if not visual.material.pictured and any(m.texture is not None for m in mesh.materials):
+            kept = tuple(visual.material if m.texture is None else m for m in mesh.materials)
+            remarks.append(f"{visual.file.name}: its texture is kept, not the colour of its link")
+            return replace(mesh, materials=kept), None
         mesh = _with_material(mesh, visual)
     elif mesh is not None and visual.color is not None and _plain(mesh):
         mesh = replace(mesh, materials=(Material("urdf", visual.color),) * len(mesh.materials))
@@ -322,6 +330,7 @@ def repeats(pieces: Sequence[UrdfVisual], visuals: Sequence[UrdfVisual]) -> bool
         (piece.file or piece.mesh) is not None
         and any(
             piece.file == v.file
+            and piece.piece == v.piece
             and piece.mesh is v.mesh
             and np.allclose(piece.object_from_geometry, v.object_from_geometry)
             for v in visuals
@@ -339,7 +348,7 @@ def declared_shapes(
     if all(each.repeated for _, each in mine):
         return None
     out: list[Shape] = []
-    read: dict[Path, Mesh] = {}
+    read: dict[tuple[Path, Piece | None], Mesh] = {}
     for link, each in mine:
         wrong = each.wrong
         for piece in each.pieces if not wrong else ():
@@ -354,7 +363,7 @@ def declared_shapes(
     return tuple(out)
 
 
-def _shapes(piece: UrdfVisual, read: dict[Path, Mesh]) -> list[Shape]:
+def _shapes(piece: UrdfVisual, read: dict[tuple[Path, Piece | None], Mesh]) -> list[Shape]:
     """One piece; a mesh of several convex bodies is each of them.
 
     Raises:
@@ -367,9 +376,10 @@ def _shapes(piece: UrdfVisual, read: dict[Path, Mesh]) -> list[Shape]:
         mesh = piece.mesh
     else:
         assert piece.file is not None
-        if piece.file not in read:
-            read[piece.file] = _mesh(piece.file)
-        mesh = read[piece.file]
+        key = (piece.file, piece.piece)
+        if key not in read:
+            read[key] = _mesh(*key)
+        mesh = read[key]
     mesh = mesh.moved(piece.object_from_geometry)
     bodies = _convex_bodies(mesh)
     if bodies:
@@ -381,10 +391,10 @@ def _shapes(piece: UrdfVisual, read: dict[Path, Mesh]) -> list[Shape]:
     return [found]
 
 
-def _mesh(file: Path) -> Mesh:
+def _mesh(file: Path, piece: Piece | None) -> Mesh:
     if not file.is_file():
         raise ArtiworldError(f"the collision mesh {file.name!r} isn't there")
-    asset = read_geometry_file(file, up_axis="z")
+    asset = read_geometry_file(file, up_axis="z", piece=piece)
     if asset.mesh is None:
         raise ArtiworldError(f"the collision mesh {file.name!r} has no faces")
     shift = np.zeros(3) if asset.source is None else np.asarray(asset.source.shift)

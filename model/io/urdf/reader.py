@@ -26,7 +26,9 @@ from model.io.robot_xml import URDF, parse
 from model.io.urdf.files import ANYMESH, package_root, resolve_mesh, robot_of
 from model.io.urdf.meshes import DeclaredCollision, UrdfVisual, repeats
 from model.io.urdf.model import UrdfModel, read_declared_physics, renamed_helpers
-from model.io.urdf.sdf import SDF_SUFFIX, robot_of_sdf
+from model.io.urdf.sdf import CENTERED, SDF_SUFFIX, SUBMESH, robot_of_sdf
+from model.io.urdf.sdf_frames import is_true
+from model.io.urdf.sdf_looks import LOOKS, painted
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
@@ -71,7 +73,11 @@ def read_urdf(
 
 
 def read_urdf_model(
-    path: str | Path, *, root: str | Path | None = None, lenient: bool = False
+    path: str | Path,
+    *,
+    root: str | Path | None = None,
+    lenient: bool = False,
+    model: Element | None = None,
 ) -> UrdfModel:
     """Read a URDF without loading meshes.
 
@@ -87,12 +93,14 @@ def read_urdf_model(
         lenient: joints with wrong values become fixed ones and are named in ``faulty``, for
             scoring what others wrote; numbers with commas are wrong there, as simulators don't
             take them. Everything else is an error as ever.
+        model: one of the models in an SDF's world, else the file's only one.
 
     Raises:
         InputFileError: as :func:`read_urdf`.
     """
     path = Path(path)
-    return _Reader(path, Path(root) if root is not None else package_root(path), lenient).read()
+    root = Path(root) if root is not None else package_root(path)
+    return _Reader(path, root, lenient).read(model)
 
 
 class _Reader:
@@ -113,13 +121,15 @@ class _Reader:
         self._unlimited: list[str] = []  # mimic joints that take their leader's range
         self._absent: set[Path] = set()  # meshes that aren't there or are empty
 
-    def read(self) -> UrdfModel:
+    def read(self, model: Element | None = None) -> UrdfModel:
+        unread: list[str] = []
         if self.path.name == ANYMESH:
             robot = robot_of(self.path)
-        elif self.path.suffix.lower() == SDF_SUFFIX:
-            robot, self.notes = robot_of_sdf(self.path)
+        elif model is not None or self.path.suffix.lower() == SDF_SUFFIX:
+            robot, self.notes = robot_of_sdf(self.path, model)
         else:
             robot = parse(self.path, ("robot",), "a URDF")
+            unread = URDF.unread(robot)
         for material in robot.findall("material"):
             color = self._color(material)
             if color is not None and material.get("name"):
@@ -139,7 +149,7 @@ class _Reader:
         if self.lenient:
             joints += self._joined(links, joints, locals_)
         geometry = self._geometry(robot)
-        self.notes += URDF.unread(robot)
+        self.notes += unread
         self.problems += tree_problems(tuple(links), tuple(joints))
         self._raise()
         object_from_link = _compose(KinematicTree(tuple(links), tuple(joints)), locals_)
@@ -456,7 +466,8 @@ class _Reader:
                 return None
             material = self._texture(element.find("material"), where)
             frame = pose @ np.diag([*scale, 1.0])
-            return UrdfVisual(link, name, frame, file, None, color, material=material)
+            made = UrdfVisual(link, name, frame, file, None, color, material=material)
+            return self._as_in_sdf(made, element)
         sizes: tuple[float, ...]
         if shape.tag == "box":
             sizes = tuple(self._numbers(shape, "size", 3, [1, 1, 1], where).tolist())
@@ -469,10 +480,25 @@ class _Reader:
             )
             return None
         if min(sizes) > 0 and max(sizes) <= LARGEST:
-            return UrdfVisual(link, name, pose, None, (shape.tag, sizes), color)
+            made = UrdfVisual(link, name, pose, None, (shape.tag, sizes), color)
+            return self._as_in_sdf(made, element)
         needed = "above 0" if min(sizes) <= 0 else f"of {LARGEST:g} m at most"
         self.problems.append(f"{where}: <{shape.tag}> needs sizes {needed}, got {sizes}")
         return None
+
+    def _as_in_sdf(self, visual: UrdfVisual, element: Element) -> UrdfVisual:
+        """With what an SDF says of it that a URDF has no word for."""
+        where, looks, mesh = f"link {visual.link!r}", element.find(LOOKS), element.find(".//mesh")
+        if mesh is not None and mesh.get(SUBMESH):
+            visual = replace(visual, piece=(mesh.get(SUBMESH, ""), is_true(mesh.get(CENTERED, ""))))
+        if looks is None:
+            return visual
+        try:
+            found = painted(looks, lambda file: self._resolve(file, where), self.notes, where)
+            return replace(visual, material=found)
+        except ValueError as error:
+            self.notes.append(f"{where}: material not used: {error}")
+            return visual
 
     def _resolve(self, filename: str, where: str) -> Path | None:
         """``filename`` inside the allowed folder, or None with a problem noted."""

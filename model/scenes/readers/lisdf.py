@@ -1,4 +1,4 @@
-"""LISDF and SDF worlds: XML that places URDFs by ``<include>`` and plain boxes by ``<model>``.
+"""LISDF and SDF worlds: XML that places models by ``<include>``, and others inline by ``<model>``.
 
 Metres, radians unless ``degrees`` says otherwise, +z up. A pose that is left out is the identity,
 as SDF has it; ``relative_to`` names a frame, a model or an include of the world.
@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from copy import deepcopy
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,8 +17,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from model.core.errors import InputFileError
+from model.io.export.part_files import write_collision, write_parts
 from model.io.robot_xml import XmlSchema, parse
-from model.io.urdf.sdf import pose_of
+from model.io.urdf.sdf import MODEL
+from model.io.urdf.sdf_frames import find_model, frame_from_model, model_in, pose_of
+from model.io.urdf.writer import read_urdf_model, to_urdf_text
 from model.scenes.scene import (
     FloatArray,
     Scene,
@@ -25,40 +30,37 @@ from model.scenes.scene import (
     SceneProblem,
     upright,
 )
+from model.scenes.unpacking import Unpacked, Unpacker
 from model.scenes.values import collect, numbers, shown
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
 
-SDF = XmlSchema.of(
+_WORLD = XmlSchema.of(
     (
         ("sdf", "world", "version"),
         ("world", "include model frame", "name"),
-        ("include", "name uri pose static scale", "name"),
-        ("model", "pose static link", "name canonical_link"),
-        ("frame", "pose", "name attached_to"),
-        ("link", "pose collision visual", "name"),
-        ("collision", "pose geometry", "name"),
-        ("visual", "pose geometry", "name"),
-        ("geometry", "box", ""),
-        ("box", "size", ""),
-        ("pose", "", "relative_to degrees rotation_format"),
-        *((leaf, "", "") for leaf in ("name", "uri", "static", "scale", "size")),
+        ("include", "name uri pose static scale placement_frame", "name merge placement_frame"),
+        *((leaf, "", "") for leaf in ("name", "uri", "static", "scale", "placement_frame")),
     ),
     # Simulation and looks.
-    "physics plugin scene gui gravity magnetic_field atmosphere spherical_coordinates audio wind "
-    "light sensor material surface inertial laser_retro max_contacts cast_shadows transparency "
-    "visibility_flags meta layer enable_wind self_collide kinematic velocity_decay "
-    "allow_auto_disable",
-    repeated="world include model frame link collision visual",
-    choices="geometry",
+    "physics scene gui gravity magnetic_field atmosphere spherical_coordinates audio wind light "
+    "state road population layer",
+)
+SDF = replace(
+    MODEL,
+    elements={**MODEL.elements, **_WORLD.elements},
+    passed_over=MODEL.passed_over | _WORLD.passed_over,
+    repeated=frozenset("world include model frame link joint visual collision".split()),
+    choices=frozenset({"geometry"}),
 )
 """The elements and attributes of a world that are read."""
 _GENERIC = frozenset({"models", "urdf", "robots", "meshes", "assets", "", ".", ".."})
 
 
 class LisdfReader:
-    """``<include>`` are objects with an asset; ``<model>`` with a box geometry are plain boxes."""
+    """``<include>`` are objects with an asset; of ``<model>`` a single box is a plain box, all
+    others hold their asset."""
 
     name = "lisdf"
     description = "LISDF and SDF worlds"
@@ -78,21 +80,38 @@ class LisdfReader:
             for tag in ("include", "model")
             for i, element in enumerate(world.findall(tag))
         ]
-        objects, problems = collect(entries, partial(_object, _frames(world)), _name)
+        reported: list[SceneProblem] = []
+        make = partial(_object, path, _frames(world), reported)
+        objects, problems = collect(entries, make, _name)
         name = world.get("name") or path.stem
-        problems += tuple(SceneProblem(name, note, False) for note in _notes(root, world))
-        return Scene(name, path, self.name, objects, problems)
+        notes = SDF.unread(root)
+        if len(root.findall("world")) > 1:
+            notes.append(f"only the first of {len(root.findall('world'))} worlds is read")
+        reported += [SceneProblem(name, note, False) for note in notes]
+        return Scene(name, path, self.name, objects, (*problems, *reported))
+
+    def unpack(self, scene: Scene, folder: Path) -> Unpacked:
+        """See :class:`~model.scenes.unpacking.GeometryReader`."""
+        made = Unpacker(folder)
+        models = parse(scene.path).findall("world/model")[:]
+        for obj in scene.objects:
+            if obj.place and obj.place[0] == "model" and obj.asset is not None:
+                index = int(obj.place[1])
+                write = partial(_written, scene.path, models[index], folder / f"model_{index}")
+                made.put(obj.asset, write)
+        return made.result()
 
 
-def _notes(root: Element, world: Element) -> list[str]:
-    """Remarks about what is in the file and not in the scene."""
-    out = SDF.unread(root)
-    if len(root.findall("world")) > 1:
-        out.append(f"only the first of {len(root.findall('world'))} worlds is read")
-    several = [m for m in world.findall("model") if len(m.findall("link")) > 1]
-    if several:
-        out.append(f"only the first box is read of {len(several)} models with several links")
-    return out
+def _written(path: Path, model: Element, folder: Path) -> Path:
+    """The folder of a URDF that says the same as an inline model."""
+    read = read_urdf_model(path, model=model)
+    obj = read.declared.of(read.load())
+    folder.mkdir()
+    meshes = {p.link: [p.mesh] for p in write_parts(obj, folder, clouds=False)}
+    shapes = write_collision(obj.shapes, obj.parts, folder)
+    text = to_urdf_text(obj, meshes, collisions=shapes, inertials=obj.inertials)
+    (folder / "object.urdf").write_text(text, encoding="utf-8")
+    return folder
 
 
 def _name(element: Element) -> str | None:
@@ -110,7 +129,11 @@ def _frames(world: Element) -> dict[str, Element]:
 
 
 def _object(
-    frames: Mapping[str, Element], place: tuple[str | int, ...], element: Element
+    path: Path,
+    frames: Mapping[str, Element],
+    reported: list[SceneProblem],
+    place: tuple[str | int, ...],
+    element: Element,
 ) -> SceneObject:
     name = _name(element)
     if name is None:
@@ -123,7 +146,10 @@ def _object(
     }
     world = _placed(frames, element)
     if element.tag == "model":
-        local, size = _box(element)
+        box = _box(element)
+        if box is None:
+            return _inline(path, element, world, reported, common)
+        local, size = box
         return SceneObject(
             description=readable(name),
             world_from_object=world @ local,
@@ -138,6 +164,7 @@ def _object(
     category = category_of(uri)
     words = readable(name)
     description = words if category is None else f"{words} ({readable(category)})"
+    world = world @ _from_frame(path, element, uri, reported)
     scale = _scale(element)
     if scale.all():
         world[:3, :3], scale = upright(world[:3, :3], scale)
@@ -147,6 +174,51 @@ def _object(
         scale=scale,
         asset=uri,
         category=category,
+        **common,
+    )
+
+
+def _from_frame(path: Path, include: Element, uri: str, reported: list[SceneProblem]) -> FloatArray:
+    """(4, 4) of the model's origin as seen from what ``<include>`` places: a frame of the model,
+    or, where it says no pose, the model in its own."""
+    frame = (include.findtext("placement_frame") or "").strip()
+    if not frame and include.find("pose") is not None:
+        return np.eye(4)
+    file = find_model(uri, path)
+    if file is None:
+        if frame:
+            what = f"its placement_frame {shown(frame)} is not read: no SDF is beside the world"
+            reported.append(SceneProblem(_name(include) or uri, what, False))
+        return np.eye(4)
+    try:
+        model = model_in(file)
+        return frame_from_model(model, file, frame) if frame else pose_of(model)
+    except (InputFileError, ValueError) as error:
+        raise SceneObjectError(str(error)) from None
+
+
+def _inline(
+    path: Path,
+    model: Element,
+    world: FloatArray,
+    reported: list[SceneProblem],
+    common: dict[str, Any],
+) -> SceneObject:
+    """An object whose links and joints stand in the world."""
+    name, frame = common["id"], model.get("placement_frame", "")
+    try:
+        read = read_urdf_model(path, model=deepcopy(model))
+        world = world @ frame_from_model(model, path, frame)
+    except (InputFileError, ValueError) as error:
+        raise SceneObjectError(str(error).removeprefix(f"{path}: ")) from None
+    if not read.visuals:
+        raise SceneObjectError("has no mesh, box, cylinder, sphere or capsule; its links hold none")
+    reported += [SceneProblem(name, note, False) for note in read.notes]
+    return SceneObject(
+        description=readable(name),
+        world_from_object=world,
+        scale=np.ones(3),
+        asset=f"{path.name}#{name}",
         **common,
     )
 
@@ -191,15 +263,18 @@ def _scale(element: Element) -> FloatArray:
     return numbers(values * 3 if len(values) == 1 else values, 3, "scale")
 
 
-def _box(model: Element) -> tuple[FloatArray, tuple[float, float, float]]:
-    for link in model.iter("link"):
-        for tag in ("collision", "visual"):
-            for shape in link.findall(tag):
-                size = shape.findtext("geometry/box/size")
-                if size is not None:
-                    x, y, z = numbers(_floats(size, "box size"), 3, "box size")
-                    return _pose(link) @ _pose(shape), (x, y, z)
-    raise SceneObjectError("is a <model> without a box; boxes and <include> are read")
+def _box(model: Element) -> tuple[FloatArray, tuple[float, float, float]] | None:
+    """Pose and size of a model that is one box and nothing else; None for others."""
+    shapes = [s for s in model.iter() if s.tag in ("collision", "visual")]
+    sizes = {s.findtext("geometry/box/size") for s in shapes}
+    links = [e for e in model if e.tag in ("link", "model", "include", "joint")]
+    if len(links) != 1 or len(sizes) != 1 or None in sizes or model.find("link") is None:
+        return None
+    poses = [_pose(links[0]) @ _pose(s) for s in shapes]
+    if not all(np.allclose(p, poses[0]) for p in poses):
+        return None
+    x, y, z = numbers(_floats(str(next(iter(sizes))), "box size"), 3, "box size")
+    return poses[0], (x, y, z)
 
 
 def category_of(uri: str) -> str | None:

@@ -51,7 +51,7 @@ HELD = {
     "urdf": Held(category=False, names=True, fixed_joints=True, colors=True),
     "mjcf": Held(category=False, names=True, fixed_joints=False, colors=False),
     "usd": Held(category=True, names=True, fixed_joints=True, colors=True),
-    "sdf": Held(category=False, names=False, fixed_joints=True, colors=True),
+    "sdf": Held(category=False, names=True, fixed_joints=True, colors=True),
 }
 
 

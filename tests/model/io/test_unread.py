@@ -115,7 +115,7 @@ def test_what_an_sdf_world_has_beside_is_told(tmp_path: Path) -> None:
     more = more.replace("</sdf>", '<world name="second"/></sdf>')
     (tmp_path / "a.sdf").write_text(more)
     notes = " ".join(sdf_notes(tmp_path / "a.sdf"))
-    assert "<joint> in <model>" in notes and "1 models with several" in notes
+    assert "joint 'j' needs <parent>" in notes and "only the first of 2 worlds" in notes
     assert "first of 2 worlds" in notes
 
 
