@@ -71,7 +71,7 @@ FEATURES = (
     "affordances",
 )
 """What an object has beside its shape, and some formats lack."""
-CATEGORY, NAMES, FIXED, COLOURS, PHYSICS, AFFORDANCES = FEATURES
+CATEGORY, _, FIXED, COLOURS, PHYSICS, AFFORDANCES = FEATURES
 
 _HERE, _POSES = "model.io.export", "model.io.readback_poses"
 _YOURDFPY = ("yourdfpy", "yourdfpy", "model.io.assets.reader:yourdfpy_problems")
@@ -123,7 +123,7 @@ FORMATS: dict[str, Format] = {
         "SDF",
         "SDFormat for Gazebo and Drake",
         (_BULLET, ("Drake", "pydrake", f"{_POSES}:drake_problems")),
-        {**_ROBOT, NAMES: "no"},
+        _ROBOT,
         (_OBJ,),
     ),
 }

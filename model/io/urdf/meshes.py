@@ -176,8 +176,7 @@ class UrdfVisual:
             a file.
         color: RGBA in 0..255 from the URDF's material, or None. It is for what has no looks.
         mesh: geometry that no file holds, or None.
-        material: takes the place of what a mesh file says of its looks, or None; one without a
-            picture leaves textures.
+        material: takes the place of what a mesh file says of its looks, or None.
         repeat: how often its textures repeat along u and v.
         piece: the only one of the file's named pieces that counts, and whether its box' centre is
             its origin; None for the whole file.
@@ -244,16 +243,12 @@ def _load(
     # A URDF takes mesh files as they are: the format's usual up axis doesn't count.
     inside = files is not None and visual.file.resolve().is_relative_to(files.root.resolve())
     within = files if inside else None
-    if visual.material is not None and visual.material.pictured:
+    if visual.material is not None:
         within = OneMaterial(visual.file.parent, visual.material)
     asset = read_geometry_file(visual.file, up_axis="z", files=within, piece=visual.piece)
     remarks += (f"{visual.file.name}: {w}" for w in asset.warnings)
     mesh = asset.mesh
     if mesh is not None and visual.material is not None:
-        if not visual.material.pictured and any(m.texture is not None for m in mesh.materials):
-            kept = tuple(visual.material if m.texture is None else m for m in mesh.materials)
-            remarks.append(f"{visual.file.name}: its texture is kept, not the colour of its link")
-            return replace(mesh, materials=kept), None
         mesh = _with_material(mesh, visual)
     elif mesh is not None and visual.color is not None and _plain(mesh):
         mesh = replace(mesh, materials=(Material("urdf", visual.color),) * len(mesh.materials))
