@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from model.core.geometry import Material, Mesh
-from model.geometry.normals import corner_normals
+from model.geometry.sampling import corner_normals
 from model.geometry.topology import weld
 
 Array = npt.NDArray[np.float64]

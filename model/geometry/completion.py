@@ -20,7 +20,6 @@ from model.core.joint import Joint, canonical_axis_sign, motion
 from model.core.progress import Progress, attempt, no_progress
 from model.geometry.cleaning import denoised, noise_level
 from model.geometry.display import thin
-from model.geometry.normals import estimate_normals
 from model.geometry.reconstruct import (
     box,
     closed_solid,
@@ -29,6 +28,7 @@ from model.geometry.reconstruct import (
     mesh_of_scan,
     spacing_of,
 )
+from model.geometry.sampling import estimate_normals
 
 if TYPE_CHECKING:
     from manifold3d import CrossSection, Manifold

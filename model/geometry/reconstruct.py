@@ -18,7 +18,7 @@ from model.core.errors import GeometryError
 from model.core.geometry import Material, Mesh, PointCloud
 from model.core.progress import Progress, no_progress
 from model.geometry.display import WHITE, thin
-from model.geometry.normals import estimate_normals
+from model.geometry.sampling import estimate_normals
 
 if TYPE_CHECKING:
     from manifold3d import Manifold

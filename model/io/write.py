@@ -23,8 +23,7 @@ from model.core.errors import ConfigurationError, GeometryError
 from model.core.files import written_to
 from model.core.geometry import Material, Mesh, PointCloud
 from model.core.textures import ImageFile, SurfaceMaps, encode, from_linear, to_linear
-from model.geometry.normals import corner_normals
-from model.geometry.sampling import vertex_colors
+from model.geometry.sampling import corner_normals, vertex_colors
 from model.io.formats.gltf_data import BRIGHTER
 
 __all__ = ["MESH_SUFFIXES", "GlbBuilder", "mesh_to_glb", "write_cloud", "write_mesh"]

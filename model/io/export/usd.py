@@ -26,7 +26,7 @@ from model.core.packages import require
 from model.core.progress import Progress
 from model.core.shapes import Primitive, Shape
 from model.core.textures import ImageFile, SurfaceMaps, encode
-from model.geometry.normals import corner_normals
+from model.geometry.sampling import corner_normals
 from model.io.export.formats import FileExporter
 from model.io.urdf.writer import direct_mimics, link_origins, rounded
 from model.physics.affordances import find_affordances

@@ -27,8 +27,7 @@ from model.io.urdf.files import ANYMESH, package_root, resolve_mesh, robot_of
 from model.io.urdf.meshes import DeclaredCollision, UrdfVisual, repeats
 from model.io.urdf.model import UrdfModel, read_declared_physics, renamed_helpers
 from model.io.urdf.sdf import CENTERED, SDF_SUFFIX, SUBMESH, robot_of_sdf
-from model.io.urdf.sdf_frames import is_true
-from model.io.urdf.sdf_looks import LOOKS, painted
+from model.io.urdf.sdf_frames import LOOKS, is_true, painted
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element

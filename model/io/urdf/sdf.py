@@ -31,8 +31,7 @@ from model.core.errors import InputFileError, KinematicsError
 from model.core.geometry import rpy_from_rotation
 from model.core.joint import JOINT_KINDS, Joint
 from model.io.robot_xml import XmlSchema, parse
-from model.io.urdf.sdf_frames import WORLD, Frames, is_true, numbers_in, said
-from model.io.urdf.sdf_looks import ALBEDO, LOOKS
+from model.io.urdf.sdf_frames import ALBEDO, LOOKS, WORLD, Frames, is_true, numbers_in, said
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element

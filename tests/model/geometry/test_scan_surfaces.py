@@ -6,8 +6,8 @@ import trimesh
 
 from model.core.errors import GeometryError
 from model.core.geometry import PointCloud
-from model.geometry.normals import estimate_normals
 from model.geometry.reconstruct import mesh_from_cloud
+from model.geometry.sampling import estimate_normals
 
 
 def sampled(shape: trimesh.Trimesh, count: int) -> tuple[PointCloud, np.ndarray]:

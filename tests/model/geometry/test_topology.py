@@ -5,7 +5,7 @@ import pytest
 import trimesh
 
 from model.core.geometry import Mesh
-from model.geometry.normals import corner_normals
+from model.geometry.sampling import corner_normals
 from model.geometry.topology import connected_shells, face_adjacency, same_points, weld
 
 

@@ -9,7 +9,7 @@ from model.core.errors import InputFileError
 from model.core.geometry import Material, Mesh
 from model.geometry.prepare import prepare
 from model.io.export.registry import load_exporter, write_object
-from model.io.formats.survey_crs import units_of_keys, units_of_wkt
+from model.io.formats.surveys import units_of_keys, units_of_wkt
 from model.io.model_files import read_model
 from model.io.open_asset import open_asset
 from model.physics.simulation_values import plain_physics
