@@ -20,9 +20,9 @@ from model.io.formats.loaded import (
     colors_from,
     numbers,
     read_bytes,
+    triangulate,
 )
 from model.io.formats.mtl import MaterialFiles
-from model.io.formats.triangulate import triangulate
 
 Array = npt.NDArray[Any]
 

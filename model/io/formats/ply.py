@@ -26,9 +26,9 @@ from model.io.formats.loaded import (
     colors_from,
     read_bytes,
     resolve,
+    triangulate,
 )
 from model.io.formats.ply_rows import Element, Property, Ragged, Table, read_ascii, read_binary
-from model.io.formats.triangulate import triangulate
 
 Array = npt.NDArray[Any]
 

@@ -30,8 +30,8 @@ from model.io.formats.loaded import (
     colors_from,
     join,
     size_of,
+    triangulate,
 )
-from model.io.formats.triangulate import triangulate
 
 FloatArray = npt.NDArray[np.float64]
 
