@@ -333,6 +333,8 @@ def painted(
     color = _rgba(looks, "diffuse") or _rgba(looks, "ambient")
     if script:
         notes.append(f"{where}: the material script {script!r} is not read")
+    if any(_rgba(looks, "emissive")[:3]):
+        notes.append(f"{where}: its emissive colour is not read")
     picture = None
     text = said(looks, f"pbr/metal/{ALBEDO}")
     file = resolve(text) if text else None

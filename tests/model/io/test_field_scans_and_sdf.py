@@ -256,13 +256,15 @@ def test_one_sided_slides_are_reported(tmp_path: Path) -> None:
 
 def test_looks_of_visuals(tmp_path: Path) -> None:
     script = "<material><script><name>Gazebo/Red</name></script></material>"
-    clear = "<material><diffuse>0 0 1 1</diffuse></material><transparency>0.6</transparency>"
+    looks = "<diffuse>0 0 1 1</diffuse><emissive>0 1 0 1</emissive>"
+    clear = f"<material>{looks}</material><transparency>0.6</transparency>"
     body = LINK.format("a", "0 0 0 0 0 0", script) + LINK.format("b", "1 0 0 0 0 0", clear)
     body += HINGE.format("j", "fixed", "a", "b", "")
     model = read_model(sdf(tmp_path / "m.sdf", body))
     looks = [p.mesh.materials[0].base_color for p in model.load().parts if p.mesh is not None]
     assert looks == [Material().base_color, (0, 0, 255, 102)]
-    assert "the material script 'Gazebo/Red' is not read" in " ".join(model.notes)
+    for what in ("the material script 'Gazebo/Red'", "its emissive colour"):
+        assert f"{what} is not read" in " ".join(model.notes)
 
 
 def test_a_link_takes_its_own_submesh(tmp_path: Path) -> None:
