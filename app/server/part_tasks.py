@@ -395,11 +395,10 @@ def snap_joint(source: PartSource, tree: KinematicTree, child: str, to: str) -> 
 
 def equal_parts(source: PartSource, part: int, others: tuple[int, ...]) -> tuple[int, ...]:
     """Return those of ``others`` that have the shape of ``part``, or are its mirror image."""
-    points = {p.link: _surface_points(p) for p in parts_of(source)}
-    mine = points.get(f"link_{part}")
-    links = {k: points.get(f"link_{k}") for k in others}
+    links = {f"link_{k}": k for k in (part, *others)}
+    points = {links[p.link]: _surface_points(p) for p in parts_of(source) if p.link in links}
     return tuple(
-        k for k, own in links.items() if own is not None and mine is not None and fitting(mine, own)
+        k for k in others if k in points and part in points and fitting(points[part], points[k])
     )
 
 

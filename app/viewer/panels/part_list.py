@@ -14,6 +14,7 @@ from typing import Any, Final
 import viser
 
 from app.server import part_tasks
+from app.server.job import JobFailed
 from app.server.jobs import EDITS
 from app.server.tool_tasks import NEXT_MASK
 from app.viewer.input.pointing import Pointing
@@ -348,7 +349,7 @@ def name_part(tab: Tab, part: int, name: str | None) -> None:
         job = obj.lane.geometry.submit(task, obj.source(), part, others, priority=EDITS)
         try:
             others = job.result(NAME_SECONDS)
-        except TimeoutError:
+        except (TimeoutError, JobFailed):
             others = ()
             tab.say(words.NOT_COMPARED)
     tab.do(cmd.NamePart(part, name, others))
