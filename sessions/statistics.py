@@ -131,13 +131,9 @@ class Figures:
 
     @property
     def per_hour(self) -> float:
-        """Accepted objects an active hour; NaN without active time."""
-        return 3600 * self.accepted / self.active if self.active else math.nan
-
-    @property
-    def has_rate(self) -> bool:
-        """True if there is enough for a rate that tells anything: ten accepted, or an hour."""
-        return self.active > 0 and (self.accepted >= 10 or self.active >= 3600)
+        """Accepted objects an active hour; NaN before ten of them or an hour, too few to tell."""
+        enough = self.active > 0 and (self.accepted >= 10 or self.active >= 3600)
+        return 3600 * self.accepted / self.active if enough else math.nan
 
     @property
     def seconds_each(self) -> float:

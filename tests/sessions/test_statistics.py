@@ -2,6 +2,7 @@
 
 import csv
 import io
+import math
 import random
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
@@ -102,8 +103,9 @@ def test_known_times_come_out(script: Script, cabinet: KinematicTree) -> None:
     (anna,) = grouped(log, acts, "person").values()
     assert (anna.objects, anna.accepted, anna.clicks, anna.commands) == (1, 1, 4, 9)
     assert anna.corrections == 2, "the edit of a predicted joint, and the undo"
-    assert anna.per_hour == pytest.approx(3600 / 50) and not anna.has_rate
-    assert replace(anna, accepted=10).has_rate and replace(anna, active=3600.0).has_rate
+    assert math.isnan(anna.per_hour) and anna.to_json()["accepted_per_hour"] is None
+    assert replace(anna, accepted=10).per_hour == pytest.approx(36000 / 50)
+    assert replace(anna, active=3600.0).per_hour == anna.accepted
     assert anna.cost(36.0) == pytest.approx(0.5)
     assert list(grouped(log, acts, "predictor")) == ["geometric 1"]
     assert list(grouped(log, acts, "category")) == ["oven"]

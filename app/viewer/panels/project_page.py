@@ -318,7 +318,7 @@ def today_html(found: Overview) -> str:
             who,
             f.objects,
             f.accepted,
-            f"{f.per_hour:.1f}" if f.has_rate else words.TOO_FEW,
+            words.TOO_FEW if math.isnan(f.per_hour) else f"{f.per_hour:.1f}",
             duration(f.active),
             duration(f.waiting),
             f.clicks,
