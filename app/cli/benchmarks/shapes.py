@@ -250,6 +250,9 @@ def _clouds(root: Path) -> Iterator[FaultSample]:
         "ply text", {"a.ply": f"{head}{rows}\n3 0 1 2\n4 0 1 2 3\n".encode()}, "a.ply"
     )
     yield FaultSample("xyz", {"a.xyz": rows.encode()}, "a.xyz")
+    pose = "0 0 0\n1 0 0\n0 1 0\n0 0 1\n1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n"
+    body = "\n".join(" ".join(f"{v:.4g}" for v in (*p, 0.5)) for p in points)
+    yield FaultSample("ptx", {"a.ptx": f"40\n1\n{pose}{body}\n".encode()}, "a.ptx")
     table = "x;y;z;r;g;b\n" + rows.replace(" ", ";").replace(".", ",")
     yield FaultSample("csv", {"a.csv": table.encode()}, "a.csv")
     head = "FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH 40\nHEIGHT 1\nPOINTS 40\nDATA {}\n"
