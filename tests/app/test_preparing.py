@@ -77,11 +77,14 @@ def test_a_raw_scan_is_noticed_levelled_and_cleaned(opened, tmp_path: Path) -> N
 def test_apply_finds_its_copy_read_and_encoded(opened, tmp_path: Path) -> None:
     raw_scan(tmp_path / "oven.ply", seed=3, every=5)
     obj = opened(tmp_path / "oven.ply")
-    copies = obj.services.workspace / "cache"
-    wait_until(lambda: len(list(copies.glob("*/"))) == 2, "the copy that Apply makes")
-    before = set(copies.iterdir())
+
+    def copies() -> set[Path]:
+        return set((obj.services.workspace / "cache").glob("[!.]*/"))
+
+    wait_until(lambda: len(copies()) == 2, "the copy that Apply makes")
+    before = copies()
     prepared(obj)
-    assert set(copies.iterdir()) == before
+    assert copies() == before
     assert obj.asset.folder in before and obj.document.left_out.count
 
 

@@ -80,7 +80,7 @@ def test_an_asset_that_takes_too_long_is_left_out_with_its_name(open_scene, monk
     scene = open_scene()
     wait_until(lambda: len(scene.shapes) == 2 and not scene.busy, "all is read")
     monkeypatch.setattr(scene_tasks, "shapes", shapes_without_end_of_rocks)
-    monkeypatch.setattr(scene_workspace, "READ_SECONDS", 5.0)
+    monkeypatch.setattr(scene_workspace, "READ_SECONDS", 10.0)
     scene.shapes = {}
     scene.go_on()
     wait_until(lambda: len(scene.shapes) == 2 and "shapes" not in scene.busy, "its time is up")

@@ -206,9 +206,12 @@ def main(scans: Path, workspace: Path, out: Path) -> None:
             whole, own = round(sum(waited.values()), 2), round(person.own, 2)
             rows.append({**row, "waiting": whole, "person": own})
             print(json.dumps(rows[-1]), flush=True)
-        accepting = server.app_state.is_accepting
-        wait_for(lambda: not any(accepting(r.id) for r in queue.records()), "the last checks")
-        states = {record.name: record.state for record in queue.records()}
+        held, end = server.app_state.on_hold, time.monotonic() + 120.0
+        while not all(held(r) or r.state == "accepted" for r in queue.records()):
+            if time.monotonic() > end:  # one was refused
+                break
+            time.sleep(0.1)
+        states = {r.name: held(r) or r.state for r in queue.records()}
         rows = [{**row, "state": states[row["object"]]} for row in rows]
         browser.close()
     finally:

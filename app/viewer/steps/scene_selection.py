@@ -59,9 +59,10 @@ def count_text(rows: Sequence[Row], coming: int = 0) -> str:
         coming,
         shown["todo"] - coming,
     )
-    if not text and any(r.work is not None for r in rows):
+    lost = shown["missing"] + shown["failed"]
+    if not text and sum(r.work is not None for r in rows) > lost:
         text = words.sentence(decided_text(rows))
-    if lost := shown["missing"] + shown["failed"]:
+    if lost:
         text = f"{text} {words.lost(lost)}".strip()
     if len(rows) == 1 and rows[0].status == "static":
         return text or words.EXTRACT_FIRST

@@ -65,6 +65,7 @@ def root(tmp_path: Path) -> Path:
         body = trimesh.util.concatenate([*walls, back, *top])
         for name, mesh in (("door", door), ("body", body)):
             (folder / f"{name}.obj").write_text(trimesh.exchange.obj.export_obj(mesh))
+        (folder / "no.obj").write_text("v 0 0\n")
         (folder / "mobility.urdf").write_text(
             URDF if i != 2 else URDF.replace("door.obj", "no.obj")
         )
