@@ -487,6 +487,10 @@ class SceneGallery(Gallery):
         """See the base class."""
         return f"{super().text(record, name)} {self._scene.items[record.name].obj.description}"
 
+    def passed(self, record: ObjectRecord) -> bool | None:
+        """True: a scene's objects are checked once they are accepted."""
+        return True
+
     def _key(self, sort: str, names: dict[int, str]) -> Callable[[ObjectRecord], Any] | None:
         return None if sort in ("", "order") else super()._key(sort, names)
 
