@@ -160,7 +160,7 @@ def is_mjcf(path: Path) -> bool:
 def named_files(path: Path) -> list[Path]:
     """Possible places of the files that an MJCF names, absolute; as ``urdf_model.named_meshes``, to
     find which files belong together."""
-    own, root = path.absolute().parent, package_root(path)
+    own, root = Path(os.path.abspath(path)).parent, package_root(path)
     out: dict[Path, None] = {}
     ahead = [path.absolute()]
     for file in ahead:

@@ -6,6 +6,7 @@ Models declare parts and joints: URDF, SDF, MJCF and USD, read into the same mod
 from __future__ import annotations
 
 import json
+import os
 import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
@@ -325,8 +326,8 @@ def _only_mjcf(folder: Path) -> Path | None:
         return None
     found = [p for p in folder.iterdir() if is_mjcf(p)]
     if len(found) > 1:
-        included = {each for p in found for each in files_named_by(p)}
-        found = [p for p in found if p.absolute() not in included]
+        included = {str(each) for p in found for each in files_named_by(p)}
+        found = [p for p in found if os.path.abspath(p) not in included]
     return found[0] if len(found) == 1 else None
 
 
@@ -400,12 +401,12 @@ def _without_pieces(found: list[Path]) -> list[Path]:
         for m, p in zip(models, found, strict=True)
         if m is not None and is_model(m) and (m == p or package_root(m) != m.parent)
     )
-    pieces = {piece for model in outside for piece in files_named_by(model)}
-    homes = {piece.parent for piece in pieces}
+    pieces = {str(piece) for model in outside for piece in files_named_by(model)}
+    homes = {os.path.dirname(piece) for piece in pieces}
 
     def is_piece(path: Path, model: Path | None) -> bool:
         if path.is_dir():
-            return model is None and path.absolute() in homes
-        return path.absolute() in pieces
+            return model is None and os.path.abspath(path) in homes
+        return os.path.abspath(path) in pieces
 
     return [p for p, model in zip(found, models, strict=True) if not is_piece(p, model)]

@@ -166,8 +166,8 @@ def test_the_list_of_a_scene_is_a_queue_of_its_objects(world: World) -> None:
     assert set(gallery.sessions(predicted)) == works and len(works) == 2
     least = min(r.confidence for r in scene.rows() if r.status == "predicted")
     above = gallery.rows({"ids": "1", "above": str(int(100 * least))})
-    assert above == {"ids": [], "unchecked": predicted}
-    assert gallery.rows({"ids": "1", "above": "101"})["unchecked"] == []
+    assert above == {"ids": predicted, "unchecked": []}, "a scene checks what it accepts"
+    assert gallery.rows({"ids": "1", "above": "101"})["ids"] == []
     assert [r["name"] for r in gallery.rows({"search": "floor"})["rows"]] == ["slab"]
     assert gallery.thumbnail(ids.index("slab")) is None
 

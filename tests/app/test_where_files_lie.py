@@ -62,9 +62,11 @@ def has_hinge(path: Path) -> bool:
 @pytest.mark.parametrize("name", LAYOUTS)
 def test_files_within_the_folder_that_was_given_are_read(tmp_path: Path, name: str) -> None:
     layout(tmp_path / "given", name)
-    (found,) = (p for p in find_assets([tmp_path / "given"]) if p.suffix != ".stl")
+    subprocess.run(["git", "init", "-q", tmp_path / "elsewhere"], check=True)
+    given = tmp_path / "elsewhere" / ".." / "given"
+    (found,) = find_assets([given])
     assert has_hinge(found)
-    (again,) = assets_to_export([tmp_path / "given"])
+    (again,) = assets_to_export([given])
     obj = load_object(again)
     assert len(obj.parts) == 2 and reading_notes(again, obj) == ()
 

@@ -179,7 +179,7 @@ def check_measuring(tab: Tab) -> None:
     for k, x in enumerate((-0.3995, 0.3995)):
         tab.drawn()
         tab.camera_at_rest()  # another hint may give the picture another size
-        tab.click3d((x, -0.2245, 0.6))
+        tab.click3d((x, 0.2245, 0.6))  # the front has the door's corners beside
         wait_until(lambda k=k: scene.get_handle_by_name(f"/measure/{k}"), "the place is marked")
     label = wait_until(lambda: scene.get_handle_by_name("/measure/label"), "the length is shown")
     assert label.text == "80.0 cm"

@@ -73,7 +73,7 @@ def package_root(path: Path, given: Path | None = None) -> Path:
     a repository's, one that a person gave (``given``, or :func:`allow`), whichever is widest; of a
     zip its own.
     """
-    own = path.absolute().parent
+    own = Path(os.path.abspath(path)).parent  # a repository left by `..` isn't above it
     above = (own, *own.parents)
     border = next((folder for folder in above if (folder / BORDER).is_file()), None)
     if border is not None:
@@ -92,7 +92,7 @@ def _given() -> set[str]:
 
 def upwards(folder: Path, root: Path) -> list[Path]:
     """``folder`` and those above it up to ``root``."""
-    folder, root = folder.absolute(), root.absolute()
+    folder, root = Path(os.path.abspath(folder)), Path(os.path.abspath(root))
     above = (folder, *folder.parents)
     return [f for f in above if f.is_relative_to(root)] or [folder, root]
 
