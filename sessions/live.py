@@ -119,10 +119,13 @@ class LiveSession:
                 after = self._do(command, context, since)
         finally:
             self._deliver()
+        self._settle_beside(after)
+        return after
+
+    def _settle_beside(self, after: SessionState) -> None:
         beside = (after.present, *after.past[-1:], *after.future[-1:])
         if any(document.review.state == "accepted" for document in beside):
             self.settle()
-        return after
 
     def announce(self, command: Command, who: str) -> SessionState:
         """Show a decision at once that :meth:`complete` stores, or whatever is stored before.
@@ -151,12 +154,18 @@ class LiveSession:
         Raises:
             CommandError, StoreError: see :meth:`do`; the announced decision is gone.
         """
-        with self._lock:
-            waiting = self._announced
-            if waiting is None or waiting.after is not announced:
-                return False
-            self._announced = None
-        self._carry_out(command, waiting.context)
+        command = from_json(to_json(command))
+        try:
+            with self._lock:  # until it is stored: nobody may see the state without it
+                waiting = self._announced
+                if waiting is None or waiting.after is not announced:
+                    return False
+                self._announced = replace(waiting, command=command)
+                self._store_announced()
+                after = self._state
+        finally:
+            self._deliver()
+        self._settle_beside(after)
         return True
 
     def store_announced(self) -> None:

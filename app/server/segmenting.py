@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
@@ -63,6 +63,21 @@ class MaskShown:
     def fits(self, doc: Document, part: int) -> bool:
         """True while ``part`` still shows it: its prompts are unchanged."""
         return part == self.part and doc.prompts == self.prompts
+
+
+@dataclass(frozen=True)
+class ToolAnswer:
+    """A tool's result before it changes the object.
+
+    Attributes:
+        document: what the tool worked on.
+        replaces: last prompts that the result replaces.
+    """
+
+    document: Document
+    request: tool_tasks.ToolRequest
+    offers: tool_tasks.Offer
+    replaces: int
 
 
 @dataclass(eq=False)
@@ -358,7 +373,19 @@ class Segmenting:
             self._labels_ref, self.labels, self.shares = ref, labels, shares
 
     def use_tool(self, request: tool_tasks.ToolRequest, who: str) -> int:
-        """Run a segmentation tool; returns the number of regions that it found.
+        """Run a segmentation tool; returns how many regions it found, see :meth:`find`."""
+        found = self.find(request)
+        offers = found.offers
+        if isinstance(offers, tool_tasks.FaceCutOffer):
+            self._cut_faces(offers, request.tool, who)
+            return 1
+        if isinstance(offers, tool_tasks.MaskOffer):
+            return self._show_mask(offers, found.replaces, request.part, who)
+        self.take(found, offers, who)
+        return len(offers)
+
+    def find(self, request: tool_tasks.ToolRequest) -> ToolAnswer:
+        """Run a segmentation tool without changing the object.
 
         Raises:
             CommandError: where the tool can't work on the present parts, the object changed
@@ -395,24 +422,23 @@ class Segmenting:
             raise CommandError(
                 f"the server is too busy: the tool got no result within {TOOL_SECONDS:.0f} s"
             ) from error
-        if _tool_input(obj.document) != _tool_input(doc):
-            raise CommandError("the object was changed meanwhile: use the tool again")
-        if isinstance(offers, tool_tasks.FaceCutOffer):
-            self._cut_faces(offers, request.tool, who)
-            return 1
-        if isinstance(offers, tool_tasks.MaskOffer):
-            return self._show_mask(offers, replaces, request.part, who)
-        if offers:
-            self._apply(doc, request, offers, who)
-        return len(offers)
+        self._check_unchanged(doc)
+        return ToolAnswer(doc, request, offers, replaces)
 
-    def _apply(
-        self,
-        doc: Document,
-        request: tool_tasks.ToolRequest,
-        offers: list[tool_tasks.RegionOffer],
-        who: str,
-    ) -> None:
+    def _check_unchanged(self, doc: Document) -> None:
+        if _tool_input(self._obj.document) != _tool_input(doc):
+            raise CommandError("the object was changed meanwhile: use the tool again")
+
+    def take(self, found: ToolAnswer, offers: Sequence[tool_tasks.RegionOffer], who: str) -> None:
+        """Make parts of regions that :meth:`find` found, as one step.
+
+        Raises:
+            CommandError: where the object changed since.
+        """
+        doc, request = found.document, found.request
+        self._check_unchanged(doc)
+        if not offers:
+            return
         empty = _never_used(doc)
         used = {p.id for p in doc.parts} - empty
         named = request.tool in ("same shape", "mirror")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -61,6 +61,8 @@ class RegionOffer:
     elements: str
     count: int
     positive: bool = True
+    points: npt.NDArray[np.float32] | None = None
+    """(M, 3) places on what is shown before it is taken, metres."""
 
 
 @dataclass(frozen=True)
@@ -288,7 +290,8 @@ def _beside_parts(given: _Input, masks: list[Bool]) -> list[RegionOffer]:
         swallowed = np.bincount(ids[mask], minlength=len(sizes)) < _SWALLOWED * sizes
         free = mask & ((labels == BASE) | (swallowed[ids] & (labels != part)))
         if free.sum() > 0.5 * mask.sum():
-            out += given.offer(free, NEW_PART)
+            points = _sample_of(given.folder).inside(free)
+            out += [replace(o, points=points) for o in given.offer(free, NEW_PART)]
     return out
 
 
@@ -461,8 +464,12 @@ def hover(
     before = _current.labels
     gained = (after == click.part) & (before != click.part)
     lost = (before == click.part) & (after != click.part)
-    sample = _samples.get(folder, lambda: _sample(folder))
+    sample = _sample_of(folder)
     return HoverAnswer(sample.inside(gained), sample.inside(lost), int(gained.sum() + lost.sum()))
+
+
+def _sample_of(folder: Path) -> _Sample:
+    return _samples.get(folder, lambda: _sample(folder))
 
 
 def _sample(folder: Path) -> _Sample:

@@ -107,6 +107,8 @@ class Commands:
         obj = selection.object
         if obj is None or selection.step != "Annotate":
             return
+        if self._annotate.take_found():
+            return
         if self.prepare.noticed(obj):
             selection.set_step("Prepare")
         else:
@@ -270,7 +272,7 @@ def bindings(
     for number in range(1, SHOWN + 1):
         yield Binding(words.name_part(number), None, _with(commands.name_by_key, number))
     yield Binding(words.TAKE_CATEGORY, None, _with(commands.name_by_key, 0))
-    yield Binding(words.DELETE, "delete", by_step(prepare.remove_marked, annotate.parts.delete))
+    yield Binding(words.DELETE, "delete", by_step(prepare.remove_marked, annotate.delete))
     for row in TOOL_ROWS:
         for tool, label in row.items():
             if tool not in _WITHOUT_COMMAND:

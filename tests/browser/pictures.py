@@ -213,6 +213,8 @@ def oven(taking: Taking) -> None:
     wait_until(lambda: tab.selection.part == 3, "part 3")
     tab.prompt(KNOB)
     tab.key("z")
+    wait_until(lambda: tab.app.pointing.tools.finds, "similar parts")
+    tab.key("Enter")
     wait_until(lambda: len(tab.document.parts) == 9, "all six knobs")
     tab.settled()
     away(tab)

@@ -191,8 +191,7 @@ def test_one_name_for_all_knobs(start: Any, open_tab: Any) -> None:
     assert not tab.button("Prepare (Enter)").count()
     wait_until(lambda: not tab.object.busy, "the object is encoded")
     tab.prompt((-0.2518, -0.3616, 0.8229))
-    tab.key("z")
-    wait_until(lambda: len(tab.document.parts) > 3, "the other knobs are parts")
+    check_that_finds_wait_for_a_decision(tab)
     tab.settled()
     knobs = [p.id for p in tab.document.parts if p.id]
     assert not tab.document.part_names
@@ -203,6 +202,28 @@ def test_one_name_for_all_knobs(start: Any, open_tab: Any) -> None:
     tab.key("Control+z")
     wait_until(lambda: not tab.document.part_names, "all names are taken back")
     assert [p.id for p in tab.document.parts if p.id] == knobs
+
+
+def check_that_finds_wait_for_a_decision(tab: Tab) -> None:
+    """Escape drops what Same shape found, Delete one piece of it, Enter makes parts of the rest."""
+    tools, before = tab.app.pointing.tools, tab.document
+    for keys in ((), ("ArrowRight", "Delete")):
+        tab.key("z")
+        count = len(wait_until(lambda: tools.finds, "similar parts are shown"))
+        tab.wait_node("/hover/lost")
+        tab.page.get_by_text(f"Similar part 1 of {count}").wait_for()
+        assert count > 3 and tab.document == before
+        camera = tab.camera_at_rest()
+        for key in keys:
+            tab.key(key)
+        if keys:
+            wait_until(lambda count=count: len(tools.finds) == count - 1, "one is left out")
+            tab.page.get_by_text(f"Similar part 2 of {count - 1}").wait_for()
+            np.testing.assert_allclose(tab.camera_at_rest(), camera, err_msg="an arrow turned it")
+        tab.key("Enter" if keys else "Escape")
+        wait_until(lambda: not tools.finds, "nothing waits any longer")
+        assert keys or tab.document == before
+    wait_until(lambda: len(tab.document.parts) == 1 + count, "the other knobs are parts")
 
 
 def test_a_painted_door_is_cut_out_of_two_triangles(

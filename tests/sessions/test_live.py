@@ -3,13 +3,24 @@
 import gc
 import threading
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from model.core.errors import CommandError, StoreError
 from model.segmentation.prompts import Click
-from sessions.commands import AddClick, NamePart, RecordPrediction, Reject, Saved, SetCategory, Undo
+from sessions.commands import (
+    AddClick,
+    Command,
+    NamePart,
+    RecordPrediction,
+    Reject,
+    Saved,
+    SetCategory,
+    Undo,
+    to_json,
+)
 from sessions.live import LiveSession, SessionHub
 from sessions.store import ConflictError, Store
 
@@ -184,3 +195,21 @@ def test_what_is_applied_is_what_was_written(live, store, prediction, labels_ref
     live.do(Saved("out"), "ann")
     live.do(RecordPrediction(prediction, labels_ref), "ann")
     assert store.load(live.object_id) == live.state
+
+
+def test_an_announced_click_stays_while_it_is_stored(
+    live: LiveSession, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nobody who reads meanwhile sees the object without it."""
+    announced = live.announce(click(1), "tester")
+    seen: list[int] = []
+
+    def written(command: Command) -> Any:
+        reader = threading.Thread(target=lambda: seen.append(len(live.document.prompts)))
+        reader.start()
+        reader.join()
+        return to_json(command)
+
+    monkeypatch.setattr("sessions.live.to_json", written)
+    assert live.complete(announced, click(1))
+    assert seen == [1] and len(live.document.prompts) == 1

@@ -6,7 +6,7 @@
   const SAID_MS = 1800, TURN_MS = 150, LATE_MS = 200, WATCH_MS = 60;
   const KEYS = { l: "lasso", i: "brush" };
   const state = { tool: "click", hover: false, drawing: false, radius: 0.02, anchor: false, frame: null,
-    hint: "", said: "", away: "" };
+    finds: false, hint: "", said: "", away: "" };
   let pointer = null, sent = null, timer = 0, silent = 0, stroke = null, pressed = null, down = null;
 
   const viser = () => window.__viserMutable;
@@ -223,6 +223,11 @@
       state.tool = "click";
       send({ type: "ArtiworldToolMessage", tool: "click" });
       return draw();
+    }
+    const arrow = { ArrowLeft: "previous", ArrowRight: "next" }[event.key];
+    if (state.finds && arrow) {
+      stop(event);
+      return send({ type: "ArtiworldToolMessage", tool: arrow });
     }
     if (event.key === "[" || event.key === "]") {
       const by = event.key === "[" ? 1 / 1.25 : 1.25;

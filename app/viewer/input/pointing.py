@@ -38,6 +38,8 @@ Armed = Literal[
 ]
 Tool = Literal["click", "lasso", "brush"]
 _CUTS = {"cut": words.CUT, "rectangle": words.CUT_RECTANGLE}
+_STEPS: Final = {"previous": -1, "next": 1}
+"""Arrow keys while what a tool found waits → the step to another piece."""
 _EVERYWHERE: Final = ("measure", "parent", "comment")
 """Tools that are also available in steps in which parts move."""
 _PLACES: Final = {"floor": 3, "edge": 2, "length": 2}
@@ -112,7 +114,7 @@ class Pointing:
         self.armed: Armed = ""
         self.tool: Tool = "click"
         self.hover = Hover(tab, picture, queries, self._clicking)
-        self.tools = Tools(tab, self.hover.forget)
+        self.tools = Tools(tab, self._tool_begins, picture)
         self._measuring = Measuring(tab, picture)
         self._places: list[tuple[Point, int]] = []
         self._shifted = False
@@ -122,9 +124,14 @@ class Pointing:
         tab.selection.on_open(self.begin)
         tab.selection.on_step(self._step_begins)
 
+    def _tool_begins(self) -> None:
+        self.tools.drop()
+        self.hover.forget()
+
     def _clicking(self) -> bool:
         """True while a click would be a prompt."""
-        return self._selection.step == "Annotate" and not self.armed and self.tool == "click"
+        idle = not self.armed and not self.tools.finds
+        return self._selection.step == "Annotate" and idle and self.tool == "click"
 
     def _step_begins(self, step: Step) -> None:
         if step != self._selection.step:
@@ -171,7 +178,7 @@ class Pointing:
         self._measuring.clear()
         if not same:
             self.armed = ""
-        self.hover.forget()
+        self._tool_begins()
 
     def close(self) -> None:
         """The tab is gone."""
@@ -190,6 +197,7 @@ class Pointing:
             "drawing": drawing,
             "hover": drawing and self.hover.on and selection.step == "Annotate",
             "frame": self._frame if drawing and self.armed == "rectangle" else None,
+            "finds": bool(self.tools.finds),
             "anchor": drawing and self.armed in _CUTS and bool(self._places),
             "hint": hint,
         }
@@ -199,6 +207,8 @@ class Pointing:
             set_page_state(self._tab.client, **news)
 
     def _hint(self) -> str:
+        if self.tools.finds:
+            return self.tools.hint
         if self.armed == "measure":
             return self._measuring.hint
         if self.armed == "parent":
@@ -250,7 +260,7 @@ class Pointing:
         self.tool, self._places, self._shifted = "click", [], False
         self._show_places()
         self._measuring.clear()
-        self.hover.forget()
+        self._tool_begins()
         self._tab.invalidate()
 
     def next_cut(self) -> None:
@@ -262,6 +272,7 @@ class Pointing:
 
     def disarm(self) -> None:
         """Back to plain clicks."""
+        self.tools.drop()
         if self.armed or self.tool != "click":
             self.armed, self.tool, self._places, self._shifted = "", "click", [], False
             self._show_places()
@@ -273,6 +284,8 @@ class Pointing:
         assert actions is not None
         if tool == "help":
             act(actions.show_keys)
+        elif tool in _STEPS:
+            act(lambda: self.tools.step(_STEPS[tool]))
         elif tool in ("click", "lasso", "brush"):
             # The page has switched already: that is no news for it.
             self._sent["tool"] = tool
@@ -280,7 +293,7 @@ class Pointing:
 
     def _switch(self, tool: Tool, actions: PointerActions) -> None:
         ends = actions.dismiss()
-        ends = ends or bool(self.armed) or self.tool != "click"
+        ends = ends or bool(self.armed or self.tools.finds) or self.tool != "click"
         self.disarm()
         self.tool = tool
         if tool == "click" and not ends:  # Escape, with nothing else to leave
@@ -302,6 +315,7 @@ class Pointing:
         obj = selection.need_object()
         if obj.asset is None:
             return
+        self.tools.drop()
         asked = self._actions
         if not self.armed and asked is not None and asked.click_comment(origin, direction):
             return

@@ -20,8 +20,8 @@ from app.server.display_tasks import OpenedAsset
 from app.server.jobs import PREVIEWS, Job
 from app.server.open_object import OpenObject
 from app.server.page import ArtiworldHoverMessage
-from app.server.segmenting import POINTING, stored_prompts
-from app.server.tool_tasks import NEXT_MASK, ToolRequest
+from app.server.segmenting import POINTING, ToolAnswer, stored_prompts
+from app.server.tool_tasks import NEXT_MASK, RegionOffer, ToolRequest
 from app.server.workers import Lane
 from app.viewer.picture import palette
 from app.viewer.picture.object_picture import ObjectPicture
@@ -273,7 +273,7 @@ class Hover:
             self._picture.overlays.show_hover(None, None, palette.BASE_COLOR)
 
 
-_NEW_PARTS = ("same shape", "mirror", "propose", "split")
+_NEW_PARTS = ("mirror", "propose", "split")
 
 
 class Tools:
@@ -283,11 +283,51 @@ class Tools:
         begins: called before a tool works.
     """
 
-    def __init__(self, tab: Tab, begins: Callable[[], None]) -> None:
-        self._tab, self._begins = tab, begins
+    def __init__(self, tab: Tab, begins: Callable[[], None], picture: ObjectPicture) -> None:
+        self._tab, self._begins, self._picture = tab, begins, picture
+        self._found: ToolAnswer | None = None
+        self.finds: list[RegionOffer] = []
+        self._at = 0
+
+    @property
+    def hint(self) -> str:
+        """Keys for the parts found that wait to be taken."""
+        return words.hint_finds(self._at + 1, len(self.finds))
+
+    def step(self, by: int) -> None:
+        """Go to another one of the parts found, 0 shows the same again."""
+        if self.finds:
+            self._at = (self._at + by) % len(self.finds)
+        overlays = self._picture.overlays
+        overlays.show_finds([f.points for f in self.finds if f.points is not None], self._at)
+        self._tab.invalidate()
+
+    def leave_out(self) -> None:
+        """Drop the part found that is shown."""
+        del self.finds[self._at]
+        self.step(0)
+
+    def take(self) -> None:
+        """Make parts of what was found."""
+        found, finds = self._found, self.finds
+        self.drop()
+        if found is not None and finds:
+            self._tab.selection.need_object().segmenting.take(found, finds, self._tab.user)
+            self._tab.notify(words.SAME_SHAPE, words.found(len(finds)), "green")
+
+    def drop(self) -> None:
+        """Nothing found waits any longer."""
+        if self.finds:
+            self.finds, self._found = [], None
+            self.step(0)
 
     def next_mask(self, step: int) -> None:
-        """Take another mask for the last click: the next one, or with -1 the one before."""
+        """Take another mask for the last click, or go to another part found: the next one, or
+        with -1 the one before.
+        """
+        if self.finds:
+            self.step(step)
+            return
         self.use(ToolRequest(NEXT_MASK, self._tab.selection.part, step), words.NEXT)
 
     def use(self, request: ToolRequest, label: str) -> None:
@@ -297,7 +337,13 @@ class Tools:
         obj = selection.need_object()
         before = {p.part for p in obj.document.prompts}
         try:
-            found = obj.segmenting.use_tool(request, tab.user)
+            if request.tool == "same shape":
+                answer = obj.segmenting.find(request)
+                found = len(answer.offers)
+                self._found, self.finds, self._at = answer, list(answer.offers), 0
+                self.step(0)
+            else:
+                found = obj.segmenting.use_tool(request, tab.user)
         except Cancelled:
             tab.notify(label, words.CANCELLED, "gray")
             return

@@ -53,6 +53,16 @@ class Overlays:
             self._put("gained", gained, _light(color), self._diagonal)
             self._put("lost", lost, palette.NEGATIVE, self._diagonal)
 
+    def show_finds(self, finds: Sequence[npt.NDArray[np.float32]], at: int) -> None:
+        """Draw dots on what a tool found, strong ones on the piece that keys act on."""
+        if self._diagonal is None:
+            return
+        others = [points for k, points in enumerate(finds) if k != at]
+        rest = np.concatenate(others) if others else None
+        with self._client.atomic():
+            self._put("gained", rest, _light(palette.SELECTED), self._diagonal)
+            self._put("lost", finds[at] if finds else None, palette.SELECTED, self._diagonal)
+
     def _put(
         self,
         name: str,

@@ -86,6 +86,18 @@ class AnnotateStep:
         else:
             self.source.cut_out()
 
+    def take_found(self) -> bool:
+        """Make parts of what *Same shape* found; False where nothing waits."""
+        tools = self._pointing.tools
+        waits = bool(tools.finds)
+        tools.take()
+        return waits
+
+    def delete(self) -> None:
+        """Leave out the piece found that is highlighted, else delete the selected part."""
+        tools = self._pointing.tools
+        (tools.leave_out if tools.finds else self.parts.delete)()
+
     def take_alike(self) -> None:
         """Take the parts of the accepted object that this one is like, if there is one."""
         obj = self._tab.selection.object

@@ -84,16 +84,16 @@ NOT_COMPARED: Final = "Busy: only this part is named"
 
 def named_too(name: str, count: int) -> tuple[str, str]:
     """Parts of the same shape got the same name: title and text."""
-    return "Same shape", f"{count} more {plural('part', count)} named {name}. Undo reverts all"
+    return SAME_SHAPE, f"{count} more {plural('part', count)} named {name}. Undo reverts all"
 
 
 # --- tools
 
-
+SAME_SHAPE: Final = "Same shape"
 TOOL_ROWS: Final[tuple[dict[str, str], ...]] = (
     {"lasso": "Lasso", "brush": "Brush", "cut": "Line", "rectangle": "Rectangle"},
     {NEXT_MASK: "Next", "connected": "Connected", "grow": "Grow", "shrink": "Shrink"},
-    {"same shape": "Same shape", "mirror": "Mirror", "propose": "All parts"},
+    {"same shape": SAME_SHAPE, "mirror": "Mirror", "propose": "All parts"},
     {"merge": "Merge", "split": "Split", "leftovers": "Fragments"},
 )
 """The tool's recorded name → its button, by what they are for."""
@@ -106,7 +106,7 @@ TOOL_TIPS: Final[dict[str, str]] = {
     "connected": "Connected (O): add everything connected to the last click",
     "grow": "Grow (U) by one ring of neighbors, never across a gap",
     "shrink": "Shrink (J) by one ring of neighbors",
-    "same shape": "Same shape (Z): make parts of all pieces of this shape, such as knobs",
+    "same shape": "Same shape (Z): find all pieces of this shape, such as knobs",
     "mirror": "Mirror: the counterpart across the symmetry plane",
     "propose": "All parts: propose all moving parts",
     "merge": "Merge (M): click the part to merge into the selected one",
@@ -175,6 +175,11 @@ HINT_STROKES: Final[dict[str, str]] = {
     "brush": "Brush: paint what to add · Shift subtracts · [ ] size · Esc ends",
 }
 HINT_INEFFECTIVE: Final = "Clicks change little here · Tab: other mask · L: lasso · K: cut"
+
+
+hint_finds = Message(
+    "Similar part {at} of {count} · Enter: take all · ← →: next · Delete: leave out · Esc: cancel"
+)
 
 
 def hint_points(left: int) -> str:
