@@ -87,8 +87,8 @@ class ArtiworldStrokeMessage(_messages.Message, include_in_scene_serialization=F
 
 @dataclass
 class ArtiworldToolMessage(_messages.Message, include_in_scene_serialization=False):
-    """A key of the page's scripts was pressed: "lasso", "brush", "click" (Escape), "help", or
-    "next" and "previous" (arrows) of what a tool found."""
+    """A key of the page's scripts was pressed: "lasso", "brush", "click" (Escape), "help",
+    "messages", or "next" and "previous" (arrows) of what a tool found."""
 
     tool: str
 

@@ -215,6 +215,7 @@ class ClientApp:
     def _pointer_actions(self) -> PointerActions:
         return PointerActions(
             show_keys=self._sheet.toggle,
+            show_messages=self._sheet.toggle_messages,
             name_by_key=self.commands.name_by_key,
             dismiss=self._dismiss,
             withdraw=self.review.withdraw,

@@ -8,7 +8,9 @@ import logging
 import queue
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
+from datetime import datetime
 from typing import Any, Literal, Protocol
 
 import viser
@@ -73,13 +75,20 @@ def percent(share: float) -> str:
 
 
 MOST = 3
-"""Notes at a time: what fits below the queue."""
+"""Notes at a time."""
+_KEPT = 30
+"""Notes that can be read again."""
 
 
 class Notes:
-    """Shows notes in the corner of a page, below the queue and not over the object."""
+    """Shows notes in the picture's lower left corner, over no button.
+
+    Attributes:
+        log: time, title and text of the latest.
+    """
 
     def __init__(self, client: viser.ClientHandle) -> None:
+        self.log: deque[tuple[str, str]] = deque(maxlen=_KEPT)
         self._client = client
         self._shown: list[tuple[Any, Any, Any]] = []  # title and colour, reason, handle
 
@@ -93,6 +102,7 @@ class Notes:
             seconds: how long it stays at most; None until somebody closes it.
             reason: the state that it is about, see :meth:`end_others`; None where it is an event.
         """
+        self.log.append((f"{datetime.now():%H:%M:%S}", f"{title}. {body}"))
         same = [n for n in self._shown if n[0] == (title, color)]
         for note in same or self._shown[: max(len(self._shown) - MOST + 1, 0)]:
             self._end(note)
@@ -378,6 +388,11 @@ class Tab:
         doesn't end a hint: people click on before they have read it."""
         obj = self.selection.object
         return obj and (obj.record.id, obj.document.review.state)
+
+    @property
+    def messages(self) -> list[tuple[str, str]]:
+        """Time and text of the latest notes, newest first."""
+        return list(reversed(self._notes.log))
 
     def say(self, text: str) -> None:
         """Show a line below the picture for a moment."""

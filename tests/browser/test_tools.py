@@ -198,10 +198,27 @@ def test_one_name_for_all_knobs(start: Any, open_tab: Any) -> None:
     tab.button("knob").click()
     wait_until(lambda: tab.document.part_names, "a name")
     assert tab.document.part_names == dict.fromkeys(knobs, "knob")
-    tab.page.get_by_text("more parts named knob").wait_for()
+    note = tab.page.locator(".mantine-Notification-root", has_text="more parts named knob")
+    note.wait_for()
+    check_that_a_note_covers_nothing_and_can_be_read_again(tab, note)
     tab.key("Control+z")
     wait_until(lambda: not tab.document.part_names, "all names are taken back")
     assert [p.id for p in tab.document.parts if p.id] == knobs
+
+
+def check_that_a_note_covers_nothing_and_can_be_read_again(tab: Tab, note: Any) -> None:
+    covers = """(note) => { const b = note.getBoundingClientRect();
+        return [...document.querySelectorAll("button, input, select")].some((e) => {
+            const o = e.getBoundingClientRect();
+            return !note.contains(e) && o.width && o.left < b.right && o.right > b.left &&
+                o.top < b.bottom && o.bottom > b.top; }); }"""
+    wait_until(lambda: not note.evaluate(covers), "it has slid to its place, off all controls")
+    note.get_by_role("button").click()
+    note.wait_for(state="detached")
+    tab.key("F8")
+    tab.page.get_by_text("more parts named knob").wait_for()
+    tab.key("Escape")
+    tab.page.get_by_text("more parts named knob").wait_for(state="detached")
 
 
 def check_that_finds_wait_for_a_decision(tab: Tab) -> None:

@@ -92,6 +92,10 @@
     try { return localStorage.getItem(KEY) === "folded"; } catch { return false; }
   };
 
+  // Where nothing of ours comes, viser's own panel says what is wrong with the connection.
+  const begin = () => document.documentElement.classList.add("aw-begun");
+  setTimeout(begin, 15000);
+
   const dark = window.matchMedia("(prefers-color-scheme: dark)");
   const theme = () => send("theme", dark.matches ? "dark" : "light");
   dark.addEventListener("change", theme);
@@ -101,6 +105,7 @@
     theme,
     show(place, html) {
       const at = node(place);
+      begin();
       // What has the keyboard keeps it: the same control is there anew.
       const held = at.contains(document.activeElement) && document.activeElement;
       const key = held && `[data-press="${held.dataset.press}"][value="${CSS.escape(held.value)}"]`;

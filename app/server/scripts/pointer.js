@@ -215,7 +215,8 @@
     const key = event.key.toLowerCase();
     // A decision is one press: a key that is held doesn't decide about what comes next.
     if (event.repeat && (key === "y" || key === "x")) return stop(event);
-    if (event.key === "?") return send({ type: "ArtiworldToolMessage", tool: "help" });
+    const sheet = { "?": "help", F8: "messages" }[event.key];
+    if (sheet) return send({ type: "ArtiworldToolMessage", tool: sheet });
     const digit = event.shiftKey && !event.repeat && /^Digit(\d)$/.exec(event.code);
     if (digit) return send({ type: "ArtiworldAnswerMessage", number: Number(digit[1]) });
     if (event.key === "Escape") {

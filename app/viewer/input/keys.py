@@ -53,17 +53,27 @@ def add_keys(
         command.on_trigger(lambda _, run=carry_out, action=binding.action: run(action))
 
 
+Rows = Iterable[tuple[str, str]]
+
+
 class KeySheet(Dialog):
-    """The sheet of keys, over the picture."""
+    """The sheet of keys, or of the latest messages, over the picture."""
 
     def toggle(self) -> None:
-        """Show the sheet, or close it."""
+        """Show the keys, or close the sheet."""
+        self._toggle(words.TITLE, words.SHEET)
+
+    def toggle_messages(self) -> None:
+        """Show the latest messages, newest first, or close the sheet."""
+        self._toggle(words.MESSAGES, self._tab.messages or [(words.NO_MESSAGES, "")])
+
+    def _toggle(self, title: str, sheet: Rows) -> None:
         if self.close():
             return
         gui = self._tab.client.gui
-        with self._open(words.TITLE):
+        with self._open(title):
             self._add_close(words.CLOSE)
-            rows = "".join(f"<b>{escape(k)}</b><span>{escape(v)}</span>" for k, v in words.SHEET)
+            rows = "".join(f"<b>{escape(k)}</b><span>{escape(v)}</span>" for k, v in sheet)
             gui.add_html(f'<div style="{_STYLE}">{rows}</div>')
 
 

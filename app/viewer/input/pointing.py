@@ -71,7 +71,7 @@ class PointerActions:
     """Callbacks of the pointer and of the page's own keys.
 
     Attributes:
-        show_keys: shows the sheet of keys.
+        show_keys, show_messages: show the sheet of keys, and of the latest messages.
         answer: gets the digit that was pressed together with Shift.
         dismiss: closes what Escape closes; whether anything was open.
         withdraw: takes back an acceptance that waits.
@@ -83,6 +83,7 @@ class PointerActions:
     """
 
     show_keys: Callable[[], None]
+    show_messages: Callable[[], None]
     name_by_key: Callable[[int], None]
     dismiss: Callable[[], bool]
     withdraw: Callable[[], None]
@@ -284,6 +285,8 @@ class Pointing:
         assert actions is not None
         if tool == "help":
             act(actions.show_keys)
+        elif tool == "messages":
+            act(actions.show_messages)
         elif tool in _STEPS:
             act(lambda: self.tools.step(_STEPS[tool]))
         elif tool in ("click", "lasso", "brush"):

@@ -10,6 +10,7 @@ from app.viewer.words.common import Message
 
 TITLE: Final = "Keys and mouse"
 CLOSE: Final = "Close (Esc)"
+MESSAGES, NO_MESSAGES = "Messages", "No messages yet"
 SHEET: Final[tuple[tuple[str, str], ...]] = (
     ("Click", "add to the selected part"),
     ("Shift + click", "remove from it"),
@@ -36,6 +37,7 @@ SHEET: Final[tuple[tuple[str, str], ...]] = (
     ("Drag a limit's grip", "set the limit; Shift snaps to 5° or 5 mm"),
     ("Number pad 1, 3, 7; 9; 5", "front, right, top (Ctrl: other side); opposite; flat"),
     ("/; Shift+M", "isolate the part; measure between two clicks"),
+    ("F8", "read the latest messages again"),
     ("Y; Shift+Y", "accept; again: accept anyway; what is on hold"),
     ("X, then 1 … 6", "reject, with a reason"),
     ("N, B; Shift+I, C", "next, previous object; instructions, comment"),
