@@ -393,8 +393,11 @@ class PromptList:
         gui = tab.client.gui
         with gui.add_folder(words.PROMPTS):
             self._note = gui.add_markdown("")
-            actions = gui.add_button_group(words.PROMPTS_REMOVE, words.PROMPT_ACTIONS)
-            self._box = gui.add_folder(words.PROMPT_LIST, expand_by_default=False)
+            actions = gui.add_button_group(
+                words.PROMPTS_REMOVE, words.PROMPT_ACTIONS, visible=False
+            )
+            self._box = gui.add_folder(words.PROMPT_LIST, expand_by_default=False, visible=False)
+            self._actions = actions
             self._buttons: list[tuple[Any, PromptEntry]] = []
         actions.on_click(lambda e: tab.act(lambda: self.remove(e.target.value)))
 
@@ -426,6 +429,8 @@ class PromptList:
         note = words.prompt_count(len(mine), len(entries))
         put(self._note, content=note if doc.prompts else words.NO_PROMPTS)
         wanted = mine[-PROMPTS_SHOWN:]
+        put(self._actions, visible=bool(doc.prompts))
+        put(self._box, visible=bool(wanted))
         if [entry for _, entry in self._buttons] == wanted:
             return
         for handle, _ in self._buttons:
