@@ -28,6 +28,7 @@ from sessions.tool_commands import ToolRegion
 
 T = TypeVar("T")
 
+Take = Callable[[Sequence[tool_tasks.RegionOffer], str], None]
 POINTING = 20
 """Priority of what finds a place in the picture."""
 TOOL_SECONDS = 120.0
@@ -63,21 +64,6 @@ class MaskShown:
     def fits(self, doc: Document, part: int) -> bool:
         """True while ``part`` still shows it: its prompts are unchanged."""
         return part == self.part and doc.prompts == self.prompts
-
-
-@dataclass(frozen=True)
-class ToolAnswer:
-    """A tool's result before it changes the object.
-
-    Attributes:
-        document: what the tool worked on.
-        replaces: last prompts that the result replaces.
-    """
-
-    document: Document
-    request: tool_tasks.ToolRequest
-    offers: tool_tasks.Offer
-    replaces: int
 
 
 @dataclass(eq=False)
@@ -374,18 +360,21 @@ class Segmenting:
 
     def use_tool(self, request: tool_tasks.ToolRequest, who: str) -> int:
         """Run a segmentation tool; returns how many regions it found, see :meth:`find`."""
-        found = self.find(request)
-        offers = found.offers
+        offers, replaces, take = self.find(request)
         if isinstance(offers, tool_tasks.FaceCutOffer):
             self._cut_faces(offers, request.tool, who)
             return 1
         if isinstance(offers, tool_tasks.MaskOffer):
-            return self._show_mask(offers, found.replaces, request.part, who)
-        self.take(found, offers, who)
+            return self._show_mask(offers, replaces, request.part, who)
+        take(offers, who)
         return len(offers)
 
-    def find(self, request: tool_tasks.ToolRequest) -> ToolAnswer:
+    def find(self, request: tool_tasks.ToolRequest) -> tuple[tool_tasks.Offer, int, Take]:
         """Run a segmentation tool without changing the object.
+
+        Returns:
+            What it found, the number of the last prompts that this replaces, and what makes parts
+            of regions that were found, as one step.
 
         Raises:
             CommandError: where the tool can't work on the present parts, the object changed
@@ -423,19 +412,19 @@ class Segmenting:
                 f"the server is too busy: the tool got no result within {TOOL_SECONDS:.0f} s"
             ) from error
         self._check_unchanged(doc)
-        return ToolAnswer(doc, request, offers, replaces)
+        return offers, replaces, lambda kept, who: self._take(doc, request, kept, who)
 
     def _check_unchanged(self, doc: Document) -> None:
         if _tool_input(self._obj.document) != _tool_input(doc):
             raise CommandError("the object was changed meanwhile: use the tool again")
 
-    def take(self, found: ToolAnswer, offers: Sequence[tool_tasks.RegionOffer], who: str) -> None:
-        """Make parts of regions that :meth:`find` found, as one step.
-
-        Raises:
-            CommandError: where the object changed since.
-        """
-        doc, request = found.document, found.request
+    def _take(
+        self,
+        doc: Document,
+        request: tool_tasks.ToolRequest,
+        offers: Sequence[tool_tasks.RegionOffer],
+        who: str,
+    ) -> None:
         self._check_unchanged(doc)
         if not offers:
             return

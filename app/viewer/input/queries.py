@@ -20,7 +20,7 @@ from app.server.display_tasks import OpenedAsset
 from app.server.jobs import PREVIEWS, Job
 from app.server.open_object import OpenObject
 from app.server.page import ArtiworldHoverMessage
-from app.server.segmenting import POINTING, ToolAnswer, stored_prompts
+from app.server.segmenting import POINTING, Take, stored_prompts
 from app.server.tool_tasks import NEXT_MASK, RegionOffer, ToolRequest
 from app.server.workers import Lane
 from app.viewer.picture import palette
@@ -285,7 +285,7 @@ class Tools:
 
     def __init__(self, tab: Tab, begins: Callable[[], None], picture: ObjectPicture) -> None:
         self._tab, self._begins, self._picture = tab, begins, picture
-        self._found: ToolAnswer | None = None
+        self._take: Take | None = None
         self.finds: list[RegionOffer] = []
         self._at = 0
 
@@ -309,16 +309,16 @@ class Tools:
 
     def take(self) -> None:
         """Make parts of what was found."""
-        found, finds = self._found, self.finds
+        take, finds = self._take, self.finds
         self.drop()
-        if found is not None and finds:
-            self._tab.selection.need_object().segmenting.take(found, finds, self._tab.user)
+        if take is not None and finds:
+            take(finds, self._tab.user)
             self._tab.notify(words.SAME_SHAPE, words.found(len(finds)), "green")
 
     def drop(self) -> None:
         """Nothing found waits any longer."""
         if self.finds:
-            self.finds, self._found = [], None
+            self.finds, self._take = [], None
             self.step(0)
 
     def next_mask(self, step: int) -> None:
@@ -338,10 +338,10 @@ class Tools:
         before = {p.part for p in obj.document.prompts}
         try:
             if request.tool == "same shape":
-                answer = obj.segmenting.find(request)
-                found = len(answer.offers)
-                self._found, self.finds, self._at = answer, list(answer.offers), 0
+                offers, _, self._take = obj.segmenting.find(request)
+                self.finds, self._at = offers if isinstance(offers, list) else [], 0
                 self.step(0)
+                found = len(self.finds)
             else:
                 found = obj.segmenting.use_tool(request, tab.user)
         except Cancelled:
