@@ -1,4 +1,4 @@
-"""Jobs that find which accepted object an open one is like, and carry its parts and joints over."""
+"""Jobs that find which accepted object an open one is like, and carry its parts over."""
 
 from __future__ import annotations
 
@@ -12,20 +12,10 @@ import numpy as np
 from app.server.segmenting_tasks import session_of
 from app.server.tasks import arrays_of
 from app.server.tool_tasks import NEW_PART, RegionOffer
-from model.core.articulated_object import Part
 from model.core.errors import ArtiworldError
-from model.core.joint import Joint
 from model.core.memory import LruCache
 from model.core.progress import Progress, no_progress
-from model.geometry.like_object import (
-    Example,
-    Match,
-    best_match,
-    carried_joint,
-    counterparts,
-    example_of,
-    surface_points,
-)
+from model.geometry.like_object import Example, best_match, example_of
 from model.io.assets.reader import load_object
 from model.segmentation.registry import DEFAULT
 from model.segmentation.similar import carry_over
@@ -105,54 +95,6 @@ def _example(asset: Path) -> Example | None:
     return None
 
 
-@dataclass(frozen=True)
-class CarriedJoints:
-    """Joints of an accepted asset on another object's parts.
-
-    Attributes:
-        name: of the accepted object. fit: 0..1, of the two objects.
-    """
-
-    joints: tuple[Joint, ...] = ()
-    name: str = ""
-    fit: float = 0.0
-
-
 def object_name(asset_folder: str) -> str:
     """The name of the object that an accepted asset's folder is named after."""
     return asset_folder.rpartition("-")[0] or asset_folder
-
-
-def carried_joints(parts: Sequence[Part], asset: Path) -> CarriedJoints:
-    """Return an accepted asset's joints on those of ``parts`` that have a counterpart in it.
-
-    Where parent or child has none, a joint is left to the predictor, and so are chains.
-    """
-    example = _example(asset)
-    match = None if example is None else best_match([example], surface_points(parts))
-    if match is None or match.fit < FIT:
-        return CarriedJoints()
-    return CarriedJoints(joints_of(match, parts), object_name(asset.name), match.fit)
-
-
-def joints_of(match: Match, parts: Sequence[Part]) -> tuple[Joint, ...]:
-    """Return the joints of a match's example on the parts that have a counterpart."""
-    example = match.example
-    of_part = counterparts(match, parts)
-    name_of = dict(zip(example.links, example.names, strict=True))
-    # A part that was renamed since isn't what the example has there.
-    for part in parts:
-        link = of_part.get(part.link)
-        if link is not None and link != example.root and name_of[link] != part.name:
-            del of_part[part.link]
-    of_link = {link: part for part, link in of_part.items()}
-    bounds = {part.link: part.bounds for part in parts}
-    out = []
-    for joint in example.joints:
-        child, parent = of_link.get(joint.child), of_link.get(joint.parent)
-        if child is None or parent is None or joint.mimic is not None:
-            continue
-        own = example.points[example.part == example.links.index(joint.child)]
-        before = np.array([own.min(axis=0), own.max(axis=0)])
-        out.append(carried_joint(match, joint, before, bounds[child], child, parent))
-    return tuple(out)

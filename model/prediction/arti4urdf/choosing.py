@@ -1,44 +1,35 @@
-"""The evidence of rules, words and accepted joints, as log-probabilities of the answer's words.
+"""The evidence of rules and words, as log-probabilities of the answer's words.
 
-Geometry offers candidates. Its rules with the parts' words, the network's reading and the accepted
-joints of a workspace give each joint type a log-probability, the highest sum is the answer; the
-candidates are scored by :mod:`model.prediction.arti4urdf.motion_ranker`.
+Geometry offers candidates. Its rules with the parts' words and the network's reading give each
+joint type a log-probability, the highest sum is the answer; the candidates are scored by
+:mod:`model.prediction.arti4urdf.motion_ranker`. Examples of accepted objects come after it, see
+:mod:`model.prediction.lessons`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 from scipy.special import softmax
 
-from model.core.joint import JOINT_KINDS, Joint
 from model.prediction.arti4urdf import vocabulary as v
+from model.prediction.arti4urdf.answer import proposal_of
+from model.prediction.arti4urdf.decoding import Answer
 from model.prediction.arti4urdf.structure import MECHANISMS, RANKS, SLOTS, Structure
-from model.prediction.arti4urdf.vocabulary import Decision
-from model.prediction.experience import (
-    MOST,
-    UNSEEN,
-    Experience,
-    Motions,
-    Recalled,
-    extent_along,
-    in_part,
-    part_name,
-)
+from model.prediction.geometric.context import JointProposal
 from model.prediction.geometric.roles import NAMED, mechanism_scores, named_mechanism
-from model.prediction.geometric.tree import is_below, rooted_tree
+from model.prediction.lessons import Motion, along, same_steps
 
 Array = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
 
 FLOOR = 0.002
 """Probability of words that the rules exclude."""
-ACCEPTED_TYPES = 40.0
-"""Weight of the log-shares of accepted joints by joint type: two that agree outweigh the rules, one
-doesn't."""
+STAYS, WORTH = -3.0, -6.0
+"""Log-likelihoods of a fixed joint where another one was chosen, and of what is worth a look."""
 
 
 @dataclass(frozen=True)
@@ -96,97 +87,58 @@ def _word_odds(structure: Structure, part: int, mechanisms: Array, fixed: float)
     return out
 
 
-def recalled(experience: Experience | None, structure: Structure) -> dict[int, Recalled]:
-    """Evidence about parts from accepted objects of the same category."""
-    if experience is None:
-        return {}
-    parts = {i: _motions(structure, i) for i in range(len(structure.sampled))}
-    return experience.recall(structure.sampled.category, parts)
-
-
-def _motions(structure: Structure, part: int) -> Motions:
-    found = [p for p in structure.slots[part] if p is not None]
-    lines = [in_part(structure.sampled, part, p.axis, p.origin) for p in found]
-    axes, arms = (np.array([line[k] for line in lines]).reshape(-1, 3) for k in (0, 1))
-    turns = np.array([not JOINT_KINDS[p.type].slides for p in found], bool)
-    return Motions(structure.sampled.shapes[part].name, axes, arms, turns)
-
-
-def accepted_types(structure: Structure, known: Mapping[int, Recalled]) -> Array:
-    """(P, SIZE) weighted log-shares of accepted joints by joint type; 0 for all other words."""
-    out = np.zeros((len(structure.sampled), v.SIZE))
-    for i, found in known.items():
-        types = np.array([found.objects * found.types.get(t, 0.0) for t in v.TYPES])
-        out[i, v.TYPE_IDS] = ACCEPTED_TYPES * np.log((types + UNSEEN) / (found.objects + UNSEEN))
-    return out
-
-
-def accepted_motions(structure: Structure, known: Mapping[int, Recalled]) -> dict[int, Array]:
-    """Part → (SLOTS,) log-shares of accepted joints with the motion of each candidate."""
-    out: dict[int, Array] = {}
-    for i, found in known.items():
-        out[i] = np.zeros(SLOTS)
-        present = [p is not None for p in structure.slots[i]]
-        out[i][present] = np.log((found.agreeing + UNSEEN) / (found.objects + UNSEEN))
-    return out
-
-
-def of_accepted_type(decision: Decision, known: Recalled) -> Decision:
-    """The decision, with or without a stop as most accepted joints have it, if it turns."""
-    agreed, turning = known.agreed(known.types), (v.REVOLUTE, v.CONTINUOUS)
-    if decision.type in turning and agreed in ("revolute", "continuous"):
-        return replace(decision, type=v.TYPES.index(agreed))
-    return decision
-
-
-def parents(
-    structure: Structure, kept: Mapping[int, int], known: Mapping[int, Recalled]
-) -> list[int]:
-    """Parent of each part by geometry, or by name where most accepted objects have that one.
-
-    Args:
-        kept: part → the parent that a person fixed. known: about parts, from accepted objects.
-    """
-    sampled = structure.sampled
-    root, found = structure.assembly.root, list(structure.assembly.parent)
-    if kept:
-        root, found = rooted_tree(sampled, kept, [])
-    names = [part_name(s.name) for s in sampled.shapes]
-    for i, about in known.items():
-        parent = about.agreed(about.parents)
-        if parent is None or i in kept or i == root:
-            continue
-        fitting = [k for k, name in enumerate(names) if name == parent and k != i]
-        above = root if not parent else min(fitting, key=lambda k: sampled.gap[i, k], default=None)
-        if above is not None and not is_below(found, above, i):
-            found[i] = above
+def offered(
+    structure: Structure, answer: Answer, part: int
+) -> list[tuple[tuple[JointProposal, ...], float]]:
+    """The motions of a part by geometry and network, the answer's first, with log-likelihoods."""
+    decision = answer.decisions[part]
+    own = steps_of(proposal_of(structure, part, decision))
+    found: list[tuple[tuple[JointProposal, ...], float]] = [(own, 0.0)]
+    if own:
+        found.append(((), STAYS))
+    if part not in answer.motions:
+        return found
+    slots, odds = answer.motions[part]
+    likely = -np.logaddexp(0.0, -odds.astype(np.float64))
+    there = np.flatnonzero(slots == decision.slot)
+    best = float(likely[there[0]]) if len(there) else float(likely.max()) - STAYS
+    for slot, value in zip(slots.tolist(), likely.tolist(), strict=True):
+        proposal = structure.candidate(part, slot) if value - best > WORTH else None
+        if proposal is not None:
+            steps = steps_of(proposal)
+            other = STAYS if len(steps) != len(own) else 0.0
+            found.append((steps, min(0.0, value - best) + other))
     return found
 
 
-def with_known_range(
-    joints: list[Joint], structure: Structure, part: int, known: Recalled
-) -> list[Joint]:
-    """The joint of a part with the limits on which accepted joints agree, if it has limits."""
-    if len(joints) != 1 or not joints[0].limited:
-        return joints
-    [joint] = joints
-    axis = structure.sampled.frame.object_from_working.T @ np.asarray(joint.axis)
-    found = known.range_about(axis)
-    if found is None:
-        return joints
-    scale = 1.0
-    if not joint.rotates:
-        scale = extent_along(structure.sampled, part, axis) * structure.sampled.frame.diagonal
-    return [replace(joint, lower=found[0] * scale, upper=found[1] * scale)]
+def steps_of(proposal: JointProposal) -> tuple[JointProposal, ...]:
+    """The joints of a proposal, working frame: none if it is fixed, two if it has a travel."""
+    if proposal.type == "fixed":
+        return ()
+    if proposal.travel is None:
+        return (proposal,)
+    lower, upper = proposal.travel
+    slide = replace(proposal, type="prismatic", lower=lower, upper=upper, travel=None)
+    return slide, replace(proposal, travel=None)
 
 
-def follows(structure: Structure, decision: Decision, part: int, known: Recalled) -> bool:
-    """True if the decision about a part has the type and motion of most accepted joints."""
-    if known.agreed(known.types) != v.TYPES[decision.type]:
-        return False
-    if decision.slot < 0:
-        return True
-    if decision.slot == v.FREE:
-        return False
-    at = sum(p is not None for p in structure.slots[part][: decision.slot])
-    return bool(known.agreeing[at] >= MOST * known.objects)
+def taught_steps(
+    motion: Motion,
+    given: Sequence[tuple[tuple[JointProposal, ...], float]],
+    foreseen: bool,
+) -> tuple[JointProposal, ...]:
+    """A motion on the exact line that geometry offers for it, with the examples' ranges.
+
+    Args:
+        given: of :func:`offered`. foreseen: keep the ranges of the answer where
+            the examples disagree.
+    """
+    for k, (steps, _) in enumerate(given):
+        if same_steps(steps, motion.steps):
+            if not motion.votes or (foreseen and k == 0 and not motion.agreed):
+                return steps
+            return tuple(
+                replace(along(taught, own.axis), axis=own.axis, origin=own.origin)
+                for own, taught in zip(steps, motion.steps, strict=True)
+            )
+    return motion.steps

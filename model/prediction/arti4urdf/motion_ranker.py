@@ -8,7 +8,7 @@ add to their log-probability; the answer's own motion stays unless another one i
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -58,7 +58,6 @@ NAMES: tuple[str, ...] = (
     *(f"{expert} {what}" for expert in _EXPERTS for what in ("slot", "motion", "kind", "fixed")),
 )
 """Features of a candidate; lengths in diagonals of the object."""
-NOTHING: Mapping[int, Array] = {}
 _FIXED = v.TYPES.index("fixed")
 _TURNING = [v.REVOLUTE, v.CONTINUOUS, v.SCREW]
 
@@ -148,13 +147,8 @@ class MotionRanker:
         rules: Array,
         same: Bools,
         locked: frozenset[int] = frozenset(),
-        accepted: Mapping[int, Array] = NOTHING,
     ) -> Answer:
-        """The answer with the likeliest motion of each part that moves; locked parts stay.
-
-        Args:
-            accepted: part → (SLOTS,) log-shares of accepted joints with each candidate's motion.
-        """
+        """The answer with the likeliest motion of each part that moves; locked parts stay."""
         decisions = list(answer.decisions)
         parts = [
             i
@@ -177,23 +171,20 @@ class MotionRanker:
                 continue
             present = int(np.flatnonzero(slots == decisions[i].slot)[0])
             among = same[i][np.ix_(slots, slots)]
-            votes = accepted[i][slots] if i in accepted else 0.0
-            chosen = self.chosen(present, own, rules[i][v.SLOT_IDS][slots], among, votes)
+            chosen = self.chosen(present, own, rules[i][v.SLOT_IDS][slots], among)
             if chosen != present:
                 decisions[i] = with_candidate(structure, i, decisions[i], int(slots[chosen]))
         return replace(answer, decisions=tuple(decisions), motions=motions)
 
-    def chosen(
-        self, present: int, odds: Floats, rules: Array, same: Bools, votes: Array | float = 0.0
-    ) -> int:
+    def chosen(self, present: int, odds: Floats, rules: Array, same: Bools) -> int:
         """Index of the candidate to take, of a part's K.
 
         Args:
             present: index of the answer's.
             odds: (K,) of the trees. rules: (K,) log-probabilities by the rules.
-            same: (K, K) which have the same motion. votes: (K,) added to their log-probabilities.
+            same: (K, K) which have the same motion.
         """
-        likely = -np.logaddexp(0.0, -odds.astype(np.float64)) + votes
+        likely = -np.logaddexp(0.0, -odds.astype(np.float64))
         best = int(np.argmax(likely))
         if likely[best] - likely[same[present]].max() < self.margin:
             return present

@@ -115,7 +115,7 @@ def parts_of(data: DatasetOptions | None, seed: int, task: tuple[str, bool, int]
         return []
     prompt = make_prompt(structure, segmented, number)
     rules, same = geometric_prior(structure), same_motion(prompt)
-    prior = hybrid().prior(structure, rules, {})
+    prior = hybrid().prior(rules)
     answer = hybrid().answer(prompt, structure, {}, prior)
     out: list[Part] = []
     for i in range(len(segmented.parts)):

@@ -51,7 +51,7 @@ def oven():
 
 def _answer(predictor: Arti4UrdfPredictor, thing) -> Answer:
     structure, prompt, rules, _ = thing
-    return predictor.answer(prompt, structure, {}, predictor.prior(structure, rules, {}))
+    return predictor.answer(prompt, structure, {}, predictor.prior(rules))
 
 
 def test_features_do_not_change_when_the_object_is_turned_about_the_vertical(oven) -> None:
@@ -128,9 +128,6 @@ def test_of_one_motion_the_candidate_is_taken_that_the_rules_prefer() -> None:
     odds = np.array([-3, 2, 1], np.float32)
     assert rank.chosen(0, odds, np.array([0.0, -5.0, -1.0]), same) == 2
     assert rank.chosen(1, odds, np.array([0.0, -5.0, -1.0]), same) == 1
-    votes = np.log([1.0, 0.05, 0.05])
-    assert rank.chosen(1, odds, np.array([0.0, -5.0, -1.0]), same, votes) == 1, "one is too few"
-    assert rank.chosen(1, odds, np.array([0.0, -5.0, -1.0]), same, 3 * votes) == 0
 
 
 def test_the_shipped_weights_read_these_features_and_others_are_refused(tmp_path: Path) -> None:
