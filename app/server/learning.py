@@ -11,12 +11,11 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from app.server import like_tasks
 from app.server.acceptances import asset_folder
 from app.server.job import Job
 from app.server.jobs import PREVIEWS, WorkerProcess
-from app.server.like_tasks import LIKE, LikeOffer
 from app.server.object_context import ObjectContext
+from app.server.tool_tasks import LIKE, LikeOffer, find_alike
 from app.server.worker import WorkerTemplate
 from app.server.workers import READING, in_background
 from model.core.errors import CommandError, ConfigurationError
@@ -57,7 +56,7 @@ class Likeness:
             return
         self._asked, self.offer = (asset.folder, assets), None
         job = obj.lane.segmentation.submit(
-            like_tasks.find_alike,
+            find_alike,
             asset.folder,
             obj.services.workspace,
             assets,

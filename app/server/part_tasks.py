@@ -211,17 +211,22 @@ def predict(
     """Predict the kinematic tree of the parts.
 
     Args:
-        like: accepted asset that is one more example.
+        like: accepted asset that is one more example; predictors that read none say so.
     """
     progress(0.02, "Cutting out the parts")
     segmented = segmented_object(source)
-    chosen = load_predictor(predictor)
+    chosen, remarks = load_predictor(predictor), list[str]()
     if like is not None:
-        from model.prediction.arti4urdf.predictor import with_example  # needs torch
-
-        chosen = with_example(chosen, load_object(like), like.name)
+        teach = getattr(chosen, "with_example", None)  # the hybrid's
+        taught = teach and teach(load_object(like), like.name)
+        if taught is None:
+            remarks += [
+                f"{predictor} follows no accepted object: joints of {like.name} aren't taken"
+            ]
+        chosen = taught or chosen
     found: object = chosen.predict(segmented, locked=locked, seed=seed, progress=progress)
-    return checked(predictor, segmented, found)
+    answer = checked(predictor, segmented, found)
+    return replace(answer, problems=(*answer.problems, *remarks))
 
 
 def checked(predictor: str, segmented: SegmentedObject, found: object) -> Prediction:

@@ -144,10 +144,21 @@ def checked(known: Experience, left_out: Sequence[Taught], names: bool) -> Exper
     for kind in sorted({example_kind(o.category) for o in known.objects}):
         sources = {o.source for o in known.objects if example_kind(o.category) == kind}
         own = [r for r in left_out if r.names == names and r.score.object_id in sources]
-        alone, after = ([r.score for r in own if r.examples == e] for e in (False, True))
-        if any(a < b for a, b in zip(_right(after), _right(alone), strict=True)):
+        if not helps(*([r.score for r in own if r.examples == e] for e in (False, True))):
             unused.append(kind)
     return replace(known, unused=tuple(unused))
+
+
+def helps(alone: Sequence[ObjectScore], after: Sequence[ObjectScore]) -> bool:
+    """True if a kind's examples cost nothing, and gain something unless no object is right anyway.
+
+    Args:
+        alone, after: its accepted objects without experience, and with that of the others.
+    """
+    usable, joints = _right(alone)
+    now, now_joints = _right(after)
+    gains = (now, now_joints) != (usable, joints)
+    return now >= usable and now_joints >= joints and (gains or not usable)
 
 
 def _right(scores: Sequence[ObjectScore]) -> tuple[int, int]:

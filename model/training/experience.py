@@ -24,7 +24,7 @@ from model.core.pool import robust_map
 from model.core.progress import Progress, attempt, no_progress
 from model.evaluation.joint_metrics import ObjectScore, score_object
 from model.evaluation.summary import calibrate
-from model.evaluation.teaching import accepted_example
+from model.evaluation.teaching import accepted_example, helps
 from model.io.assets.reader import PROVENANCE, load_object
 from model.prediction.arti4urdf.predictor import learned_hybrid
 from model.prediction.arti4urdf.structure import read_structure
@@ -68,15 +68,15 @@ class Side:
 
 @dataclass(frozen=True)
 class Kind:
-    """Accepted objects of one category, without experience, and with that of the others."""
+    """Accepted objects of one category, without experience, and with that of the others.
+
+    Attributes:
+        used: see :func:`model.evaluation.teaching.helps`.
+    """
 
     before: Side
     after: Side
-
-    @property
-    def used(self) -> bool:
-        """True unless its objects come out worse with each other's example."""
-        return self.after.usable >= self.before.usable and self.after.objects >= self.before.objects
+    used: bool
 
     @property
     def trust(self) -> float:
@@ -157,9 +157,9 @@ def learn(
     for count, (asset, row) in enumerate(compared, start=1):
         progress(count / len(todo), asset.name)
         rows[checked[asset.name]] += [row] if row is not None else []
-    results |= {
-        k: Kind(_side([r.before for r in v]), _side([r.after for r in v])) for k, v in rows.items()
-    }
+    for kind, pairs in rows.items():
+        sides = [r.before for r in pairs], [r.after for r in pairs]
+        results[kind] = Kind(*map(_side, sides), used=helps(*sides))
     results = {kind: results[kind] for kind in sorted(kinds)}
     unused = tuple(kind for kind, result in results.items() if not result.used)
     alone = _sum(r.before for r in results.values())

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from app.server import part_tasks
 from app.server.accepting import accept
 from app.server.app_state import AppState
 from app.server.config import ServeConfig
@@ -119,3 +120,9 @@ def test_a_second_one_takes_parts_and_joints_of_the_first(app_state: AppState) -
     for _ in range(3):
         second.do(cmd.Undo(), "tester")
     assert not second.document.prompts and second.likeness.wanted is offer
+
+    like = second.likeness.source_of_joints(second.document)
+    for predictor, told in (("geometric", True), ("hybrid", False)):
+        answer = part_tasks.predict(second.source(), predictor, (), 0, like)
+        said = [p for p in answer.problems if "follows no accepted object" in p]
+        assert answer.tree is not None and bool(said) is told

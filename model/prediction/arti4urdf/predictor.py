@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Mapping, Sequence
+from copy import copy
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -26,12 +27,13 @@ from model.prediction.arti4urdf.answer import joints_of_decision, write_answer
 from model.prediction.arti4urdf.choosing import (
     HybridSettings,
     geometric_prior,
+    load_motion_ranker,
     offered,
+    other_motions,
     taught_steps,
 )
 from model.prediction.arti4urdf.decoding import Answer, ChoiceRecord, decode
 from model.prediction.arti4urdf.decoding import same_motion as same_motions
-from model.prediction.arti4urdf.motion_ranker import load_motion_ranker, other_motions
 from model.prediction.arti4urdf.network import SHIPPED, ArtiModel, Prompt, load_weights
 from model.prediction.arti4urdf.structure import (
     MECHANISMS,
@@ -70,7 +72,6 @@ from model.prediction.lessons import (
     lessons,
     taught_tree,
 )
-from model.prediction.registry import Predictor
 
 Array = npt.NDArray[np.float64]
 
@@ -312,6 +313,23 @@ class Arti4UrdfPredictor:
             confidence = max(confidence, self.experience.trust.get(kind, 0.0))
         return made[0], made[1:], confidence
 
+    def with_example(self, accepted: ArticulatedObject, source: str) -> Arti4UrdfPredictor | None:
+        """Itself with an accepted object as one more example, which counts whatever its kind
+        brings; None where it reads no examples.
+
+        Args:
+            source: name of the accepted asset.
+        """
+        if self.hybrid is None:
+            return None
+        known = (self.experience or Experience()).without(source)
+        used = (o for o in known.objects if kind_of(o.category) not in known.unused)
+        parts = SegmentedObject(accepted.name, accepted.parts, accepted.category)
+        example = example_of(accepted, source, sample_object(parts))
+        out = copy(self)
+        out.experience = replace(known, objects=(*used, example), unused=())
+        return out
+
 
 def distinct_joints(
     first: Joint, others: Iterable[Sequence[Joint]], diagonal: float
@@ -408,18 +426,6 @@ def learned_hybrid(experience: Experience | None, version: str = "") -> Arti4Urd
         version=f"{plain.version} {version}".rstrip(),
         experience=experience,
     )
-
-
-def with_example(predictor: Predictor, accepted: ArticulatedObject, source: str) -> Predictor:
-    """The hybrid with one more example; other predictors as they are."""
-    if not isinstance(predictor, Arti4UrdfPredictor) or predictor.hybrid is None:
-        return predictor
-    parts = SegmentedObject(accepted.name, accepted.parts, accepted.category)
-    known = (predictor.experience or Experience()).without(source)
-    example = example_of(accepted, source, sample_object(parts))
-    found = learned_hybrid(replace(known, objects=(*known.objects, example)))
-    found.version = predictor.version
-    return found
 
 
 def without(mechanism: str) -> Arti4UrdfPredictor:

@@ -24,15 +24,15 @@ from model.core.errors import ArtiworldError
 from model.core.pool import robust_map
 from model.data.registry import DatasetOptions, open_dataset
 from model.prediction.arti4urdf import vocabulary as v
-from model.prediction.arti4urdf.choosing import geometric_prior
-from model.prediction.arti4urdf.decoding import same_motion
-from model.prediction.arti4urdf.motion_ranker import (
+from model.prediction.arti4urdf.choosing import (
     NAMES,
     SHIPPED,
     MotionRanker,
+    geometric_prior,
     motion_features,
     network_odds,
 )
+from model.prediction.arti4urdf.decoding import same_motion
 from model.prediction.arti4urdf.predictor import hybrid, make_prompt
 from model.prediction.arti4urdf.structure import read_structure
 from model.segmentation.models import Trees, save_trees

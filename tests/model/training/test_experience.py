@@ -18,7 +18,7 @@ from model.data.procedural.generate import make
 from model.data.registry import DatasetOptions
 from model.evaluation.teaching import TeachConfig, accepted_example, checked, run
 from model.io.assets.asset_folder import write_asset
-from model.prediction.arti4urdf.predictor import learned_hybrid
+from model.prediction.arti4urdf.predictor import Arti4UrdfPredictor, learned_hybrid
 from model.prediction.experience import (
     Experience,
     ObjectExample,
@@ -119,6 +119,22 @@ def test_where_examples_disagree_the_alternatives_hold_both() -> None:
     assert found.confidence["link_1"] < 0.7
 
 
+def test_an_object_that_a_person_chose_counts_though_its_kind_is_not_used() -> None:
+    known = replace(taught(gadget(0.9), gadget(1.0)), unused=("gadget",))
+    new = gadget(1.1)
+    segmented = SegmentedObject("new", new.parts, new.category)
+    chosen = learned_hybrid(known).with_example(gadget(1.05), "chosen")
+    assert chosen is not None and chosen.experience is not None
+    assert [o.source for o in chosen.experience.objects] == ["chosen"]
+    found = [p.predict(segmented).tree for p in (learned_hybrid(known), chosen)]
+    types = [tree.joint_of["link_1"].type for tree in found if tree is not None]
+    assert types[0] != types[1] == "prismatic"
+    own = load_predictor("without:network")
+    assert isinstance(own, Arti4UrdfPredictor)
+    taken = own.with_example(gadget(), "chosen")
+    assert taken is not None and (taken.left_out, taken.name) == ("network", own.name)
+
+
 def accepted(folder: Path, count: int, upper: float | None, name: str | None = "lid") -> list[Path]:
     """Laptops whose lids were all accepted with one range, or as they are predicted."""
     out = []
@@ -206,6 +222,9 @@ def test_bench_teach_shows_what_examples_gain_and_leaves_out_those_that_cost(
     assert checked(known, rows[:2], True).unused == ()
     swapped = [replace(row, examples=not row.examples) for row in rows[:2]]
     assert checked(known, swapped, True).unused == ("gadget",)
+    for right, alike in ((False, ()), (True, ("gadget",))):  # no gain: used where none is right
+        same = [replace(rows[right], examples=e) for e in (False, True)]
+        assert checked(known, same, True).unused == alike
 
 
 def test_what_is_kept_is_read_again_and_damage_is_named(tmp_path: Path) -> None:

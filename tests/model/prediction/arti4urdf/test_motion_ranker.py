@@ -13,17 +13,18 @@ from model.core.errors import InputFileError
 from model.core.joint import same_motion
 from model.data.procedural.generate import make
 from model.prediction.arti4urdf import vocabulary as v
-from model.prediction.arti4urdf.choosing import HybridSettings, geometric_prior
-from model.prediction.arti4urdf.decoding import Answer
-from model.prediction.arti4urdf.decoding import same_motion as same_motions
-from model.prediction.arti4urdf.motion_ranker import (
+from model.prediction.arti4urdf.choosing import (
     NAMES,
+    HybridSettings,
     MotionRanker,
+    geometric_prior,
     load_motion_ranker,
     motion_features,
     network_odds,
     other_motions,
 )
+from model.prediction.arti4urdf.decoding import Answer
+from model.prediction.arti4urdf.decoding import same_motion as same_motions
 from model.prediction.arti4urdf.network import ArtiModel
 from model.prediction.arti4urdf.predictor import Arti4UrdfPredictor, make_prompt
 from model.prediction.arti4urdf.structure import RANKS, read_structure
