@@ -2,7 +2,7 @@
 
 Of each kind the first objects are accepted as they truly are; the others are predicted alone and
 with these examples, with names and without, and the corrections that a person needs are counted.
-As in a workspace, examples of a kind that make each other worse aren't used.
+As in a workspace, only kinds are used whose examples help each other.
 """
 
 from __future__ import annotations
@@ -135,7 +135,7 @@ def accepted_example(
 
 
 def checked(known: Experience, left_out: Sequence[Taught], names: bool) -> Experience:
-    """Experience without the kinds whose objects come out worse with each other's example.
+    """Experience without the kinds whose objects don't gain from each other's example.
 
     Args:
         left_out: each object, predicted alone and with the examples of the others.

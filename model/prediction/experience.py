@@ -114,7 +114,7 @@ class Experience:
 
     Attributes:
         objects: the accepted objects.
-        unused: kinds whose objects come out worse with the others' example; they are left out.
+        unused: kinds whose objects don't gain from the others' example; they are left out.
         trust: kind → share of the joints, 0..1, that were right when each object was left out.
     """
 

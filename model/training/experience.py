@@ -2,7 +2,7 @@
 
 Every object is predicted without experience, and with that of all others; what was accepted is the
 truth. A version takes over where more of the accepted joints come out as they were accepted; kinds
-of which fewer do aren't used.
+whose objects don't gain from each other aren't used.
 """
 
 from __future__ import annotations
@@ -125,8 +125,7 @@ def learn(
     """Learn from accepted assets, and use the version if it is better than none.
 
     Each object is kept as an example; those of a kind that changed since the last version are
-    predicted without experience, and with that of the others. Kinds that come out worse aren't
-    used.
+    predicted without experience, and with that of the others. Kinds that don't gain aren't used.
 
     Args:
         workspace: gets ``learned/<version>``.
