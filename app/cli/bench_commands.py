@@ -110,6 +110,14 @@ class JointsBench(ProcessesBench):
 
 
 @dataclass(frozen=True, kw_only=True)
+class TeachBench(ProcessesBench):
+    """Joints after a few objects of each kind were accepted."""
+
+    place: ClassVar[str] = "app.cli.benchmarks.predictions:teach_bench"
+    examples: int = option("accepted objects of each kind", "K", 3, parse=positive_count)
+
+
+@dataclass(frozen=True, kw_only=True)
 class PredictBench(ReportCommand):
     """The time that the predictor takes."""
 
@@ -204,6 +212,7 @@ BENCHES: dict[str, type[Command]] = {
     "scans": ScansBench,
     "annotate": AnnotateBench,
     "joints": JointsBench,
+    "teach": TeachBench,
     "predict": PredictBench,
     "weights": WeightsBench,
     "networks": NetworksBench,

@@ -23,6 +23,7 @@ from app.server.open_object import OpenObject
 from app.server.scene_workspace import SceneGallery, SceneWorkspace
 from app.server.workers import Workers
 from model.core.progress import StoredWork
+from model.prediction import DEFAULT
 from sessions.accounts import Account
 from sessions.live import LiveSession, SessionHub
 from sessions.people import HEARTBEAT_SECONDS, Work
@@ -267,6 +268,8 @@ class AppState:
         self.stored.each("commands of others", behind, lambda i: self.hub.session(i).refresh())
         self.acceptances.sync()
         self.queue.sync(last, self.stored)
+        if self.config.predictor == DEFAULT:
+            self.learning.follow(self.queue.records())
         if self.store.project.refresh():
             self.queue.changed()
         self.presence.sync([obj for obj in list(self._open.values()) if obj.is_shown])

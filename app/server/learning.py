@@ -5,27 +5,28 @@ to objects that are like them.
 from __future__ import annotations
 
 import threading
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from app.server import like_tasks
 from app.server.acceptances import asset_folder
 from app.server.job import Job
 from app.server.jobs import PREVIEWS, WorkerProcess
-from app.server.like_tasks import LIKE, LikeOffer
 from app.server.object_context import ObjectContext
+from app.server.tool_tasks import LIKE, LikeOffer, find_alike
 from app.server.worker import WorkerTemplate
 from app.server.workers import READING, in_background
 from model.core.errors import CommandError, ConfigurationError
 from model.core.progress import Progress, no_progress
+from model.prediction.experience import LEAST, chosen_by_person, in_use
 from sessions import commands as cmd
 from sessions.command_log import open_database
 from sessions.document import Document, RegionRef
 from sessions.quality import seconds_in
 from sessions.releases import accepted_assets
-from sessions.store import Store
+from sessions.store import ObjectRecord, Store
 from sessions.tool_commands import ToolRegion
 
 MOST = 60
@@ -55,7 +56,7 @@ class Likeness:
             return
         self._asked, self.offer = (asset.folder, assets), None
         job = obj.lane.segmentation.submit(
-            like_tasks.find_alike,
+            find_alike,
             asset.folder,
             obj.services.workspace,
             assets,
@@ -128,6 +129,8 @@ def learn_from(
     without: Sequence[str] = (),
     jobs: int = 1,
     progress: Progress = no_progress,
+    *,
+    automatic: bool = False,
 ) -> dict[str, Any]:
     """Learn from the accepted objects of a workspace, but for second annotations and those
     whose asset is gone, which are recorded as left out.
@@ -136,7 +139,7 @@ def learn_from(
         The record of the version, see :class:`model.training.experience.Learned`.
 
     Args:
-        without: names of objects that are left out.
+        without: names of objects that are left out. automatic: nobody asked for it.
 
     Raises:
         ConfigurationError: for an unknown object, or too few accepted ones.
@@ -155,7 +158,8 @@ def learn_from(
         raise ConfigurationError(f"no accepted object is called {', '.join(unknown)}")
     folders = [a.folder for a in found if a.name not in without]
     left_out = (*without, *broken)
-    return asdict(learn(workspace, folders, left_out, jobs=jobs, progress=progress))
+    settings: dict[str, Any] = {"automatic": automatic, "jobs": jobs, "progress": progress}
+    return asdict(learn(workspace, folders, left_out, **settings))
 
 
 class Learning:
@@ -171,8 +175,25 @@ class Learning:
         self._workspace, self._database, self._template = workspace, database, template
         self._worker: WorkerProcess | None = None
         self._lock = threading.Lock()
+        self._accepted: frozenset[tuple[int, str]] | None = None
 
-    def start(self, done: Callable[[Job[dict[str, Any]]], None]) -> None:
+    def follow(self, records: Sequence[ObjectRecord]) -> None:
+        """Learn again when enough other objects are accepted, unless a person chose a version."""
+        accepted = [r for r in records if r.state == "accepted"]
+        now = frozenset((r.id, r.updated) for r in accepted)
+        before, known = self._accepted, in_use(self._workspace) is not None
+        if before is not None and self._worker is not None:
+            return
+        self._accepted = now
+        most = max(Counter(r.category for r in accepted).values(), default=0)
+        if before in (None, now) or chosen_by_person(self._workspace):
+            return
+        if most >= LEAST or known:
+            self.start(lambda _: None, automatic=True)
+
+    def start(
+        self, done: Callable[[Job[dict[str, Any]]], None], *, automatic: bool = False
+    ) -> None:
         """Begin; ``done`` gets the ended job on another thread.
 
         Raises:
@@ -187,7 +208,7 @@ class Learning:
                 arguments=(READING,),
                 template=self._template,
             )
-        job = worker.submit(learn_from, self._workspace, self._database)
+        job = worker.submit(learn_from, self._workspace, self._database, automatic=automatic)
 
         def ended(job: Job[dict[str, Any]]) -> None:
             done(job)

@@ -25,7 +25,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from app.server.like_tasks import CarriedJoints, carried_joints
 from app.server.tasks import arrays_of, asset_of
 from model.core import codec
 from model.core.articulated_object import (
@@ -47,7 +46,7 @@ from model.geometry.completion import complete, completed_arrays, completed_with
 from model.geometry.sampling import sample_surface
 from model.geometry.splitting import split
 from model.io.assets.asset_folder import write_draft
-from model.io.assets.reader import reload_check
+from model.io.assets.reader import load_object, reload_check
 from model.kinematics.siblings import carried, fitting, namesakes
 from model.kinematics.snapping import (
     axis_along_box,
@@ -212,22 +211,22 @@ def predict(
     """Predict the kinematic tree of the parts.
 
     Args:
-        like: accepted asset whose joints are taken where the parts are alike.
+        like: accepted asset that is one more example; predictors that read none say so.
     """
     progress(0.02, "Cutting out the parts")
     segmented = segmented_object(source)
-    carried = CarriedJoints() if like is None else carried_joints(segmented.parts, like)
-    known = {joint.child for joint in locked}
-    taken = tuple(joint for joint in carried.joints if joint.child not in known)
-    found: object = load_predictor(predictor).predict(
-        segmented, locked=(*locked, *taken), seed=seed, progress=progress
-    )
+    chosen, remarks = load_predictor(predictor), list[str]()
+    if like is not None:
+        teach = getattr(chosen, "with_example", None)  # the hybrid's
+        taught = teach and teach(load_object(like), like.name)
+        if taught is None:
+            remarks += [
+                f"{predictor} follows no accepted object: joints of {like.name} aren't taken"
+            ]
+        chosen = taught or chosen
+    found: object = chosen.predict(segmented, locked=locked, seed=seed, progress=progress)
     answer = checked(predictor, segmented, found)
-    if not taken or answer.tree is None:
-        return answer
-    fit = {joint.child: carried.fit for joint in taken}
-    note = {joint.child: f"As accepted of {carried.name}." for joint in taken}
-    return replace(answer, confidence={**answer.confidence, **fit}, notes={**answer.notes, **note})
+    return replace(answer, problems=(*answer.problems, *remarks))
 
 
 def checked(predictor: str, segmented: SegmentedObject, found: object) -> Prediction:

@@ -7,7 +7,6 @@ by its own factor; the best of them is fitted closer by matching nearest points.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -18,7 +17,6 @@ from scipy.spatial import KDTree
 
 from model.core.articulated_object import ArticulatedObject, Part
 from model.core.errors import GeometryError
-from model.core.joint import Joint
 from model.geometry.levelling import box_yaw
 from model.geometry.sampling import sample_surface
 
@@ -54,8 +52,7 @@ class Example:
         points: (N, 3) on its surface, metres.
         part: (N,) index into ``links``; the base is one of them.
         links: the parts' links. names: what people call them, or None.
-        joints, root: of its kinematic tree.
-        category: of the object, or None.
+        root: the base's link. category: of the object, or None.
     """
 
     name: str
@@ -63,7 +60,6 @@ class Example:
     part: npt.NDArray[np.int64]
     links: tuple[str, ...]
     names: tuple[str | None, ...]
-    joints: tuple[Joint, ...]
     root: str
     category: str | None = None
 
@@ -132,7 +128,6 @@ def example_of(obj: ArticulatedObject, name: str | None = None, seed: int = 0) -
         np.repeat(np.arange(len(points)), [len(p) for p in points]),
         tuple(p.link for p in obj.parts),
         tuple(p.name for p in obj.parts),
-        obj.tree.joints,
         obj.tree.root,
         obj.category,
     )
@@ -246,69 +241,3 @@ def _closer(match: Match, points: Points, tree: KDTree) -> Match:
         match = _scored(match, points, tree)
         best = max(best, match, key=lambda m: m.fit)
     return best
-
-
-def carried_joint(
-    match: Match, joint: Joint, before: npt.ArrayLike, after: npt.ArrayLike, child: str, parent: str
-) -> Joint:
-    """Return an example's joint as that of a part of the object.
-
-    The line keeps its place in the moving part's box, which may have other proportions; a range
-    along the axis grows with the part.
-
-    Args:
-        before, after: (2, 3) bounds of the moving part, in the example and in the object.
-        child, parent: links in the object.
-    """
-    axis = match.linear @ np.asarray(joint.axis)
-    growth = float(np.linalg.norm(axis))
-    axis /= growth
-    if joint.rotates and np.linalg.det(match.linear) < 0:
-        axis = -axis  # the mirror image turns the other way
-    corners = match.to_object(_corners(before))
-    low, high = corners.min(axis=0), corners.max(axis=0)
-    new = np.asarray(after, float)
-    place = match.to_object([joint.origin])[0]
-    factor = np.ptp(new, axis=0) / np.maximum(high - low, 1e-9)
-    origin = new[0] + (place - low) * np.where(high - low > 1e-6, factor, 1.0)
-    limits = (joint.lower, joint.upper)
-    if joint.slides:
-        limits = tuple(None if v is None else v * growth for v in limits)  # type: ignore[assignment]
-    return replace(
-        joint,
-        name=f"joint_{child}",
-        child=child,
-        parent=parent,
-        axis=tuple(axis.tolist()),
-        origin=tuple(origin.tolist()),
-        lower=limits[0],
-        upper=limits[1],
-        mimic=None,
-    )
-
-
-def _corners(bounds: npt.ArrayLike) -> Points:
-    low, high = np.asarray(bounds, float)
-    return np.array(list(itertools.product(*np.stack([low, high]).T)))
-
-
-def counterparts(match: Match, parts: Sequence[Part]) -> dict[str, str]:
-    """Link of the object → link of the example that lies there, each used once.
-
-    A part's counterpart is nearest to more than half of its points.
-    """
-    out: dict[str, str] = {}
-    nearest: dict[str, Points] = {}
-    rng = np.random.default_rng(0)
-    count = len(match.example.links)
-    for part in parts:
-        points = _sampled(part, 300, rng)
-        if len(points):
-            of_point = match.example.part[match.example.tree.query(match.to_example(points))[1]]
-            nearest[part.link] = np.bincount(of_point, minlength=count) / len(points)
-    for k, link in enumerate(match.example.links):
-        shares = {own: float(share[k]) for own, share in nearest.items() if own not in out}
-        best = max(shares, key=shares.__getitem__, default=None)
-        if best is not None and shares[best] > 0.5:
-            out[best] = link
-    return out

@@ -7,8 +7,8 @@ From labels to a URDF in six files (the default predictor, ``hybrid``):
    collects the joints in a ``PredictionBuilder``.
 3. ``model/prediction/arti4urdf/structure.py``: ``read_structure`` measures the parts and lets the
    rules of ``model/prediction/geometric`` propose candidate joints.
-4. ``model/prediction/arti4urdf/choosing.py`` sums what rules, words and accepted joints say;
-   ``decode`` of ``decoding.py`` adds the network's reading and chooses within the grammar.
+4. ``model/prediction/arti4urdf/choosing.py`` sums what rules and words say; ``decode`` of
+   ``decoding.py`` adds the network's reading and chooses within the grammar.
 5. ``model/prediction/arti4urdf/answer.py``: ``joints_of_decision`` turns the choices into joints,
    ``write_answer`` and ``parse_answer`` are the text form.
 6. ``model/io/urdf/writer.py``: ``to_urdf_text`` writes the parts and their tree.

@@ -104,8 +104,8 @@ class ConfidenceModel:
             self.names, self.mean, self.scale, self.weights, strict=True
         ):
             odds += weight * (evidence.get(name, mean) - mean) / scale
-        known = evidence.get(EXPERIENCE, 0.0)
-        return round(min(max(1 / (1 + math.exp(-odds)), known), MAX_CONFIDENCE), 4)
+        known = evidence.get(EXPERIENCE, 1 / (1 + math.exp(-odds)))
+        return round(min(known, MAX_CONFIDENCE), 4)
 
 
 def least_certain(evidence: Evidence) -> str:

@@ -1,20 +1,18 @@
-"""Evidence about joints from a workspace's accepted objects of the same category.
+"""Accepted objects of a workspace, kept as examples of whole motions.
 
-Each accepted joint is kept with the name of its part, where its axis lies in the part's box, its
-limits, and the name of the part that carries it. A part of the same name in an object of the same
-category gets the motion that most of them have, among its own candidates, where that outweighs
-what the predictor finds; and their type, limits and parent where they agree. Nothing is trained:
-an object that is taken out leaves no trace.
+Each part is kept with its name, size and place in its object, the part that carries it, and all
+joints of its motion: types, axes, lines relative to its own box and to that of its carrier, ranges.
+Nothing is trained: an object that is taken out leaves no trace. How parts of another object follow
+them is in :mod:`model.prediction.lessons`.
 """
 
 from __future__ import annotations
 
 import json
 import re
-from collections import defaultdict
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -22,48 +20,45 @@ import numpy as np
 import numpy.typing as npt
 
 from model.core import codec
-from model.core.articulated_object import ArticulatedObject, SegmentedObject
+from model.core.articulated_object import ArticulatedObject
 from model.core.errors import InputFileError
-from model.core.joint import JOINT_KINDS, JointType
-from model.prediction.geometric.sampled_object import SampledObject, sample_object
+from model.core.joint import JOINT_KINDS, Joint, JointType
+from model.core.names import category_key
+from model.core.tree import moving_chain
+from model.prediction.geometric.sampled_object import SampledObject
+from model.prediction.geometric.shape import PartShape
 
 Array = npt.NDArray[np.float64]
 Vector = tuple[float, float, float]
+ZERO: Vector = (0.0, 0.0, 0.0)
 
-FORMAT = 1
+FORMAT = 2
+"""Format 1 kept single joints of named parts, without sizes and places; it is still read."""
 _WORDS = re.compile(r"[a-z0-9]+")
 FILE = "experience.json"
 FOLDER, CURRENT, RECORD = "learned", "current.json", "record.json"
 """Folder of a workspace's versions, file of the one in use, and file of each one's results."""
-SAME_AXIS, SAME_LINE = 0.95, 0.35
-"""Least cosine between axes, and most between their lines in half extents of the part's box."""
+LEAST = 3
+"""Accepted objects of one kind below which nothing is learned."""
 THIN = 0.25
 """Least half extent of a part's box, as a share of its largest: doors have hardly any depth."""
-UNSEEN = 1.0
-"""Accepted joints that a motion counts as having without any; fewer trust experience more."""
-ENOUGH, MOST = 2, 0.7
-"""Accepted objects, and the share of them that must agree, before type, limits or parent follow."""
-SPREAD = 0.25
-"""Largest deviation of agreed limits, as a share of their range."""
 
 
 @dataclass(frozen=True)
-class JointExample:
-    """An accepted joint, in the working frame of its object.
+class Step:
+    """One joint of a part's motion, in the working frame of its object.
 
     Attributes:
-        name: of its part, in lower-case words.
-        parent: of the part that carries it; "" for the base and parts without a name.
         type: of the joint. axis: (3,) unit.
         arm: (3,) from the middle of the part's box to the axis, in half extents; 0 where it slides.
+        held: (3,) the same from the middle of the carrier's box.
         lower, upper: radians, or extents of the part along the axis.
     """
 
-    name: str
-    parent: str
     type: JointType
-    axis: Vector = (0.0, 0.0, 1.0)
-    arm: Vector = (0.0, 0.0, 0.0)
+    axis: Vector
+    arm: Vector = ZERO
+    held: Vector = ZERO
     lower: float = 0.0
     upper: float = 0.0
 
@@ -74,77 +69,43 @@ class JointExample:
 
 
 @dataclass(frozen=True)
+class PartExample:
+    """A part of an accepted object.
+
+    Attributes:
+        name: in lower-case words; "" without one.
+        carrier: index of the part that carries it, -1 for the base.
+        place: (3,) of its middle in the object's box, -0.5..0.5.
+        half: (3,) half extents along the working axes, diagonals; 0 where unknown.
+        round: whether it is round about an axis.
+        skew: (3,) where in its box, -1..1, lies what stands out of it, such as a door's handle.
+        steps: joints of its motion from the carrier on; none if it is fixed.
+        foreseen: whether its joint came out as accepted without any experience.
+    """
+
+    name: str
+    carrier: int = -1
+    place: Vector = ZERO
+    half: Vector = ZERO
+    round: bool = False
+    skew: Vector = ZERO
+    steps: tuple[Step, ...] = ()
+    foreseen: bool = False
+
+
+@dataclass(frozen=True)
 class ObjectExample:
-    """The joints of an accepted object; ``source`` names its asset."""
+    """The parts of an accepted object.
+
+    Attributes:
+        source: name of its asset. category: of the object.
+        stamp: time at which the asset was written, seconds since 1970.
+    """
 
     source: str
     category: str | None
-    joints: tuple[JointExample, ...]
-
-
-@dataclass(frozen=True)
-class Motions:
-    """The candidates of one part.
-
-    Attributes:
-        name: of the part, as people write it.
-        axes, arms: (K, 3) as in :class:`JointExample`. turns: (K,) bool.
-    """
-
-    name: str | None
-    axes: Array
-    arms: Array
-    turns: npt.NDArray[np.bool_]
-
-    def agree(self, example: JointExample, turn: Array) -> npt.NDArray[np.bool_]:
-        """(K,) which have the motion of an example whose object is turned by ``turn`` (3, 3)."""
-        if example.type == "fixed":
-            return np.zeros(len(self.axes), bool)
-        along = np.abs(self.axes @ (turn @ np.asarray(example.axis))) > SAME_AXIS
-        if not example.rotates:
-            return along & ~self.turns
-        off = np.abs(self.arms - turn @ np.asarray(example.arm)).max(axis=1)
-        return along & self.turns & (off < SAME_LINE)
-
-
-@dataclass(frozen=True)
-class Recalled:
-    """Evidence about one part.
-
-    Attributes:
-        objects: accepted objects that have a part of this name.
-        agreeing: (K,) of them, those whose joint has each candidate's motion.
-        types: shares of the joint types. parents: shares of the parents' names.
-        limits: (N, 5) axis (3), lower and upper of joints, this object's working frame.
-    """
-
-    objects: int
-    agreeing: Array
-    types: Mapping[str, float]
-    parents: Mapping[str, float]
-    limits: Array
-
-    def agreed(self, shares: Mapping[str, float]) -> str | None:
-        """Name that most of enough objects have, or None."""
-        if self.objects < ENOUGH or not shares:
-            return None
-        best = max(shares, key=lambda k: shares[k])
-        return best if shares[best] >= MOST else None
-
-    def range_about(self, axis: Array) -> tuple[float, float] | None:
-        """Lower and upper limit about a (3,) axis, where the accepted joints agree on them."""
-        along = self.limits[:, :3] @ axis
-        fitting = np.abs(along) > SAME_AXIS
-        if fitting.sum() < ENOUGH:
-            return None
-        ends = self.limits[fitting, 3:]
-        ends = np.where(along[fitting, None] < 0, -ends[:, ::-1], ends)
-        middle = np.median(ends, axis=0)
-        size = float(middle[1] - middle[0])
-        near = (np.abs(ends - middle) <= SPREAD * size).all(axis=1)
-        if size <= 0 or near.mean() < MOST:
-            return None
-        return float(middle[0]), float(middle[1])
+    parts: tuple[PartExample, ...]
+    stamp: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -153,77 +114,28 @@ class Experience:
 
     Attributes:
         objects: the accepted objects.
-        trust: share of the joints taken from experience that were right when each object was left
-            out in turn, 0..1.
+        unused: kinds whose objects don't gain from the others' example; they are left out.
+        trust: kind → share of the joints, 0..1, that were right when each object was left out.
     """
 
-    objects: tuple[ObjectExample, ...]
-    trust: float = 0.0
-
-    @cached_property
-    def _by_category(self) -> dict[str | None, list[ObjectExample]]:
-        out: dict[str | None, list[ObjectExample]] = {}
-        for known in self.objects:
-            out.setdefault(known.category, []).append(known)
-        return out
+    objects: tuple[ObjectExample, ...] = ()
+    unused: tuple[str, ...] = ()
+    trust: Mapping[str, float] = field(default_factory=dict)
 
     def without(self, source: str) -> Experience:
         """Everything but one object."""
-        return Experience(tuple(o for o in self.objects if o.source != source), self.trust)
+        return replace(self, objects=tuple(o for o in self.objects if o.source != source))
 
-    def recall(self, category: str | None, parts: Mapping[int, Motions]) -> dict[int, Recalled]:
-        """Evidence about the parts of an object, by their keys; only for named ones, and none
-        without a category."""
-        if category is None:
-            return {}
-        names = {key: part_name(m.name) for key, m in parts.items()}
-        votes: dict[int, list[tuple[Array, list[JointExample], Array]]] = {k: [] for k in parts}
-        for known in self._by_category.get(category, ()):
-            fitting = {
-                key: found
-                for key, name in names.items()
-                if name and (found := [j for j in known.joints if j.name == name])
-            }
-            if not fitting:
-                continue
-            # Of several that fit alike the first: most objects face the same way.
-            turn = max(_TURNS, key=lambda t: _fit(parts, fitting, t))
-            for key, found in fitting.items():
-                share = np.mean([parts[key].agree(j, turn) for j in found], axis=0)
-                votes[key].append((share, found, turn))
-        return {key: _recalled(found) for key, found in votes.items() if found}
+    def of(self, category: str | None) -> tuple[ObjectExample, ...]:
+        """The objects of a kind; all where the kind isn't known."""
+        kind = kind_of(category)
+        used = (o for o in self.objects if kind_of(o.category) not in self.unused)
+        return tuple(o for o in used if not kind or kind_of(o.category) in (kind, ""))
 
 
-def _quarter_turns() -> tuple[Array, ...]:
-    quarter = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
-    return tuple(np.linalg.matrix_power(quarter, k) for k in range(4))
-
-
-_TURNS = _quarter_turns()
-"""Objects face any of the four horizontal directions of the working frame."""
-
-
-def _fit(
-    parts: Mapping[int, Motions], examples: Mapping[int, Sequence[JointExample]], turn: Array
-) -> int:
-    """Parts that have a candidate like an accepted joint whose object is turned by ``turn``."""
-    return sum(
-        any(parts[key].agree(j, turn).any() for j in found) for key, found in examples.items()
-    )
-
-
-def _recalled(votes: Sequence[tuple[Array, list[JointExample], Array]]) -> Recalled:
-    agreeing = np.sum([share for share, _, _ in votes], axis=0)
-    types: dict[str, float] = defaultdict(float)
-    parents: dict[str, float] = defaultdict(float)
-    limits = []
-    for _, found, turn in votes:
-        for joint in found:
-            types[joint.type] += 1 / len(found) / len(votes)
-            parents[joint.parent] += 1 / len(found) / len(votes)
-            if joint.type in ("revolute", "prismatic"):
-                limits.append([*(turn @ np.asarray(joint.axis)), joint.lower, joint.upper])
-    return Recalled(len(votes), agreeing, types, parents, np.array(limits).reshape(-1, 5))
+def kind_of(category: str | None) -> str:
+    """A category as it is compared; "" without one."""
+    return category_key(category) or " ".join(_WORDS.findall((category or "").lower()))
 
 
 def part_name(name: str | None) -> str:
@@ -231,13 +143,11 @@ def part_name(name: str | None) -> str:
     return " ".join(w for w in _WORDS.findall((name or "").lower()) if not w.isdigit())
 
 
-def in_part(sampled: SampledObject, part: int, axis: Array, origin: Array) -> tuple[Array, Array]:
-    """An axis line of the working frame as in :class:`JointExample`: its direction and its arm."""
+def box_of(sampled: SampledObject, part: int) -> tuple[Array, Array]:
+    """Middle (3,) of a part's box, working frame, and the half extents (3,) that arms count in."""
     shape = sampled.shapes[part]
-    middle, half = (shape.low + shape.high) / 2, (shape.high - shape.low) / 2
-    half = np.maximum(half, max(THIN * float(half.max()), 1e-6))
-    offset = origin - middle
-    return axis, (offset - axis * float(axis @ offset)) / half
+    half = (shape.high - shape.low) / 2
+    return (shape.low + shape.high) / 2, np.maximum(half, max(THIN * float(half.max()), 1e-6))
 
 
 def extent_along(sampled: SampledObject, part: int, axis: Array) -> float:
@@ -245,37 +155,67 @@ def extent_along(sampled: SampledObject, part: int, axis: Array) -> float:
     return max(float(np.ptp(sampled.shapes[part].points @ axis)), 1e-3)
 
 
-def example_of(obj: ArticulatedObject, source: str, seed: int = 0) -> ObjectExample:
-    """The joints of an accepted object; parts with several joints are left out."""
-    segmented = SegmentedObject(obj.name, obj.parts, obj.category)
-    sampled = sample_object(segmented, seed)
-    frame, links = sampled.frame, {p.link: k for k, p in enumerate(obj.parts)}
-    found = []
-    for part, k in links.items():
-        joint = obj.tree.joint_of.get(part)
-        name = part_name(obj.parts[k].name)
-        if joint is None or not name or joint.parent not in links:
-            continue
-        carries = links[joint.parent]
-        above = "" if joint.parent == obj.tree.root else part_name(obj.parts[carries].name)
-        if not joint.moves:
-            found.append(JointExample(name, above, "fixed"))
-            continue
-        direction = frame.object_from_working.T @ np.asarray(joint.axis)
-        axis, arm = in_part(sampled, k, direction, frame.to_working(np.array([joint.origin]))[0])
-        unit = 1.0 if joint.rotates else extent_along(sampled, k, axis) * frame.diagonal
-        ends = ((v or 0.0) / unit for v in (joint.lower, joint.upper))
-        found.append(
-            JointExample(
-                name,
-                above,
-                joint.type,
-                _vector(axis),
-                _vector(arm if joint.rotates else np.zeros(3)),
-                *(round(v, 4) for v in ends),
-            )
+def described(sampled: SampledObject) -> list[PartExample]:
+    """The parts of an object without their motions."""
+    size = np.maximum(
+        np.max([s.high for s in sampled.shapes], axis=0)
+        - np.min([s.low for s in sampled.shapes], axis=0),
+        1e-6,
+    )
+    return [
+        PartExample(
+            part_name(s.name),
+            place=_vector((s.low + s.high) / 2 / size),
+            half=_vector((s.high - s.low) / 2),
+            round=s.roundest is not None,
+            skew=_vector(_skew(s)),
         )
+        for s in sampled.shapes
+    ]
+
+
+def _skew(shape: PartShape) -> Array:
+    half = np.maximum((shape.high - shape.low) / 2, 1e-6)
+    there = (shape.points - (shape.high + shape.low) / 2) / half
+    off = there[:, int(np.argmin(half))] ** 2
+    return (off @ there) / max(float(off.sum()), 1e-9)
+
+
+def example_of(
+    obj: ArticulatedObject, source: str, sampled: SampledObject, foreseen: Collection[str] = ()
+) -> ObjectExample:
+    """The parts of an accepted object with their motions.
+
+    Args:
+        source: name of its asset. sampled: its parts.
+        foreseen: links whose joints came out as accepted without experience.
+    """
+    links = {p.link: k for k, p in enumerate(obj.parts)}
+    found = []
+    for (link, k), part in zip(links.items(), described(sampled), strict=True):
+        joints, carrier = [], -1
+        if link != obj.tree.root:
+            chain = moving_chain(obj.tree, link, links.__contains__)
+            joints = [obj.tree.joint_of[below] for below in chain]
+            carrier = links.get(joints[0].parent, -1)
+        steps = tuple(_step(sampled, k, carrier, j) for j in joints if j.moves)
+        found.append(replace(part, carrier=carrier, steps=steps, foreseen=link in foreseen))
     return ObjectExample(source, obj.category, tuple(found))
+
+
+def _step(sampled: SampledObject, part: int, carrier: int, joint: Joint) -> Step:
+    frame = sampled.frame
+    axis = frame.object_from_working.T @ np.asarray(joint.axis)
+    origin = frame.to_working(np.array([joint.origin]))[0]
+    unit = 1.0 if joint.rotates else extent_along(sampled, part, axis) * frame.diagonal
+    lower, upper = ((v or 0.0) / unit for v in (joint.lower, joint.upper))
+    arms = [ZERO, ZERO]
+    if joint.rotates:
+        for k, box in enumerate((part, carrier if carrier >= 0 else part)):
+            middle, half = box_of(sampled, box)
+            offset = origin - middle
+            arms[k] = _vector((offset - axis * float(axis @ offset)) / half)
+    return Step(joint.type, _vector(axis), arms[0], arms[1], round(lower, 4), round(upper, 4))
 
 
 def _vector(v: Array) -> Vector:
@@ -308,6 +248,22 @@ def in_use(workspace: Path) -> Path | None:
     return folder if (folder / FILE).is_file() else None
 
 
+def versions(workspace: Path) -> list[int]:
+    """The versions that were learned, sorted."""
+    found = (p.parent.name for p in (workspace / FOLDER).glob(f"*/{FILE}"))
+    return sorted(int(name) for name in found if name.isdecimal())
+
+
+def chosen_by_person(workspace: Path) -> bool:
+    """True where a person switched learning off, or went back to an earlier version."""
+    try:
+        current = json.loads((workspace / FOLDER / CURRENT).read_text(encoding="utf-8"))
+        earlier = int(current["version"]) < max(versions(workspace), default=0)
+        return bool(current.get("chosen", earlier))
+    except (OSError, ValueError, KeyError, TypeError):
+        return False
+
+
 @lru_cache(maxsize=4)
 def load_experience(path: Path) -> Experience:
     """Read what :func:`save_experience` wrote.
@@ -317,10 +273,25 @@ def load_experience(path: Path) -> Experience:
     """
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
-        if data.pop("format") != FORMAT:
+        found = data.pop("format")
+        if found == 1:
+            return Experience(tuple(_of_format_1(o) for o in data["objects"]))
+        if found != FORMAT:
             raise ValueError("another format")
         return codec.read(Experience, data)
     except (OSError, ValueError, KeyError, AttributeError, TypeError) as error:
         raise InputFileError(
             path, f"holds no experience: {error}", "run artiworld train --workspace again"
         ) from None
+
+
+def _of_format_1(data: Mapping[str, Any]) -> ObjectExample:
+    """An object of named joints, whose sizes and places aren't known."""
+    joints: Sequence[Mapping[str, Any]] = data["joints"]
+    place = {joint["name"]: k for k, joint in enumerate(joints, start=1)}
+    parts = [PartExample("")]  # the base, whose name wasn't kept
+    for joint in joints:
+        step = codec.read(Step, {k: joint[k] for k in ("type", "axis", "arm", "lower", "upper")})
+        moving = (step,) if JOINT_KINDS[step.type].unit else ()
+        parts.append(PartExample(joint["name"], place.get(joint["parent"], 0), steps=moving))
+    return ObjectExample(data["source"], data["category"], tuple(parts))

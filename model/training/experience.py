@@ -1,41 +1,53 @@
-"""Keeps what accepted objects say about joints, once that is shown to help on each of them.
+"""Keeps accepted objects as examples, once they are shown to help on each other.
 
 Every object is predicted without experience, and with that of all others; what was accepted is the
-truth. A version takes over where more of the accepted joints come out as they were accepted.
+truth. A version takes over where more of the accepted joints come out as they were accepted; kinds
+whose objects don't gain from each other aren't used.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+import shutil
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import NoReturn
 
+from model.core import codec
 from model.core.articulated_object import ArticulatedObject, Prediction, SegmentedObject
-from model.core.errors import ConfigurationError
+from model.core.codec import CodecError
+from model.core.errors import ConfigurationError, InputFileError
 from model.core.files import draft_of, write_json, written_to
 from model.core.pool import robust_map
 from model.core.progress import Progress, attempt, no_progress
 from model.evaluation.joint_metrics import ObjectScore, score_object
 from model.evaluation.summary import calibrate
-from model.io.assets.reader import load_object
+from model.evaluation.teaching import accepted_example, helps
+from model.io.assets.reader import PROVENANCE, load_object
 from model.prediction.arti4urdf.predictor import learned_hybrid
 from model.prediction.arti4urdf.structure import read_structure
-from model.prediction.builder import EXPERIENCE
 from model.prediction.experience import (
     CURRENT,
     FILE,
     FOLDER,
+    LEAST,
     RECORD,
     Experience,
     ObjectExample,
-    example_of,
+    in_use,
+    kind_of,
+    load_experience,
+    record_of,
     save_experience,
+    versions,
 )
 
-LEAST = 3
-"""Accepted objects below which nothing is learned."""
+MOST_CHECKED = 6
+"""Accepted objects of a kind that are predicted to see whether it is used."""
+AUTOMATIC_KEPT = 5
+"""Versions that stay of those that nobody asked for."""
 
 
 @dataclass(frozen=True)
@@ -55,15 +67,34 @@ class Side:
 
 
 @dataclass(frozen=True)
+class Kind:
+    """Accepted objects of one category, without experience, and with that of the others.
+
+    Attributes:
+        used: see :func:`model.evaluation.teaching.helps`.
+    """
+
+    before: Side
+    after: Side
+    used: bool
+
+    @property
+    def trust(self) -> float:
+        """Share of its joints that came out right, with one right and one wrong joint more."""
+        return round((self.after.usable + 1) / (self.after.joints + 2), 4)
+
+
+@dataclass(frozen=True)
 class Learned:
     """One version.
 
     Attributes:
         version: number from 1.
         assets: folders of the accepted assets that it knows.
-        left_out: names of objects that were left out on demand, and of those without a usable name.
-        before, after: without experience, and with that of the other objects.
-        taken: whether it took over.
+        left_out: names of objects that were left out on demand, and of those whose asset is gone.
+        before, after: without experience, and with that of the other objects where it is used.
+        taken: whether more joints came out right.
+        kinds: category → its objects. automatic: whether nobody asked for it.
     """
 
     version: int
@@ -72,28 +103,14 @@ class Learned:
     before: Side
     after: Side
     taken: bool
+    kinds: Mapping[str, Kind] = field(default_factory=dict)
+    automatic: bool = False
 
 
 @dataclass(frozen=True)
 class _Compared:
     before: ObjectScore
     after: ObjectScore
-    followed: frozenset[str]
-    """Child links whose joints are as most accepted ones."""
-
-    def right(self) -> list[bool]:
-        """One bool for each of those joints: True if predicted as accepted."""
-        return [j.usable for j in self.after.joints if j.child in self.followed]
-
-    def trusting(self, trust: float) -> ObjectScore:
-        """The score with experience, whose confidences know how far it can be trusted."""
-        joints = tuple(
-            replace(j, confidence=max(j.confidence or 0.0, trust))
-            if j.child in self.followed
-            else j
-            for j in self.after.joints
-        )
-        return replace(self.after, joints=joints)
 
 
 def learn(
@@ -101,48 +118,98 @@ def learn(
     assets: Sequence[Path],
     left_out: Sequence[str] = (),
     *,
+    automatic: bool = False,
     jobs: int = 2,
     progress: Progress = no_progress,
 ) -> Learned:
-    """Learn from accepted assets, and keep the version if it is better than none.
+    """Learn from accepted assets, and use the version if it is better than none.
+
+    Each object is kept as an example; those of a kind that changed since the last version are
+    predicted without experience, and with that of the others. Kinds that don't gain aren't used.
 
     Args:
         workspace: gets ``learned/<version>``.
-        assets: folders of accepted assets. left_out: recorded.
+        assets: folders of accepted assets. left_out: recorded. automatic: nobody asked for it.
 
     Raises:
-        ConfigurationError: for too few objects whose parts have names.
+        ConfigurationError: for too few objects with joints.
     """
-    examples = [
-        found
-        for _, found in robust_map(_example, list(assets), jobs)
-        if found is not None and found.joints and found.category
-    ]
-    if len(examples) < LEAST:
+    earlier, results = _latest(workspace)
+    found = _examples(assets, earlier, jobs)
+    everything = Experience(tuple(found))
+    kinds: dict[str, list[ObjectExample]] = {}
+    for example in found:
+        kinds.setdefault(kind_of(example.category), []).append(example)
+    few = max(map(len, kinds.values()), default=0) < LEAST
+    if few and not (automatic and earlier):  # an example that was taken back must go
         raise ConfigurationError(
-            f"{len(examples)} accepted objects have a category and named parts with joints; it "
-            f"takes {LEAST}"
+            f"{len(found)} accepted objects have moving parts; it takes {LEAST} of one kind"
         )
-    examples.sort(key=lambda e: e.source)
-    everything = Experience(tuple(examples))
-    known = {e.source for e in examples}
-    chosen = [a for a in assets if a.name in known]
-    rows: list[_Compared] = []
-    for count, (asset, found) in enumerate(
-        robust_map(partial(_compare, everything), chosen, jobs), start=1
-    ):
-        progress(count / len(chosen), asset.name)
-        rows += [found] if found is not None else []
-    followed = [right for r in rows for right in r.right()]
-    trust = (sum(followed) + 1) / (len(followed) + 2)
-    before, after = _side([r.before for r in rows]), _side([r.trusting(trust) for r in rows])
-    version = 1 + max(versions(workspace), default=0)
-    taken = after.usable > before.usable and after.objects >= before.objects
-    learned = Learned(version, tuple(sorted(known)), tuple(left_out), before, after, taken)
-    learned = keep_version(workspace, learned, Experience(everything.objects, round(trust, 4)))
-    if taken:
+    before: dict[str, list[ObjectExample]] = {}
+    for example in earlier.values():
+        before.setdefault(kind_of(example.category), []).append(example)
+    changed = [k for k in kinds if k not in results or kinds[k] != before.get(k)]
+    checked = {o.source: kind for kind in changed for o in kinds[kind][-MOST_CHECKED:]}
+    rows: dict[str, list[_Compared]] = {kind: [] for kind in changed}
+    todo = [a for a in assets if a.name in checked]
+    compared = robust_map(partial(_compare, everything), todo, jobs)
+    for count, (asset, row) in enumerate(compared, start=1):
+        progress(count / len(todo), asset.name)
+        rows[checked[asset.name]] += [row] if row is not None else []
+    for kind, pairs in rows.items():
+        sides = [r.before for r in pairs], [r.after for r in pairs]
+        results[kind] = Kind(*map(_side, sides), used=helps(*sides))
+    results = {kind: results[kind] for kind in sorted(kinds)}
+    unused = tuple(kind for kind, result in results.items() if not result.used)
+    alone = _sum(r.before for r in results.values())
+    after = _sum(r.after if r.used else r.before for r in results.values())
+    learned = Learned(
+        1 + max(versions(workspace), default=0),
+        tuple(o.source for o in found),
+        tuple(left_out),
+        alone,
+        after,
+        after.usable > alone.usable and after.objects >= alone.objects,
+        results,
+        automatic,
+    )
+    everything = replace(everything, unused=unused, trust={k: r.trust for k, r in results.items()})
+    learned = keep_version(workspace, learned, everything)
+    if learned.taken or automatic:
         use(workspace, learned.version)
+    _prune(workspace)
     return learned
+
+
+def _examples(
+    assets: Sequence[Path], earlier: Mapping[str, ObjectExample], jobs: int
+) -> list[ObjectExample]:
+    """The examples of assets with moving parts, by name; those that didn't change aren't read."""
+    kept = {a: earlier.get(a.name) for a in assets}
+    new = [a for a, known in kept.items() if known is None or known.stamp != _stamp(a)]
+    kept |= dict(robust_map(_example, new, jobs))
+    found = (o for o in kept.values() if o is not None and any(p.steps for p in o.parts))
+    return sorted(found, key=lambda o: o.source)
+
+
+def _latest(workspace: Path) -> tuple[dict[str, ObjectExample], dict[str, Kind]]:
+    """The examples and results of the newest version that can be read."""
+    for version in reversed(versions(workspace)):
+        folder = workspace / FOLDER / str(version)
+        with suppress(InputFileError, CodecError):
+            objects = load_experience(folder / FILE).objects
+            kinds = record_of(folder).get("kinds", {})
+            return {o.source: o for o in objects}, codec.read(dict[str, Kind], kinds)
+    return {}, {}
+
+
+def _prune(workspace: Path) -> None:
+    """Remove all but the newest versions that nobody asked for, and the one in use."""
+    folders = [workspace / FOLDER / str(v) for v in versions(workspace)]
+    automatic = [f for f in folders if record_of(f).get("automatic")]
+    for folder in automatic[:-AUTOMATIC_KEPT]:
+        if folder != in_use(workspace):
+            shutil.rmtree(folder, ignore_errors=True)
 
 
 def keep_version(workspace: Path, learned: Learned, experience: Experience) -> Learned:
@@ -167,8 +234,18 @@ def _refuse(folder: Path) -> NoReturn:
     raise ConfigurationError(f"{folder} is there already")
 
 
+def _stamp(asset: Path) -> float:
+    """Time at which an asset was written; 0 where it is gone."""
+    with suppress(OSError):
+        return (asset / PROVENANCE).stat().st_mtime
+    return 0.0
+
+
 def _example(asset: Path) -> ObjectExample | None:
-    return attempt([], asset.name, lambda: example_of(load_object(asset), asset.name), None)
+    def read() -> ObjectExample:
+        return replace(accepted_example(load_object(asset), asset.name), stamp=_stamp(asset))
+
+    return attempt([], asset.name, read, None)
 
 
 def _compare(everything: Experience, asset: Path) -> _Compared | None:
@@ -178,12 +255,11 @@ def _compare(everything: Experience, asset: Path) -> _Compared | None:
         accepted = load_object(asset)
         segmented = SegmentedObject(accepted.name, accepted.parts, accepted.category)
         structure = read_structure(segmented)
-        (plain, _), (found, evidence) = (
-            learned_hybrid(known).predict_with_evidence(segmented, structure=structure)
+        found = (
+            learned_hybrid(known).predict_with_evidence(segmented, structure=structure)[0]
             for known in (None, everything.without(asset.name))
         )
-        followed = frozenset(link for link, e in evidence.items() if EXPERIENCE in e)
-        return _Compared(_score(accepted, plain), _score(accepted, found), followed)
+        return _Compared(*(_score(accepted, f) for f in found))
 
     return attempt([], asset.name, compared, None)
 
@@ -202,10 +278,16 @@ def _side(scores: Sequence[ObjectScore]) -> Side:
     )
 
 
-def versions(workspace: Path) -> list[int]:
-    """The versions that were learned, sorted."""
-    found = (p.parent.name for p in (workspace / FOLDER).glob(f"*/{FILE}"))
-    return sorted(int(name) for name in found if name.isdecimal())
+def _sum(sides: Iterable[Side]) -> Side:
+    found = list(sides)
+    joints = sum(s.joints for s in found)
+    errors = sum(s.joints * s.calibration_error for s in found)
+    return Side(
+        joints,
+        sum(s.usable for s in found),
+        sum(s.objects for s in found),
+        round(errors / max(joints, 1), 4),
+    )
 
 
 def use(workspace: Path, version: int) -> None:
@@ -218,4 +300,5 @@ def use(workspace: Path, version: int) -> None:
     if version and version not in there:
         listed = ", ".join(map(str, there)) or "none"
         raise ConfigurationError(f"{workspace} has no version {version}; versions: {listed}")
-    write_json(workspace / FOLDER / CURRENT, {"version": version})
+    chosen = version < max(there, default=0)  # a later one that isn't taken changes nothing
+    write_json(workspace / FOLDER / CURRENT, {"version": version, "chosen": chosen})

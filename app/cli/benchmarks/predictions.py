@@ -27,6 +27,7 @@ from app.cli.bench_commands import (
     RobotBench,
     ScansBench,
     SegmentBench,
+    TeachBench,
     WeightsBench,
 )
 from app.cli.benchmarks.shapes import chest
@@ -36,6 +37,7 @@ from model.core.errors import ConfigurationError
 from model.core.files import read_json
 from model.core.packages import require
 from model.core.progress import Progress, no_progress
+from model.data.folders import urdf_files
 from model.data.registry import DatasetOptions, recognised
 from model.evaluation.assets import AssetsConfig, beside
 from model.evaluation.assets import run as run_assets
@@ -54,6 +56,9 @@ from model.evaluation.scans import to_json as scans_json
 from model.evaluation.segmentation import BenchConfig, DataSet
 from model.evaluation.segmentation import run as run_segment
 from model.evaluation.segmentation_ablation import ablate
+from model.evaluation.teaching import SPLITS, TeachConfig
+from model.evaluation.teaching import run as run_teach
+from model.evaluation.teaching import table as teach_table
 from model.prediction.arti4urdf.decoding import decode
 from model.prediction.arti4urdf.network import load_weights
 from model.prediction.arti4urdf.predictor import Arti4UrdfPredictor, make_prompt
@@ -81,7 +86,6 @@ FOLDERS = (
 """Title, kind and folder below ``--data`` of each source; those that are absent are left out."""
 FAMILIES, SEED = 6, 4242
 """Procedural objects of each held-out family, and the seed that makes them."""
-SPLITS = {"choose": "train:0.5", "table": "test:0.5", "all": "all"}
 
 
 def joints_bench(options: JointsBench, progress: Progress) -> Result:
@@ -107,17 +111,36 @@ def joints_bench(options: JointsBench, progress: Progress) -> Result:
     return Result({"table": rows}, lambda: print_records(title, beside(rows, before)))
 
 
+def teach_bench(options: TeachBench, progress: Progress) -> Result:
+    """Predict alone and after examples of each kind."""
+    if options.data is None:
+        raise ConfigurationError("--data: give a folder of objects of several kinds")
+    tables: dict[str, list[dict[str, Any]]] = {}
+    sets = folders_in(options.data) or {options.data.name: data_in(options.data)}
+    for (title, data), part in each_with_progress(list(sets.items()), progress):
+        config = TeachConfig(data, options.half, options.examples, options.limit or 0, options.jobs)
+        tables[title] = teach_table(run_teach(config, part))
+
+    def shown() -> None:
+        for title, rows in tables.items():
+            print_records(f"{title}: alone → after {options.examples} of a kind", rows)
+
+    return Result(tables, shown)
+
+
+def folders_in(folder: Path) -> dict[str, DatasetOptions]:
+    """Title → data set of the known sources in a folder."""
+    there = ((title, kind, folder / below) for title, kind, below in FOLDERS)
+    return {title: DatasetOptions(kind, path) for title, kind, path in there if path.is_dir()}
+
+
 def sources(folder: Path | None, split: str) -> dict[str, tuple[DatasetOptions, str]]:
     """Title → data set and split: those in a folder, and procedural held-out families.
 
     Raises:
         ConfigurationError: where the folder holds none.
     """
-    found = {
-        title: (DatasetOptions(kind, folder / below), split)
-        for title, kind, below in FOLDERS
-        if folder is not None and (folder / below).is_dir()
-    }
+    found = {} if folder is None else {k: (d, split) for k, d in folders_in(folder).items()}
     if folder is not None and not found:
         named = ", ".join(below for *_, below in FOLDERS)
         raise ConfigurationError(f"--data {folder} holds none of {named}")
@@ -312,7 +335,7 @@ def bench_segment(
 
 def data_in(folder: Path) -> DatasetOptions:
     """The data set that a folder holds, by what lies in it."""
-    if any(folder.glob("*/object.urdf")):
+    if not any(folder.glob("*/mobility.urdf")) and urdf_files(folder):
         return DatasetOptions("urdf", folder)
     return DatasetOptions(recognised(folder).name, folder)
 

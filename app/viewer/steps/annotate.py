@@ -7,8 +7,8 @@ from typing import Any
 
 import viser
 
-from app.server.like_tasks import object_name
 from app.server.open_object import OpenObject
+from app.server.tool_tasks import object_name
 from app.viewer.input.pointing import Pointing
 from app.viewer.panels.comments import Instructions
 from app.viewer.panels.extracting import SourcePanel

@@ -6,7 +6,9 @@ evidence for the confidence of a joint.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Mapping, Sequence
+from copy import copy
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -15,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import softmax
 
-from model.core.articulated_object import Prediction, SegmentedObject
+from model.core.articulated_object import ArticulatedObject, Prediction, SegmentedObject
 from model.core.errors import ConfigurationError
 from model.core.joint import Joint, same_motion
 from model.core.motion_lexicon import MECHANISM_TABLE
@@ -24,18 +26,14 @@ from model.prediction.arti4urdf import vocabulary as v
 from model.prediction.arti4urdf.answer import joints_of_decision, write_answer
 from model.prediction.arti4urdf.choosing import (
     HybridSettings,
-    accepted_motions,
-    accepted_types,
-    follows,
     geometric_prior,
-    of_accepted_type,
-    parents,
-    recalled,
-    with_known_range,
+    load_motion_ranker,
+    offered,
+    other_motions,
+    taught_steps,
 )
 from model.prediction.arti4urdf.decoding import Answer, ChoiceRecord, decode
 from model.prediction.arti4urdf.decoding import same_motion as same_motions
-from model.prediction.arti4urdf.motion_ranker import load_motion_ranker, other_motions
 from model.prediction.arti4urdf.network import SHIPPED, ArtiModel, Prompt, load_weights
 from model.prediction.arti4urdf.structure import (
     MECHANISMS,
@@ -61,9 +59,19 @@ from model.prediction.builder import (
     log_odds,
     unknown_link,
 )
-from model.prediction.experience import FILE, Experience, Recalled, load_experience
+from model.prediction.experience import FILE, Experience, example_of, kind_of, load_experience
 from model.prediction.geometric.context import PartContext, part_evidence
 from model.prediction.geometric.mechanisms import swept_limits
+from model.prediction.geometric.sampled_object import sample_object
+from model.prediction.geometric.tree import rooted_tree
+from model.prediction.lessons import (
+    MOST,
+    Lesson,
+    decide,
+    joints_of_steps,
+    lessons,
+    taught_tree,
+)
 
 Array = npt.NDArray[np.float64]
 
@@ -125,7 +133,7 @@ def _share(
     return float(weights[v.ID["<free>"]] if chosen >= len(slots) else (same @ slots)[chosen])
 
 
-NOTHING: Mapping[int, Recalled] = {}
+NOTHING: Mapping[int, Lesson] = {}
 ALTERNATIVES = 2
 """Other motions of a joint that are offered."""
 RULES_ALONE = 1000.0
@@ -206,20 +214,15 @@ class Arti4UrdfPredictor:
         rules, same = geometric_prior(structure), same_motions(prompt)
         locks = _locks(locked, links, builder.problems)
         progress(0.8, "writing the tree")
-        known = recalled(self.experience, structure) if self.hybrid is not None else {}
-        prior = self.prior(structure, rules, known)
-        answer = self.answer(prompt, structure, locks, prior, known)
+        known = NOTHING
+        if self.hybrid is not None and self.experience is not None:
+            known = lessons(self.experience, structure.sampled)
+        answer = self.answer(prompt, structure, locks, self.prior(rules), known)
         assembly = None
         if self.hybrid is not None:
-            votes = accepted_motions(structure, known)
             rank = load_motion_ranker()
-            answer = rank(answer, structure, prompt.arrays, rules, same, frozenset(locks), votes)
-            decisions = [
-                of_accepted_type(d, known[i]) if i in known and i not in locks else d
-                for i, d in enumerate(answer.decisions)
-            ]
-            answer = replace(answer, decisions=tuple(decisions))
-            tree = [d.parent for d in decisions]
+            answer = rank(answer, structure, prompt.arrays, rules, same, frozenset(locks))
+            tree = [d.parent for d in answer.decisions]
             assembly = replace(structure.assembly, root=answer.root, parent=tree)
         kept = {j.child for j in locked}
         for i, link in enumerate(links):
@@ -227,34 +230,32 @@ class Arti4UrdfPredictor:
                 continue
             joints = joints_of_decision(structure, i, answer.decisions[i], assembly)
             evidence = joint_evidence(structure, answer, i, rules, same)
-            note = _note(structure, answer, i)
+            note, others = _note(structure, answer, i), []
             if i in known:
-                joints = with_known_range(joints, structure, i, known[i])
+                joints, others, share = self.taught_joints(structure, answer, i, known[i], joints)
                 note = explain(note, (), as_on(known[i].objects))
-                if self.experience and follows(structure, answer.decisions[i], i, known[i]):
-                    evidence = {**evidence, EXPERIENCE: self.experience.trust}
+                evidence = {**evidence, EXPERIENCE: share}
             builder.add(joints, evidence, note)
-            if len(joints) == 1 and assembly is not None:
-                others = other_motions(answer, structure, i, rules[i], same[i])
-                made = (joints_of_decision(structure, i, d, assembly) for d in others)
+            if assembly is not None:
+                ranked = other_motions(answer, structure, i, rules[i], same[i])
+                made = (joints_of_decision(structure, i, d, assembly) for d in ranked)
                 builder.alternatives[link] = distinct_joints(
-                    joints[0], made, structure.sampled.frame.diagonal
+                    joints[-1], itertools.chain(others, made), structure.sampled.frame.diagonal
                 )
         progress(1.0, "done")
         backend = f"{self.name} {self.version}".strip()
         made = builder.build(backend, seed, lambda tree: write_answer(tree, segmented))
         return made, builder.evidence
 
-    def prior(self, structure: Structure, rules: Array, known: Mapping[int, Recalled]) -> Array:
+    def prior(self, rules: Array) -> Array:
         """(P, SIZE) log-probabilities to add to the network's; zeros for the network alone.
 
         Args:
-            structure: of the object. rules: (P, SIZE) of :func:`.geometric_prior`.
-            known: about its parts, from accepted objects.
+            rules: (P, SIZE) of :func:`.geometric_prior`.
         """
         if self.hybrid is None:
             return np.zeros_like(rules)
-        out = self.hybrid.weight * rules + accepted_types(structure, known)
+        out = self.hybrid.weight * rules
         out[:, v.ID["<as_offered>"]] = self.hybrid.swept
         return out
 
@@ -264,7 +265,7 @@ class Arti4UrdfPredictor:
         structure: Structure,
         locks: dict[int, Lock],
         prior: Array,
-        known: Mapping[int, Recalled] = NOTHING,
+        known: Mapping[int, Lesson] = NOTHING,
     ) -> Answer:
         """The likeliest answer; if hybrid, in geometry's tree.
 
@@ -278,9 +279,56 @@ class Arti4UrdfPredictor:
         """
         if self.hybrid is None:
             return decode(self.model, prompt, locked=locks)
-        above = parents(structure, {part: lock.parent for part, lock in locks.items()}, known)
+        kept = {part: lock.parent for part, lock in locks.items()}
+        root, above = structure.assembly.root, structure.assembly.parent
+        if kept:
+            root, above = rooted_tree(structure.sampled, kept, [])
+        above = taught_tree(root, above, known, kept)
         tree = {i: Lock(p) for i, p in enumerate(above) if p >= 0}
         return decode(self.model, prompt, locked=tree | locks, prior=prior)
+
+    def taught_joints(
+        self,
+        structure: Structure,
+        answer: Answer,
+        part: int,
+        lesson: Lesson,
+        plain: list[Joint],
+    ) -> tuple[list[Joint], list[list[Joint]], float]:
+        """The joints of a part after examples, those of its other motions, and the confidence.
+
+        Args:
+            plain: its joints without examples.
+        """
+        given, parent = offered(structure, answer, part), answer.decisions[part].parent
+        ranked = decide(lesson, given)
+        made = []
+        for motion, _ in ranked[: ALTERNATIVES + 1]:
+            steps = taught_steps(motion, given, lesson.foreseen >= MOST)
+            same = steps == given[0][0]
+            made.append(plain if same else joints_of_steps(structure.sampled, part, parent, steps))
+        motion, confidence = ranked[0]
+        if self.experience is not None and motion.votes:
+            kind = kind_of(structure.sampled.category)
+            confidence = max(confidence, self.experience.trust.get(kind, 0.0))
+        return made[0], made[1:], confidence
+
+    def with_example(self, accepted: ArticulatedObject, source: str) -> Arti4UrdfPredictor | None:
+        """Itself with an accepted object as one more example, which counts whatever its kind
+        brings; None where it reads no examples.
+
+        Args:
+            source: name of the accepted asset.
+        """
+        if self.hybrid is None:
+            return None
+        known = (self.experience or Experience()).without(source)
+        used = (o for o in known.objects if kind_of(o.category) not in known.unused)
+        parts = SegmentedObject(accepted.name, accepted.parts, accepted.category)
+        example = example_of(accepted, source, sample_object(parts))
+        out = copy(self)
+        out.experience = replace(known, objects=(*used, example), unused=())
+        return out
 
 
 def distinct_joints(

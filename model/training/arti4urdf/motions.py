@@ -24,15 +24,15 @@ from model.core.errors import ArtiworldError
 from model.core.pool import robust_map
 from model.data.registry import DatasetOptions, open_dataset
 from model.prediction.arti4urdf import vocabulary as v
-from model.prediction.arti4urdf.choosing import geometric_prior
-from model.prediction.arti4urdf.decoding import same_motion
-from model.prediction.arti4urdf.motion_ranker import (
+from model.prediction.arti4urdf.choosing import (
     NAMES,
     SHIPPED,
     MotionRanker,
+    geometric_prior,
     motion_features,
     network_odds,
 )
+from model.prediction.arti4urdf.decoding import same_motion
 from model.prediction.arti4urdf.predictor import hybrid, make_prompt
 from model.prediction.arti4urdf.structure import read_structure
 from model.segmentation.models import Trees, save_trees
@@ -115,7 +115,7 @@ def parts_of(data: DatasetOptions | None, seed: int, task: tuple[str, bool, int]
         return []
     prompt = make_prompt(structure, segmented, number)
     rules, same = geometric_prior(structure), same_motion(prompt)
-    prior = hybrid().prior(structure, rules, {})
+    prior = hybrid().prior(rules)
     answer = hybrid().answer(prompt, structure, {}, prior)
     out: list[Part] = []
     for i in range(len(segmented.parts)):

@@ -2,38 +2,26 @@
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 pytest.importorskip("torch", reason="torch is not installed")
 
 from model.core.articulated_object import SegmentedObject
-from model.data.procedural.generate import make
 from model.prediction.arti4urdf import vocabulary as v
-from model.prediction.arti4urdf.choosing import geometric_prior, parents
+from model.prediction.arti4urdf.choosing import geometric_prior
 from model.prediction.arti4urdf.structure import MECHANISMS, RANKS, read_structure
-from model.prediction.experience import Recalled
+from model.prediction.lessons import Lesson, taught_tree
 from tests.model.prediction.geometric.archetypes import cooktop
 
 
-def test_accepted_parents_replace_geometry_s_unless_locked_or_in_a_circle() -> None:
-    obj = make("StorageFurniture", 11, 1).object
-    structure = read_structure(SegmentedObject(obj.name, obj.parts, obj.category))
-    root = structure.assembly.root
-    names = [s.name or "" for s in structure.sampled.shapes]
-    part = next(i for i, name in enumerate(names) if i != root and name)
-    other = next(i for i, name in enumerate(names) if i not in (part, root) and name)
+def test_accepted_carriers_replace_geometry_s_unless_locked_or_in_a_circle() -> None:
+    def about(part: int, base: float = 0.0) -> Lesson:
+        return Lesson(3, 3.0, 0.0, (), {part: 1.0}, base)
 
-    def known(name: str) -> Recalled:
-        return Recalled(3, np.zeros(0), {}, {name: 1.0}, np.zeros((0, 5)))
-
-    assert parents(structure, {}, {part: known("")})[part] == root
-    found = parents(structure, {}, {part: known(names[other].lower())})
-    assert names[found[part]] == names[other] and found[part] != part
-    both = {part: known(names[other].lower()), other: known(names[part].lower())}
-    if names[part] != names[other]:
-        assert parents(structure, {}, both)[other] != part or found[part] != other
-    assert parents(structure, {part: root}, {part: known(names[other].lower())})[part] == root
+    assert taught_tree(0, [-1, 0, 0], {2: about(1)}, {}) == [-1, 0, 1]
+    assert taught_tree(0, [-1, 0, 0], {2: about(1)}, {2: 0}) == [-1, 0, 0], "a person fixed it"
+    assert taught_tree(0, [-1, 0, 1], {1: about(2)}, {}) == [-1, 0, 1], "no circle"
+    assert taught_tree(0, [-1, 0, 0], {1: about(0, 1.0)}, {}) == [1, -1, 0], "another base"
 
 
 def test_what_a_wrong_name_leaves_open_is_decided_by_the_shape() -> None:

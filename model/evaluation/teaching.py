@@ -1,0 +1,273 @@
+"""``artiworld bench teach``: predictions after a few objects of each kind were accepted.
+
+Of each kind the first objects are accepted as they truly are; the others are predicted alone and
+with these examples, with names and without, and the corrections that a person needs are counted.
+As in a workspace, only kinds are used whose examples help each other.
+"""
+
+from __future__ import annotations
+
+import re
+import statistics
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+from model.core.articulated_object import ArticulatedObject, Part, Prediction, SegmentedObject
+from model.core.errors import ConfigurationError
+from model.core.pool import robust_map, time_limit
+from model.core.progress import Progress, no_progress
+from model.data.registry import DatasetOptions, open_dataset, select
+from model.evaluation.joint_metrics import JointScore, ObjectScore, UsableLimits, score_object
+from model.evaluation.summary import calibrate
+from model.prediction.arti4urdf.predictor import learned_hybrid
+from model.prediction.arti4urdf.structure import Structure, read_structure
+from model.prediction.experience import Experience, ObjectExample, example_of
+from model.prediction.experience import kind_of as example_kind
+
+SPLITS = {"choose": "train:0.5", "table": "test:0.5", "all": "all"}
+"""Half → split, see :func:`model.data.registry.select`."""
+SECONDS = 120.0
+"""Time limit of an object."""
+_LIMITS = UsableLimits()
+
+
+@dataclass(frozen=True)
+class TeachConfig:
+    """Objects to measure.
+
+    Attributes:
+        data: the objects. half: key of :data:`SPLITS`. examples: of each kind.
+        limit: predicted objects of each kind; 0 for all. jobs: processes.
+    """
+
+    data: DatasetOptions
+    half: str = "table"
+    examples: int = 3
+    limit: int = 0
+    jobs: int = 2
+
+
+@dataclass(frozen=True)
+class Taught:
+    """One object, predicted in one way.
+
+    Attributes:
+        kind: of the object. names, examples: whether it was predicted with them.
+        score: against the truth. corrections: see :func:`corrections`.
+    """
+
+    kind: str
+    names: bool
+    examples: bool
+    score: ObjectScore
+    corrections: int
+
+
+def kind_of(object_id: str, category: str | None) -> str:
+    """The category, or the id without its numbers."""
+    return (category or re.sub(r"[\W\d_]+$", "", object_id) or "object").lower()
+
+
+def run(config: TeachConfig, progress: Progress = no_progress) -> list[Taught]:
+    """Measure every kind that has more objects than examples.
+
+    Raises:
+        ConfigurationError: where no kind has.
+    """
+    dataset = open_dataset(config.data)
+    kinds: dict[str, list[str]] = {}
+    for i in select(dataset, SPLITS[config.half]):
+        kinds.setdefault(kind_of(i, dataset.category(i)), []).append(i)
+    shown = {i: k for k, ids in kinds.items() for i in ids[: config.examples]}
+    last = config.examples + config.limit if config.limit else None
+    asked = {
+        i: kind
+        for kind, ids in kinds.items()
+        for i in (ids[config.examples : last] if config.examples else ids)
+    }
+    if not asked:
+        raise ConfigurationError(f"no kind has more than {config.examples} objects")
+    read = robust_map(partial(_examples, config.data), list(shown), config.jobs)
+    found = sorted((i, both) for i, both in read if both is not None)
+    known = {
+        names: Experience(tuple(both[k] for _, both in found))
+        for k, names in enumerate((True, False))
+    }
+    in_turn = robust_map(partial(_predicted, config.data, known, shown), list(shown), config.jobs)
+    left_out = [row for _, found_rows in in_turn for row in found_rows or []]
+    known = {names: checked(known[names], left_out, names) for names in known}
+    rows: dict[str, list[Taught]] = {}
+    predicted = partial(_predicted, config.data, known, asked)
+    for i, results in robust_map(predicted, list(asked), config.jobs):
+        rows[i] = results or []
+        progress(len(rows) / len(asked), i)
+    return [row for i in asked for row in rows[i]]
+
+
+def _bare(obj: ArticulatedObject) -> ArticulatedObject:
+    parts = tuple(Part(p.link, p.mesh, p.cloud) for p in obj.parts)
+    return replace(obj, parts=parts, category=None)
+
+
+def _examples(data: DatasetOptions, object_id: str) -> tuple[ObjectExample, ...] | None:
+    """The example of an object with names, and without."""
+    try:
+        with time_limit(SECONDS):
+            truth = _loaded(data, object_id)
+            return tuple(accepted_example(o, object_id) for o in (truth, _bare(truth)))
+    except Exception:  # the boundary of a job
+        return None
+
+
+def accepted_example(
+    obj: ArticulatedObject, source: str, structure: Structure | None = None
+) -> ObjectExample:
+    """The example of an accepted object, which knows what is predicted without experience."""
+    segmented = SegmentedObject(obj.name, obj.parts, obj.category)
+    structure = structure or read_structure(segmented)
+    found, _ = learned_hybrid(None).predict_with_evidence(segmented, structure=structure)
+    score = score_object(obj, found.tree)
+    wrong = {j.child for j in score.joints if not j.usable} | {child for child, _ in score.extra}
+    foreseen = {p.link for p in obj.parts} - wrong
+    return example_of(obj, source, structure.sampled, foreseen)
+
+
+def checked(known: Experience, left_out: Sequence[Taught], names: bool) -> Experience:
+    """Experience without the kinds whose objects don't gain from each other's example.
+
+    Args:
+        left_out: each object, predicted alone and with the examples of the others.
+    """
+    unused = []
+    for kind in sorted({example_kind(o.category) for o in known.objects}):
+        sources = {o.source for o in known.objects if example_kind(o.category) == kind}
+        own = [r for r in left_out if r.names == names and r.score.object_id in sources]
+        if not helps(*([r.score for r in own if r.examples == e] for e in (False, True))):
+            unused.append(kind)
+    return replace(known, unused=tuple(unused))
+
+
+def helps(alone: Sequence[ObjectScore], after: Sequence[ObjectScore]) -> bool:
+    """True if a kind's examples cost nothing, and gain something unless no object is right anyway.
+
+    Args:
+        alone, after: its accepted objects without experience, and with that of the others.
+    """
+    usable, joints = _right(alone)
+    now, now_joints = _right(after)
+    gains = (now, now_joints) != (usable, joints)
+    return now >= usable and now_joints >= joints and (gains or not usable)
+
+
+def _right(scores: Sequence[ObjectScore]) -> tuple[int, int]:
+    """Usable objects and joints."""
+    return sum(s.usable for s in scores), sum(j.usable for s in scores for j in s.joints)
+
+
+def _loaded(data: DatasetOptions, object_id: str) -> ArticulatedObject:
+    dataset = open_dataset(data)
+    truth = dataset.load(object_id).object
+    return replace(truth, category=kind_of(object_id, dataset.category(object_id)))
+
+
+def _predicted(
+    data: DatasetOptions,
+    known: Mapping[bool, Experience],
+    kinds: Mapping[str, str],
+    object_id: str,
+) -> list[Taught]:
+    rows = []
+    failed = ObjectScore(object_id, kinds[object_id], (), problem="it failed")
+    for names in (True, False):
+        try:
+            with time_limit(SECONDS):
+                truth = _loaded(data, object_id)
+                shown = truth if names else _bare(truth)
+                segmented = SegmentedObject(object_id, shown.parts, shown.category)
+                structure = read_structure(segmented)
+                for experience in (None, known[names].without(object_id)):
+                    predictor = learned_hybrid(experience)
+                    found, _ = predictor.predict_with_evidence(segmented, structure=structure)
+                    score = score_object(truth, found.tree, confidence=found.confidence)
+                    rows.append(
+                        Taught(
+                            kinds[object_id],
+                            names,
+                            experience is not None,
+                            replace(score, object_id=object_id),
+                            corrections(truth, found),
+                        )
+                    )
+        except Exception:  # the boundary of a job
+            rows += [Taught(kinds[object_id], names, e, failed, 0) for e in (False, True)][
+                len(rows) % 2 :
+            ]
+    return rows
+
+
+def corrections(truth: ArticulatedObject, found: Prediction) -> int:
+    """Presses of M and edits that make a prediction right, the fewest for each part.
+
+    A press takes a joint's next alternative. An edit sets a joint's type, parent, axis, place, or
+    range.
+    """
+    tree = found.tree
+    if tree is None:
+        return sum(j.moves for j in truth.tree.joints) * 2
+    fewest = _edits(truth, score_object(truth, tree))
+    for child, others in found.alternatives.items():
+        for presses, other in enumerate(others, start=1):
+            changed = _edits(truth, score_object(truth, tree.with_joint(other)))
+            if child in fewest or child in changed:
+                least = presses + changed.get(child, 0)
+                fewest[child] = min(fewest.get(child, 0), least)
+    return sum(fewest.values())
+
+
+def _edits(truth: ArticulatedObject, score: ObjectScore) -> dict[str, int]:
+    """Edits of each part whose joint isn't right."""
+    out: dict[str, int] = {}
+    for joint in score.joints:
+        out[joint.child] = out.get(joint.child, 0) + (0 if joint.usable else _wrong(joint))
+    for child, _ in score.extra:
+        out[child] = out.get(child, 0) + 1
+    return {child: count for child, count in out.items() if count}
+
+
+def _wrong(joint: JointScore) -> int:
+    """Wrong properties of a joint; without its type, its range isn't known either."""
+    axis = joint.apd is None or joint.apd > _LIMITS.axis
+    place = not axis and joint.opd_line is not None and joint.opd_line > _LIMITS.origin
+    kind = not joint.type_right
+    return max(1, kind + axis + place + (not joint.parent_right) + (kind or not joint.range_right))
+
+
+def table(rows: Sequence[Taught]) -> list[dict[str, Any]]:
+    """A row for each kind and one for all: figures alone and with examples."""
+    kinds = sorted({r.kind for r in rows})
+    groups = [("all", rows), *((k, [r for r in rows if r.kind == k]) for k in kinds)]
+    return [dict(_figures(title, group)) for title, group in groups]
+
+
+def _figures(title: str, rows: Sequence[Taught]) -> Iterator[tuple[str, Any]]:
+    yield "kind", title
+    yield "objects", len({r.score.object_id for r in rows})
+    for names in (True, False):
+        sides = [[r for r in rows if r.names == names and r.examples == e] for e in (False, True)]
+        said = "names" if names else "no names"
+        yield f"objects %, {said}", _beside(_share([r.score.usable for r in s]) for s in sides)
+        joints = [[j.usable for r in s for j in r.score.joints] for s in sides]
+        yield f"joints %, {said}", _beside(_share(j) for j in joints)
+        needed = [statistics.median([r.corrections for r in s] or [0]) for s in sides]
+        yield f"corrections, {said}", _beside(f"{n:g}" for n in needed)
+        yield f"ECE, {said}", _beside(f"{calibrate([r.score for r in s]).ece:.2f}" for s in sides)
+
+
+def _share(right: Sequence[bool]) -> str:
+    return f"{100 * sum(right) / max(1, len(right)):.0f}"
+
+
+def _beside(pair: Iterator[str]) -> str:
+    return " → ".join(pair)
