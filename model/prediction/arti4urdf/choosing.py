@@ -28,6 +28,7 @@ from model.prediction.experience import (
     in_part,
     part_name,
 )
+from model.prediction.geometric.context import ACROSS, PARALLEL
 from model.prediction.geometric.roles import NAMED, mechanism_scores, named_mechanism
 from model.prediction.geometric.tree import is_below, rooted_tree
 
@@ -128,6 +129,43 @@ def accepted_motions(structure: Structure, known: Mapping[int, Recalled]) -> dic
         out[i] = np.zeros(SLOTS)
         present = [p is not None for p in structure.slots[i]]
         out[i][present] = np.log((found.agreeing + UNSEEN) / (found.objects + UNSEEN))
+    return out
+
+
+LIKELY, ACROSS_IT = 0.5, -8.0
+"""Share by rules and words from which a part is a drawer or a knob, and the log-share of its
+candidates that slide within the plane of its front, or turn about another axis than its panel's
+normal."""
+
+
+def motion_evidence(
+    structure: Structure, rules: Array, known: Mapping[int, Recalled]
+) -> dict[int, Array]:
+    """Part → (SLOTS,) log-shares of its candidates: of accepted joints, and of what drawers and
+    knobs don't do. A badly cut drawer has the front of its siblings of the same name.
+
+    Args:
+        rules: (P, SIZE) of :func:`geometric_prior`. known: about parts, from accepted objects.
+    """
+    out = accepted_motions(structure, known)
+    names = [(part_name(c.shape.name), c.parent) for c in structure.contexts]
+    fronts = {
+        n: c.front_normal
+        for n, c in zip(names, structure.contexts, strict=True)
+        if c.front_normal is not None
+    }
+    for i, context in enumerate(structure.contexts):
+        shares = np.exp(rules[i][v.SLOT_IDS]).reshape(-1, RANKS).sum(1)
+        for mechanism, normal, least in (
+            ("slide_out", fronts.get(names[i]), ACROSS),
+            ("spin", context.knob_normal, PARALLEL),
+        ):
+            if normal is None or shares[MECHANISMS.index(mechanism)] < LIKELY:
+                continue
+            there, slides = out.setdefault(i, np.zeros(SLOTS)), mechanism == "slide_out"
+            for slot, p in enumerate(structure.slots[i]):
+                if p is not None and JOINT_KINDS[p.type].slides == slides:
+                    there[slot] += ACROSS_IT * (abs(float(p.axis @ normal)) < least)
     return out
 
 

@@ -148,12 +148,12 @@ class MotionRanker:
         rules: Array,
         same: Bools,
         locked: frozenset[int] = frozenset(),
-        accepted: Mapping[int, Array] = NOTHING,
+        evidence: Mapping[int, Array] = NOTHING,
     ) -> Answer:
         """The answer with the likeliest motion of each part that moves; locked parts stay.
 
         Args:
-            accepted: part → (SLOTS,) log-shares of accepted joints with each candidate's motion.
+            evidence: part → (SLOTS,) log-shares that add to those of the trees.
         """
         decisions = list(answer.decisions)
         parts = [
@@ -169,7 +169,7 @@ class MotionRanker:
         odds = self.trees(np.concatenate([features for _, features in read]))
         ends = np.cumsum([len(slots) for slots, _ in read])[:-1]
         motions = {
-            i: (slots, own)
+            i: (slots, log_share(own) + (evidence[i][slots] if i in evidence else 0.0))
             for i, (slots, _), own in zip(parts, read, np.split(odds, ends), strict=True)
         }
         for i, (slots, own) in motions.items():
@@ -177,27 +177,28 @@ class MotionRanker:
                 continue
             present = int(np.flatnonzero(slots == decisions[i].slot)[0])
             among = same[i][np.ix_(slots, slots)]
-            votes = accepted[i][slots] if i in accepted else 0.0
-            chosen = self.chosen(present, own, rules[i][v.SLOT_IDS][slots], among, votes)
+            chosen = self.chosen(present, own, rules[i][v.SLOT_IDS][slots], among)
             if chosen != present:
                 decisions[i] = with_candidate(structure, i, decisions[i], int(slots[chosen]))
         return replace(answer, decisions=tuple(decisions), motions=motions)
 
-    def chosen(
-        self, present: int, odds: Floats, rules: Array, same: Bools, votes: Array | float = 0.0
-    ) -> int:
+    def chosen(self, present: int, likely: Array, rules: Array, same: Bools) -> int:
         """Index of the candidate to take, of a part's K.
 
         Args:
             present: index of the answer's.
-            odds: (K,) of the trees. rules: (K,) log-probabilities by the rules.
-            same: (K, K) which have the same motion. votes: (K,) added to their log-probabilities.
+            likely: (K,) log-probabilities. rules: (K,) log-probabilities by the rules.
+            same: (K, K) which have the same motion.
         """
-        likely = -np.logaddexp(0.0, -odds.astype(np.float64)) + votes
         best = int(np.argmax(likely))
         if likely[best] - likely[same[present]].max() < self.margin:
             return present
         return best_limits(best, rules, same)
+
+
+def log_share(odds: Floats) -> Array:
+    """Log-probabilities of log-odds."""
+    return -np.logaddexp(0.0, -odds.astype(np.float64))
 
 
 def best_limits(candidate: int, rules: Array, same: Bools) -> int:

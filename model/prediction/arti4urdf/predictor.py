@@ -24,10 +24,10 @@ from model.prediction.arti4urdf import vocabulary as v
 from model.prediction.arti4urdf.answer import joints_of_decision, write_answer
 from model.prediction.arti4urdf.choosing import (
     HybridSettings,
-    accepted_motions,
     accepted_types,
     follows,
     geometric_prior,
+    motion_evidence,
     of_accepted_type,
     parents,
     recalled,
@@ -211,7 +211,7 @@ class Arti4UrdfPredictor:
         answer = self.answer(prompt, structure, locks, prior, known)
         assembly = None
         if self.hybrid is not None:
-            votes = accepted_motions(structure, known)
+            votes = motion_evidence(structure, rules, known)
             rank = load_motion_ranker()
             answer = rank(answer, structure, prompt.arrays, rules, same, frozenset(locks), votes)
             decisions = [
