@@ -87,6 +87,9 @@ class ScansBench(DataBench):
     """Reconstructed scans from file to joints."""
 
     place: ClassVar[str] = "app.cli.benchmarks.predictions:scans_bench"
+    source: tuple[str, ...] = option(
+        "folders of --data to measure one by one, e.g. partnet_mobility infinigen", "NAME...", ()
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,10 +9,9 @@ on the surfaces alone and should keep them all; they are prepared only.
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Literal
 
@@ -327,10 +326,3 @@ def table(scores: Sequence[ScanScore]) -> Iterator[dict[str, float | str]]:
         row["objects right"] = float(np.mean([s.whole for s in rows]))
         row["seconds"] = float(np.median([sum(s.seconds) for s in clicked] or [0.0]))
         yield row
-
-
-def to_json(scores: Sequence[ScanScore]) -> str:
-    """The table and all scores."""
-    return json.dumps(
-        {"table": list(table(scores)), "scans": [asdict(s) for s in scores]}, indent=2
-    )

@@ -8,12 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from app.cli.benchmarks import predictions
 from app.cli.benchmarks import predictions as bench_joints
 from app.cli.benchmarks import predictions as bench_predict
 from app.cli.benchmarks.annotate import STEPS
 from app.cli.benchmarks.shapes import chest
 from app.cli.main import main
 from model import write_asset
+from model.evaluation.scans import ScanScore
 from model.prediction.registry import load_predictor
 from tests.app.run_cli import answer, artiworld, assert_users_mistake
 from tests.model.validation.cabinets import cabinet
@@ -62,9 +64,30 @@ def test_bench_joints_takes_each_source_with_names_and_without(monkeypatch, tmp_
     assert "100 (100)" in artiworld(*words, "--before", earlier).stdout
 
 
+def test_bench_scans_measures_each_named_source_of_a_folder_by_itself(monkeypatch, tmp_path):
+    for source in ("infinigen", "simulators"):
+        folder = tmp_path / source / "box"
+        folder.mkdir(parents=True)
+        write_asset(cabinet(), folder, provenance={})
+    seen = []
+
+    def measured(config, progress):
+        seen.append((config.data.root, config.half))
+        return [ScanScore("box", "any", iou=(0.5, 0.6, 0.7), clicks=4, joints=2, right=1)]
+
+    monkeypatch.setattr(predictions, "run_scans", measured)
+    words = ("bench", "scans", "--data", tmp_path, "--source", "infinigen", "simulators")
+    report = answer(*words, "--half", "choose")
+    assert seen == [(tmp_path / s, "choose") for s in ("infinigen", "simulators")]
+    rows = [(row["source"], row["joints right"]) for row in report["table"]]
+    assert rows == [("infinigen", 0.5), ("simulators", 0.5)]
+    assert [scan["source"] for scan in report["scans"]] == ["infinigen", "simulators"]
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
+        (["bench", "scans", "--source", "infinigen"], "--data"),
         (["bench", "sleep"], "sleep"),
         (["bench", "segment", "--sets", "nothing"], "nothing"),
         (["bench", "segment", "--sets", "partnet"], "--data"),

@@ -13,6 +13,7 @@ import statistics
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, get_args
 
@@ -52,7 +53,6 @@ from model.evaluation.robot import to_json as robot_json
 from model.evaluation.run import EvaluationConfig, evaluate
 from model.evaluation.scans import ScansConfig, table
 from model.evaluation.scans import run as run_scans
-from model.evaluation.scans import to_json as scans_json
 from model.evaluation.segmentation import BenchConfig, DataSet
 from model.evaluation.segmentation import run as run_segment
 from model.evaluation.segmentation_ablation import ablate
@@ -341,18 +341,24 @@ def data_in(folder: Path) -> DatasetOptions:
 
 
 def scans_bench(options: ScansBench, progress: Progress) -> Result:
-    """Measure on reconstructed scans."""
-    data = DatasetOptions("procedural", seed=1, n=2)
+    """Measure on reconstructed scans, of each source by itself."""
+    found = {"": DatasetOptions("procedural", seed=1, n=2)}
+    if options.source and options.data is None:
+        raise ConfigurationError("--source: give --data the folder that holds these sources")
     if options.data is not None:
-        data = data_in(options.data)
-    config = ScansConfig(data, options.half, 15 if options.limit is None else options.limit)
-    scores = run_scans(config, progress)
-    rows = [
-        {k: v if isinstance(v, str) else round(v, 3) for k, v in row.items()}
-        for row in table(scores)
-    ]
-    title = f"Reconstructed scans of {data.name}, half {config.half!r}"
-    return Result(json.loads(scans_json(scores)), lambda: print_records(title, rows))
+        folder = options.data
+        found = {name: data_in(folder / name) for name in options.source} or {"": data_in(folder)}
+    limit = 15 if options.limit is None else options.limit
+    rows: list[dict[str, Any]] = []
+    scans: list[dict[str, Any]] = []
+    for (name, data), part in each_with_progress(list(found.items()), progress):
+        scores = run_scans(ScansConfig(data, options.half, limit), part)
+        first = {"source": name} if name else {}
+        rows += [first | row for row in table(scores)]
+        scans += [first | asdict(score) for score in scores]
+    short = [{k: round(v, 3) if isinstance(v, float) else v for k, v in r.items()} for r in rows]
+    title = f"Reconstructed scans, half {options.half!r}"
+    return Result({"table": rows, "scans": scans}, lambda: print_records(title, short))
 
 
 def rivals_bench(options: RivalsBench, progress: Progress) -> Result:

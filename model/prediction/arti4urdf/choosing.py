@@ -10,10 +10,11 @@ clearly likelier. Examples of accepted objects come last, see :mod:`model.predic
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 import numpy.typing as npt
@@ -36,7 +37,8 @@ from model.prediction.arti4urdf.structure import (
     StructureArrays,
 )
 from model.prediction.arti4urdf.vocabulary import Decision
-from model.prediction.geometric.context import JointProposal
+from model.prediction.experience import part_name
+from model.prediction.geometric.context import ACROSS, PARALLEL, JointProposal
 from model.prediction.geometric.roles import NAMED, mechanism_scores, named_mechanism
 from model.prediction.lessons import Motion, along, same_steps
 from model.segmentation.models import Trees, load_trees
@@ -129,6 +131,41 @@ def _word_odds(structure: Structure, part: int, mechanisms: Array, fixed: float)
     return out
 
 
+LIKELY, ACROSS_IT = 0.5, -8.0
+"""Share by rules and words from which a part is a drawer or a knob, and the log-share of its
+candidates that slide within the plane of its front, or turn about another axis than its panel's
+normal."""
+
+
+def motion_evidence(structure: Structure, rules: Array) -> dict[int, Array]:
+    """Part → (SLOTS,) log-shares of its candidates for what drawers and knobs don't do. A badly cut
+    drawer has the front of its siblings of the same name.
+
+    Args:
+        rules: (P, SIZE) of :func:`geometric_prior`.
+    """
+    out: dict[int, Array] = {}
+    names = [(part_name(c.shape.name), c.parent) for c in structure.contexts]
+    fronts = {
+        n: c.front_normal
+        for n, c in zip(names, structure.contexts, strict=True)
+        if c.front_normal is not None
+    }
+    for i, context in enumerate(structure.contexts):
+        shares = np.exp(rules[i][v.SLOT_IDS]).reshape(-1, RANKS).sum(1)
+        for mechanism, normal, least in (
+            ("slide_out", fronts.get(names[i]), ACROSS),
+            ("spin", context.knob_normal, PARALLEL),
+        ):
+            if normal is None or shares[MECHANISMS.index(mechanism)] < LIKELY:
+                continue
+            there, slides = out.setdefault(i, np.zeros(SLOTS)), mechanism == "slide_out"
+            for slot, p in enumerate(structure.slots[i]):
+                if p is not None and JOINT_KINDS[p.type].slides == slides:
+                    there[slot] += ACROSS_IT * (abs(float(p.axis @ normal)) < least)
+    return out
+
+
 def offered(
     structure: Structure, answer: Answer, part: int
 ) -> list[tuple[tuple[JointProposal, ...], float]]:
@@ -140,8 +177,7 @@ def offered(
         found.append(((), STAYS))
     if part not in answer.motions:
         return found
-    slots, odds = answer.motions[part]
-    likely = -np.logaddexp(0.0, -odds.astype(np.float64))
+    slots, likely = answer.motions[part]
     there = np.flatnonzero(slots == decision.slot)
     best = float(likely[there[0]]) if len(there) else float(likely.max()) - STAYS
     for slot, value in zip(slots.tolist(), likely.tolist(), strict=True):
@@ -271,8 +307,13 @@ class MotionRanker:
         rules: Array,
         same: Bools,
         locked: frozenset[int] = frozenset(),
+        evidence: Mapping[int, Array] = MappingProxyType({}),
     ) -> Answer:
-        """The answer with the likeliest motion of each part that moves; locked parts stay."""
+        """The answer with the likeliest motion of each part that moves; locked parts stay.
+
+        Args:
+            evidence: part → (SLOTS,) log-shares that add to those of the trees.
+        """
         decisions = list(answer.decisions)
         parts = [
             i
@@ -287,7 +328,7 @@ class MotionRanker:
         odds = self.trees(np.concatenate([features for _, features in read]))
         ends = np.cumsum([len(slots) for slots, _ in read])[:-1]
         motions = {
-            i: (slots, own)
+            i: (slots, log_share(own) + (evidence[i][slots] if i in evidence else 0.0))
             for i, (slots, _), own in zip(parts, read, np.split(odds, ends), strict=True)
         }
         for i, (slots, own) in motions.items():
@@ -300,19 +341,23 @@ class MotionRanker:
                 decisions[i] = with_candidate(structure, i, decisions[i], int(slots[chosen]))
         return replace(answer, decisions=tuple(decisions), motions=motions)
 
-    def chosen(self, present: int, odds: Floats, rules: Array, same: Bools) -> int:
+    def chosen(self, present: int, likely: Array, rules: Array, same: Bools) -> int:
         """Index of the candidate to take, of a part's K.
 
         Args:
             present: index of the answer's.
-            odds: (K,) of the trees. rules: (K,) log-probabilities by the rules.
+            likely: (K,) log-probabilities. rules: (K,) log-probabilities by the rules.
             same: (K, K) which have the same motion.
         """
-        likely = -np.logaddexp(0.0, -odds.astype(np.float64))
         best = int(np.argmax(likely))
         if likely[best] - likely[same[present]].max() < self.margin:
             return present
         return best_limits(best, rules, same)
+
+
+def log_share(odds: Floats) -> Array:
+    """Log-probabilities of log-odds."""
+    return -np.logaddexp(0.0, -odds.astype(np.float64))
 
 
 def best_limits(candidate: int, rules: Array, same: Bools) -> int:

@@ -28,6 +28,7 @@ from model.prediction.arti4urdf.choosing import (
     HybridSettings,
     geometric_prior,
     load_motion_ranker,
+    motion_evidence,
     offered,
     other_motions,
     taught_steps,
@@ -220,8 +221,9 @@ class Arti4UrdfPredictor:
         answer = self.answer(prompt, structure, locks, self.prior(rules), known)
         assembly = None
         if self.hybrid is not None:
+            votes = motion_evidence(structure, rules)
             rank = load_motion_ranker()
-            answer = rank(answer, structure, prompt.arrays, rules, same, frozenset(locks))
+            answer = rank(answer, structure, prompt.arrays, rules, same, frozenset(locks), votes)
             tree = [d.parent for d in answer.decisions]
             assembly = replace(structure.assembly, root=answer.root, parent=tree)
         kept = {j.child for j in locked}

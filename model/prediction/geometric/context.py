@@ -144,6 +144,11 @@ HAND, SLENDER_HAND = 0.1, 0.35
 """Least size (diagonals) and largest middle over long extent of a clock hand."""
 ACROSS, UPWARD, PARALLEL = 0.5, 0.9, 0.95
 """Cosines: below the first an axis is across another, above the last it is the same direction."""
+KNOB, EVEN, WHEELS = 0.2, 0.85, {"wheel", "roller", "tire", "caster"}
+"""Largest size (diagonals) of a knob; mean squared cosine between the normals of its panel and
+their mean; names of parts that turn about an axis of their own."""
+FLAT = 0.35
+"""Largest thickness of a front, without its handle, over its shorter side; a choice."""
 BAR = 0.2
 """Least size of a push bar over that of its door; buttons are smaller."""
 
@@ -291,6 +296,42 @@ class PartContext:
     def panel_normal(self) -> Array:
         """(3,) the panel's normal away from the parent."""
         return self.panel_outward(self.shape.box.axes[:, self.shape.panel.normal])
+
+    @cached_property
+    def normals_around(self) -> Array:
+        """(K, 3) normals of the parent's surface around the part."""
+        reach = max(0.6 * self.shape.size, 0.03)
+        index = self.sampled.tree(self.parent).query_ball_point(self.shape.center, reach)
+        return self.parent_shape.normals[np.asarray(index, int)]
+
+    @cached_property
+    def surface_normal(self) -> Array | None:
+        """(3,) direction shared by most of :attr:`normals_around`; None if they don't agree."""
+        normals = self.normals_around
+        if len(normals) < 6:
+            return None
+        values, vectors = np.linalg.eigh(normals.T @ normals / len(normals))
+        return vectors[:, 2] if values[2] > 0.75 else None
+
+    @cached_property
+    def knob_normal(self) -> Array | None:
+        """(3,) normal of the panel on which a small part sits; None for other parts and wheels."""
+        normal, low = self.surface_normal, self.shape.low[2] - self.sampled.low[2]
+        wheel = low < 0.5 * self.shape.size or WHEELS & set(self.words)
+        if normal is None or wheel or not self.in_contact or self.shape.size > KNOB:
+            return None
+        if float(np.mean((self.normals_around @ normal) ** 2)) < EVEN:
+            return None
+        return snapped(normal, np.eye(3), SQUARE)
+
+    @cached_property
+    def front_normal(self) -> Array | None:
+        """(3,) level normal of a part that is a standing front, without a body; None for others."""
+        shape, panel = self.shape, self.shape.panel
+        normal = shape.box.axes[:, panel.normal]
+        thick = (panel.high - panel.low) / 2
+        flat = thick < FLAT * float(shape.box.half[shape.order[1]])
+        return normal if flat and abs(float(normal[2])) < ACROSS else None
 
     @cached_property
     def handle(self) -> Protrusion | None:

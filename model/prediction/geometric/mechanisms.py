@@ -35,8 +35,9 @@ DRAWER_TRAVEL = 0.79
 """Travel of a drawer over its depth; the rest stays in the rails."""
 
 
-OPEN, BACKED, FACING, OUTWARD, EDGE = 1.8, 0.9, 0.8, 0.3, (-1.5, 0.3)
-"""Scores of the direction of a drawer; and bounds of its place over half its parent's depth."""
+OPEN, BACKED, FACING, OUTWARD, SIDEWAYS, EDGE = 1.8, 0.9, 0.8, 0.3, 3.0, (-1.5, 0.3)
+"""Scores of the direction of a drawer, the last one against the plane of its front; and bounds of
+its place over half its parent's depth."""
 SHALLOW, SCANNED_DEPTH, FRONT_ALONE, HALF_DEPTH = 0.4, 0.8, 0.25, 0.5
 """Depths over that of the parent: of a scanned and a modelled front, and of the drawers behind."""
 FREE, ALONG, AWAY, LEVEL, BLADE, BLADE_SLENDER, LID = 1.2, 0.5, 0.4, 0.8, 1.5, 0.45, 1.0
@@ -67,6 +68,8 @@ def slide_out_proposals(context: PartContext) -> list[JointProposal]:
         score = OPEN * (1 - covers[k]) + BACKED * covers[(k + 3) % 6] + edge
         score += FACING * certainty * float(direction @ front)
         score += OUTWARD * float(direction @ unit(shape.center - base.center))
+        if context.front_normal is not None:
+            score -= SIDEWAYS * (1 - abs(float(direction @ context.front_normal)))
         depth = _drawer_depth(context, direction)
         reasons = ["towards the open side"] if covers[k] < 0.3 else []
         found.append(_slide(direction, shape.center, DRAWER_TRAVEL * depth, score, *reasons))
@@ -132,9 +135,9 @@ def press_proposals(context: PartContext) -> list[JointProposal]:
     """A button moves into the surface around it."""
     shape = context.shape
     found = []
-    normals = _parent_normals(context)
+    normals = context.normals_around
     choices = [(d, c) for d, c in zip(context.directions, _covered(context), strict=True)]
-    local = _surface_normal(normals)
+    local = context.surface_normal
     if local is not None and np.abs(context.directions @ local).max() < 0.995:
         for d in (local, -local):
             near = int(np.argmax(context.directions @ d))
@@ -161,22 +164,6 @@ def _covered(context: PartContext) -> list[tuple[float, float]]:
     """For each of the part's directions: coverage in front, and behind."""
     covers = context.covers
     return [(float(covers[k]), float(covers[(k + 3) % 6])) for k in range(6)]
-
-
-def _surface_normal(normals: Array) -> Array | None:
-    """(3,) the direction shared by most of the normals; None if they don't agree."""
-    if len(normals) < 6:
-        return None
-    values, vectors = np.linalg.eigh(normals.T @ normals / len(normals))
-    return vectors[:, 2] if values[2] > 0.75 else None
-
-
-def _parent_normals(context: PartContext) -> Array:
-    """(K, 3) normals of the parent's surface around the part."""
-    sampled, shape = context.sampled, context.shape
-    reach = max(0.6 * shape.size, 0.03)
-    index = sampled.tree(context.parent).query_ball_point(shape.center, reach)
-    return context.parent_shape.normals[np.asarray(index, int)]
 
 
 def _surface_center(context: PartContext) -> Array:

@@ -112,7 +112,9 @@ def named_mechanism(part: PartContext) -> Mechanism | None:
         return None
     named, _ = mechanism_of(part.shape.name, part.sampled.category)
     several = mechanisms_of(part.shape.name, part.sampled.category)
-    if len(several) > 1:  # people call a drawer's front a "drawer door": its shape decides
+    if "slide_out" in several and part.shape.scanned and part.front_normal is not None:
+        named = "slide_out"  # a scan doesn't show the drawer behind its front
+    elif len(several) > 1:  # people call a drawer's front a "drawer door": its shape decides
         features = measure_features(part)
         scores = motion_scores(part, features, {part.part: features})
         named = max(several, key=lambda m: scores.get(m, -np.inf))

@@ -29,6 +29,7 @@ from model.prediction.arti4urdf.choosing import (
     SHIPPED,
     MotionRanker,
     geometric_prior,
+    log_share,
     motion_features,
     network_odds,
 )
@@ -159,7 +160,8 @@ def accuracy(parts: Sequence[Part], fold: npt.NDArray[np.int64], seed: int) -> d
         )
         for p in (p for p, f in zip(parts, fold, strict=True) if f == left and p.moves):
             odds = ranker.trees(p.features)
-            chosen = ranker.chosen(p.present, odds, p.rules, p.same) if p.present >= 0 else -1
+            likely = log_share(odds)
+            chosen = ranker.chosen(p.present, likely, p.rules, p.same) if p.present >= 0 else -1
             before, after = (k >= 0 and bool(p.right[k]) for k in (p.present, chosen))
             hits[p.named].append((before, after))
     out: dict[str, float] = {}

@@ -19,6 +19,7 @@ from model.prediction.arti4urdf.choosing import (
     MotionRanker,
     geometric_prior,
     load_motion_ranker,
+    log_share,
     motion_features,
     network_odds,
     other_motions,
@@ -126,9 +127,12 @@ def test_a_faint_preference_and_another_candidate_with_the_same_motion_change_no
 def test_of_one_motion_the_candidate_is_taken_that_the_rules_prefer() -> None:
     same = np.array([[1, 0, 0], [0, 1, 1], [0, 1, 1]], bool)
     rank = MotionRanker(stump("rank", 0.5, 0, 0))
-    odds = np.array([-3, 2, 1], np.float32)
-    assert rank.chosen(0, odds, np.array([0.0, -5.0, -1.0]), same) == 2
-    assert rank.chosen(1, odds, np.array([0.0, -5.0, -1.0]), same) == 1
+    likely = log_share(np.array([-3, 2, 1], np.float32))
+    assert rank.chosen(0, likely, np.array([0.0, -5.0, -1.0]), same) == 2
+    assert rank.chosen(1, likely, np.array([0.0, -5.0, -1.0]), same) == 1
+    votes = np.log([1.0, 0.05, 0.05])
+    assert rank.chosen(1, likely + votes, np.array([0.0, -5.0, -1.0]), same) == 1, "one is too few"
+    assert rank.chosen(1, likely + 3 * votes, np.array([0.0, -5.0, -1.0]), same) == 0
 
 
 def test_the_shipped_weights_read_these_features_and_others_are_refused(tmp_path: Path) -> None:
