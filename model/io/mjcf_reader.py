@@ -400,9 +400,11 @@ class _Reader:
             return UrdfVisual(link, None, pose, mesh=mesh, material=material)
         # MuJoCo has moved the mesh to its own centre of mass and main axes.
         said = self.spec.mesh(name)
-        middle = affine(_turn(model.mesh_quat[number]), model.mesh_pos[number])
+        quaternions = np.roll([model.mesh_quat[number], said.refquat], -1, axis=1)
+        turns = Rotation.from_quat(quaternions).as_matrix()
+        middle = affine(turns[0], model.mesh_pos[number])
         shift = affine(shift=-np.asarray(said.refpos))
-        turn = affine(_turn(said.refquat).T)
+        turn = affine(turns[1].T)
         scale = np.diag([*np.asarray(said.scale, np.float64), 1.0])
         whole = pose @ np.linalg.inv(middle) @ scale @ turn @ shift
         return UrdfVisual(link, None, whole, file, material=material)
@@ -450,10 +452,6 @@ def _line(terms: Sequence[float], leader: Joint) -> tuple[float, float]:
     values = np.polynomial.polynomial.polyval([start, end], terms)
     slope = float(values[1] - values[0]) / (end - start)
     return slope, float(values[0]) - slope * start
-
-
-def _turn(quaternion: Any) -> FloatArray:
-    return Rotation.from_quat(np.roll(quaternion, -1)).as_matrix()
 
 
 def _body_names(model: Any) -> Iterator[str]:
