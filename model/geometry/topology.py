@@ -14,14 +14,14 @@ Array = npt.NDArray[Any]
 
 
 def same_points(points: Array) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Group equal rows of (N, 3): bit for bit, but for the sign of zero.
+    """Group equal rows of (N, K): bit for bit, but for the sign of zero.
 
     Returns:
         ``(first, inverse)`` as ``np.unique(axis=0)``, many times faster: one row for each distinct
         row, and (N,) the distinct row of each row.
     """
     rows = np.ascontiguousarray(points, np.float64) + 0.0
-    key = _mixed(rows.view(np.uint64).reshape(-1, 3))
+    key = _mixed(rows.view(np.uint64).reshape(rows.shape))
     _, first, inverse = np.unique(key, return_index=True, return_inverse=True)
     inverse = inverse.reshape(-1)
     if not np.array_equal(rows[first[inverse]], rows, equal_nan=True):  # two rows, one hash
@@ -30,7 +30,7 @@ def same_points(points: Array) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.in
 
 
 def _mixed(words: Array) -> Array:
-    """Hash (N, 3) uint64 to (N,), by the finaliser of splitmix64."""
+    """Hash (N, K) uint64 to (N,), by the finaliser of splitmix64."""
     out = np.zeros(len(words), np.uint64)
     for i in range(words.shape[1]):
         out = out * np.uint64(0x9E3779B97F4A7C15) + words[:, i]

@@ -14,9 +14,11 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial.transform import Rotation
 
 from model.core.articulated_object import Inertial, inertial_problems
 from model.core.errors import InputFileError, KinematicsError
+from model.core.files import free_name
 from model.core.geometry import Mesh, affine
 from model.core.joint import DeclaredDynamics, Joint, Mimic
 from model.core.packages import require
@@ -223,7 +225,7 @@ class _Reader:
             motions = [m for j in range(first, first + count) for m in self._motions(j, names)]
             for i, motion in enumerate(motions):
                 last = i == len(motions) - 1
-                below = child if last else _unused(f"helper_{child}_{i}", self.links)
+                below = child if last else free_name(f"helper_{child}_{i}", self.links)
                 out.append(
                     Joint(
                         motion.name,
@@ -239,7 +241,7 @@ class _Reader:
                     declared[motion.name] = motion.dynamics
                 above = below
             if not motions:
-                fixed = _unused(f"fixed_{child}", names)
+                fixed = free_name(f"fixed_{child}", names)
                 names.add(fixed)
                 out.append(Joint(fixed, "fixed", above, child))
         return out, declared
@@ -248,7 +250,7 @@ class _Reader:
         model, data, kind = self.model, self.data, int(self.model.jnt_type[j])
         name = model.joint(j).name
         if not name:
-            name = _unused(f"joint_{j}", names)
+            name = free_name(f"joint_{j}", names)
             names.add(name)
         if kind == _FREE:
             if model.nbody > 2 and int((model.body_parentid[1:] == 0).sum()) > 1:
@@ -264,7 +266,7 @@ class _Reader:
             axes = [tuple(axis) for axis in np.eye(3).tolist()]
             return [
                 _Motion(
-                    _unused(f"{name}_{w}", names),
+                    free_name(f"{name}_{w}", names),
                     "revolute",
                     a,
                     origin,
@@ -398,9 +400,11 @@ class _Reader:
             return UrdfVisual(link, None, pose, mesh=mesh, material=material)
         # MuJoCo has moved the mesh to its own centre of mass and main axes.
         said = self.spec.mesh(name)
-        middle = affine(_turn(model.mesh_quat[number]), model.mesh_pos[number])
+        quaternions = np.roll([model.mesh_quat[number], said.refquat], -1, axis=1)
+        turns = Rotation.from_quat(quaternions).as_matrix()
+        middle = affine(turns[0], model.mesh_pos[number])
         shift = affine(shift=-np.asarray(said.refpos))
-        turn = affine(_turn(said.refquat).T)
+        turn = affine(turns[1].T)
         scale = np.diag([*np.asarray(said.scale, np.float64), 1.0])
         whole = pose @ np.linalg.inv(middle) @ scale @ turn @ shift
         return UrdfVisual(link, None, whole, file, material=material)
@@ -450,21 +454,8 @@ def _line(terms: Sequence[float], leader: Joint) -> tuple[float, float]:
     return slope, float(values[0]) - slope * start
 
 
-def _turn(quaternion: Any) -> FloatArray:
-    from scipy.spatial.transform import Rotation
-
-    w, x, y, z = np.asarray(quaternion, np.float64)
-    return np.asarray(Rotation.from_quat([x, y, z, w]).as_matrix())
-
-
 def _body_names(model: Any) -> Iterator[str]:
     """Unique names of all bodies but the world."""
     taken = {_WORLD} | {model.body(i).name for i in range(1, model.nbody)}
     for i in range(1, model.nbody):
-        yield model.body(i).name or _unused(f"body_{i}", taken)
-
-
-def _unused(name: str, taken: Any) -> str:
-    while name in taken:
-        name += "_"
-    return name
+        yield model.body(i).name or free_name(f"body_{i}", taken)

@@ -236,12 +236,8 @@ def _glb_poses(gltf: Any, binary: bytes, moment: float) -> dict[str, FloatArray]
 
 
 def _node_pose(node: Any) -> FloatArray:
-    out = np.eye(4)
-    if node.rotation:
-        out[:3, :3] = Rotation.from_quat(node.rotation).as_matrix()
-    if node.translation:
-        out[:3, 3] = node.translation
-    return out
+    turn = Rotation.from_quat(node.rotation or [0, 0, 0, 1]).as_matrix()
+    return affine(turn, node.translation or None)
 
 
 def _accessor(gltf: Any, binary: bytes, index: int) -> FloatArray:
@@ -334,28 +330,14 @@ class _Stage:
 
     def _motion(self, prim: Any, value: float) -> FloatArray:
         """Along or about x, y or z of the joint's frame."""
-        out = np.eye(4)
-        kind = next(
-            (k for k in (self.physics.RevoluteJoint, self.physics.PrismaticJoint) if prim.IsA(k)),
-            None,
-        )
-        if kind is None:
-            return out
-        axis = "XYZ".index(str(kind(prim).GetAxisAttr().Get()))
-        if kind is self.physics.PrismaticJoint:
-            out[axis, 3] = value
-            return out
-        i, j = (axis + 1) % 3, (axis + 2) % 3
-        out[i, i] = out[j, j] = math.cos(value)
-        out[j, i], out[i, j] = math.sin(value), -math.sin(value)
-        return out
+        for kind in (self.physics.RevoluteJoint, self.physics.PrismaticJoint):
+            if prim.IsA(kind):
+                way = value * np.eye(3)["XYZ".index(str(kind(prim).GetAxisAttr().Get()))]
+                turns = kind is self.physics.RevoluteJoint
+                return affine(Rotation.from_rotvec(way).as_matrix()) if turns else affine(None, way)
+        return np.eye(4)
 
 
 def _usd_frame(place: Any, turn: Any) -> FloatArray:
-    from scipy.spatial.transform import Rotation
-
-    out = np.eye(4)
-    x, y, z = turn.GetImaginary()
-    out[:3, :3] = Rotation.from_quat([x, y, z, turn.GetReal()]).as_matrix()
-    out[:3, 3] = list(place)
-    return out
+    xyzw = [*turn.GetImaginary(), turn.GetReal()]
+    return affine(Rotation.from_quat(xyzw).as_matrix(), list(place))

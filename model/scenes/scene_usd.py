@@ -81,11 +81,8 @@ def _link(prim: Any, link: str | None) -> Any:
     """The prim of an object's link; the object's own for a plain box."""
     if link is None:
         return prim
-    return next(p for p in prim.GetChildren() if _named(p) == link)
-
-
-def _named(prim: Any) -> str:
-    return xml_name(str(prim.GetCustomDataByKey(NAME_KEY)))
+    named = {xml_name(str(p.GetCustomDataByKey(NAME_KEY))): p for p in prim.GetChildren()}
+    return named[link]
 
 
 def _hold(gf: Any, geom: Any, physics: Any, prim: Any, stand: Stand) -> None:

@@ -252,14 +252,8 @@ class _Writer:
         equality = ET.SubElement(self.root, "equality")
         for joint in followers:
             assert joint.mimic is not None
-            terms = [joint.mimic.offset, joint.mimic.multiplier, 0, 0, 0]
-            ET.SubElement(
-                equality,
-                "joint",
-                joint1=joint.name,
-                joint2=joint.mimic.joint,
-                polycoef=vector(terms),
-            )
+            made = ET.SubElement(equality, "joint", joint1=joint.name, joint2=joint.mimic.joint)
+            made.set("polycoef", vector([joint.mimic.offset, joint.mimic.multiplier, 0, 0, 0]))
 
 
 def losses_of(obj: ArticulatedObject) -> tuple[str, ...]:

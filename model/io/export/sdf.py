@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from itertools import combinations_with_replacement
 from pathlib import Path
 from xml.etree import ElementTree as ET  # only writes; reading is defusedxml's
 
@@ -18,6 +19,7 @@ import numpy.typing as npt
 
 from model.core.articulated_object import ArticulatedObject, Inertial
 from model.core.composite_joints import COMPOSITES, composite_of
+from model.core.files import free_name
 from model.core.joint import Joint, Mimic
 from model.core.progress import Progress
 from model.core.shapes import Primitive, Solid
@@ -106,7 +108,9 @@ class SdfExporter(FileExporter):
             mimic, pitch = mimics.get(joint.name), pitches.get(joint.name)
             _joint(model, joint, names, mimic, pitch, physics)
         if physics.fixed_base:
-            root = ET.SubElement(model, "joint", name=_free("fixed_to_world", names), type="fixed")
+            root = ET.SubElement(
+                model, "joint", name=free_name("fixed_to_world", names.values()), type="fixed"
+            )
             _text(root, "parent", "world")
             _text(root, "child", obj.tree.root)
         config = ET.Element("model")
@@ -133,12 +137,6 @@ def sdf_joint_names(tree: KinematicTree) -> dict[str, str]:
     return out
 
 
-def _free(name: str, names: Mapping[str, str]) -> str:
-    while name in names.values():
-        name += "_"
-    return name
-
-
 def _text(parent: ET.Element, tag: str, text: str) -> ET.Element:
     element = ET.SubElement(parent, tag)
     element.text = text
@@ -156,15 +154,8 @@ def _inertial(link: ET.Element, inertial: Inertial, origin: npt.NDArray[np.float
     _text(element, "pose", _pose(center - origin))
     _text(element, "mass", number(inertial.mass))
     tensor = ET.SubElement(element, "inertia")
-    for i, j, key in (
-        (0, 0, "ixx"),
-        (0, 1, "ixy"),
-        (0, 2, "ixz"),
-        (1, 1, "iyy"),
-        (1, 2, "iyz"),
-        (2, 2, "izz"),
-    ):
-        _text(tensor, key, number(inertial.exact_tensor[i, j]))
+    for i, j in combinations_with_replacement(range(3), 2):
+        _text(tensor, f"i{'xyz'[i]}{'xyz'[j]}", number(inertial.exact_tensor[i, j]))
 
 
 def _geometry(

@@ -25,7 +25,7 @@ from model.core.joint import JOINT_KINDS, Joint, Mimic
 from model.core.packages import require
 from model.core.progress import Progress
 from model.core.shapes import Primitive, Shape
-from model.core.textures import ImageFile, SurfaceMaps, encode
+from model.core.textures import ImageFile, SurfaceMaps, encode, to_linear
 from model.geometry.sampling import corner_normals
 from model.io.export.formats import FileExporter
 from model.io.urdf.writer import direct_mimics, link_origins, rounded
@@ -79,20 +79,22 @@ class _Writer:
     def __init__(self, obj: ArticulatedObject, path: Path, physics: Physics) -> None:
         self.obj, self.path, self.folder, self.physics = obj, path, path.parent, physics
         self.materials = read_materials()
-        for name in ("Gf", "Sdf", "Usd", "UsdGeom", "UsdPhysics", "UsdShade", "Vt"):
-            setattr(self, f"_{name}", require(f"pxr.{name}", "artiworld[usd]", "USD"))
+        (
+            self._Gf,
+            self._Sdf,
+            self._Usd,
+            self._UsdGeom,
+            self._UsdPhysics,
+            self._UsdShade,
+            self._Vt,
+        ) = (
+            require(f"pxr.{name}", "artiworld[usd]", "USD")
+            for name in ("Gf", "Sdf", "Usd", "UsdGeom", "UsdPhysics", "UsdShade", "Vt")
+        )
         self.origins = link_origins(obj.tree)
         self.files: list[Path] = []
         self.looks: dict[tuple[Any, ...], Any] = {}
         self.names: dict[str, set[str]] = {}
-
-    _Gf: Any
-    _Sdf: Any
-    _Usd: Any
-    _UsdGeom: Any
-    _UsdPhysics: Any
-    _UsdShade: Any
-    _Vt: Any
 
     def write(self, progress: Progress) -> tuple[Path, ...]:
         stage = self.stage = self._Usd.Stage.CreateInMemory()
@@ -190,7 +192,7 @@ class _Writer:
 
     def _colors(self, made: Any, rgba: npt.NDArray[np.uint8]) -> tuple[str, ...]:
         """Write a mesh' own colours; the names of what materials read of them."""
-        linear = np.ascontiguousarray((rgba[:, :3] / 255.0) ** 2.2, np.float32)
+        linear = np.ascontiguousarray(to_linear(rgba[:, :3] / 255.0), np.float32)
         vertex = self._UsdGeom.Tokens.vertex
         made.CreateDisplayColorPrimvar(vertex).Set(self._Vt.Vec3fArray.FromNumpy(linear))
         if (rgba[:, 3] == 255).all():
@@ -245,11 +247,10 @@ class _Writer:
         self._label(made.GetPrim(), "material", made_of)
         surface = shade.Shader.Define(self.stage, f"{path}/surface")
         surface.CreateIdAttr("UsdPreviewSurface")
-        *rgb, alpha = (c / 255.0 for c in color_of)
         color = surface.CreateInput("diffuseColor", types.Color3f)
-        color.Set(self._Gf.Vec3f(*(c**2.2 for c in rgb)))
+        color.Set(self._Gf.Vec3f(*to_linear(np.asarray(color_of[:3]) / 255.0).tolist()))
         opacity = surface.CreateInput("opacity", types.Float)
-        opacity.Set(alpha)
+        opacity.Set(color_of[3] / 255.0)
         roughness = _ROUGHNESS if material.roughness is None else material.roughness
         surface.CreateInput("roughness", types.Float).Set(roughness)
         if material.metallic is not None:
@@ -338,8 +339,8 @@ class _Writer:
 
     def _primitive(self, path: str, shape: Primitive, origin: FloatArray) -> Any:
         pose = shape.object_from_shape
-        kinds = {"box": "Cube", "cylinder": "Cylinder", "sphere": "Sphere", "capsule": "Capsule"}
-        made = getattr(self._UsdGeom, kinds[shape.kind]).Define(self.stage, path)
+        kind = "Cube" if shape.kind == "box" else shape.kind.capitalize()
+        made = getattr(self._UsdGeom, kind).Define(self.stage, path)
         made.AddTranslateOp().Set(self._Gf.Vec3d(*rounded(pose[:3, 3] - origin)))
         made.AddOrientOp().Set(self._Gf.Quatf(*quaternion_wxyz(pose)))
         if shape.kind == "box":
@@ -452,10 +453,10 @@ class _Writer:
 
     def _mimic(self, prim: Any, joint: Joint, mimic: Mimic, leader: Any) -> None:
         """PhysX: q + gearing * q(leader) + offset = 0, in degrees or metres."""
-        axis = "rotX" if joint.rotates else "transX"
-        theirs = "rotX" if self.obj.tree.by_name[mimic.joint].rotates else "transX"
-        mine_unit = 180.0 / math.pi if joint.rotates else 1.0
-        their_unit = 180.0 / math.pi if theirs == "rotX" else 1.0
+        (axis, mine_unit), (theirs, their_unit) = (
+            ("rotX", 180.0 / math.pi) if j.rotates else ("transX", 1.0)
+            for j in (joint, self.obj.tree.by_name[mimic.joint])
+        )
         base = f"physxMimicJoint:{axis}"
         self._extra(
             prim,

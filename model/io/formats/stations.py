@@ -168,7 +168,7 @@ def read_ptx(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
         matrix = head[14:].reshape(4, 4)
         points = table[seen, :3] @ matrix[:3, :3] + matrix[3, :3]
         colors = colors_from(table[seen, 4:7].astype(np.uint16)) if width >= 7 else None
-        remarks = () if seen.all() else (lost,)
+        remarks = ("intensities are left out",) * (width > 3) + (lost,) * (not seen.all())
         stations.append(Loaded(points, colors=colors, warnings=remarks))
         at += 10 + count
     return _together(path, stations, "no coordinate system stated")

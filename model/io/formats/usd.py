@@ -1,15 +1,18 @@
-"""USD meshes and primitive shapes, read through usd-core.
+"""USD meshes and primitive shapes with their looks, read through usd-core.
 
-Units (``metersPerUnit``) and the up axis come from the stage. The colour that is shown or that a
-preview surface has is kept; textures are not. What is invisible or a guide is passed over.
+Units (``metersPerUnit``) and the up axis come from the stage. Of a preview surface the colour and
+its texture are kept, of other looks the colour that is shown. What is invisible or a guide is
+passed over.
 """
 
 from __future__ import annotations
 
+import os
+import re
 import subprocess
 import sys
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -22,12 +25,12 @@ from trimesh import creation
 from model.core.errors import InputFileError
 from model.core.geometry import Material
 from model.core.packages import require
-from model.core.textures import to_srgb
+from model.core.textures import MOST_BYTES, TextureError, decode, left_out, to_srgb
+from model.geometry.topology import same_points
 from model.io.formats.loaded import (
     DEFAULT_MAX_BYTES,
     Loaded,
     check_indices,
-    colors_from,
     join,
     size_of,
     triangulate,
@@ -41,6 +44,7 @@ MOST_PRIMS = 1_000_000
 OPEN_SECONDS = 30.0
 """For starting pxr, on a busy machine, and a small stage."""
 _BYTES_A_SECOND = 5e6  # a tenth of what it opens
+_INPUTS = "diffuseColor opacity metallic roughness normal emissiveColor occlusion".split()
 WORLD_FROM_UP = {
     "y": np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]]),
     "z": np.eye(4),
@@ -66,16 +70,14 @@ def sound_stage(path: Path) -> Iterator[None]:
 
 
 def read_usd(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
-    """The visible geometry of a stage, metres, +z up.
+    """The visible geometry of a stage, metres, +z up; pieces are named after their bodies.
 
     Raises:
         InputFileError: where it is no stage, too large, or has no mesh.
         ConfigurationError: where usd-core isn't installed.
     """
-    if size_of(path) > max_bytes:
-        raise InputFileError(path, "is over the limit of bytes", "thin or cut the scan first")
     with sound_stage(path):
-        return _read(UsdStage(path))
+        return _read(UsdStage(path, max_bytes))
 
 
 def _check_binary(path: Path) -> None:
@@ -91,13 +93,9 @@ def _check_binary(path: Path) -> None:
         return
     code = "import sys; from pxr import Usd; Usd.Stage.Open(sys.argv[1])"
     seconds = OPEN_SECONDS + path.stat().st_size / _BYTES_A_SECOND
+    command = [sys.executable, "-c", code, str(path)]
     try:
-        done = subprocess.run(
-            [sys.executable, "-c", code, str(path)],
-            capture_output=True,
-            timeout=seconds,
-            check=False,
-        )
+        done = subprocess.run(command, capture_output=True, timeout=seconds, check=False)
     except subprocess.TimeoutExpired:
         what = f"can't be opened within {seconds:.0f} s"
         raise InputFileError(path, what, "it is damaged; export it again") from None
@@ -106,32 +104,35 @@ def _check_binary(path: Path) -> None:
 
 
 def _read(stage: UsdStage) -> Loaded:
-    found: list[tuple[str, Loaded]] = []
-    unread: Counter[str] = Counter()
+    found: list[Loaded] = []
+    named: list[tuple[Any, int]] = []
     for prim in stage.prims():
-        if stage.is_unread(prim):
-            unread[str(prim.GetTypeName())] += 1
         made = stage.shape_of(prim)
-        if made is not None:
-            found.append((str(prim.GetName()), made.moved(stage.world(prim) @ stage.into)))
+        if made is None:
+            continue
+        found.append(made.moved(stage.world(prim) @ stage.into))
+        held, count = stage.body_of(prim) or prim, len(made.faces)
+        if named and named[-1][0] == held:
+            count += named.pop()[1]
+        named.append((held, count))
     if not found:
         raise InputFileError(stage.path, "there is no mesh on its stage", "export its objects")
-    whole = join([made for _, made in found])
-    named = tuple((name, len(made.faces)) for name, made in found if len(made.faces))
-    remarks = [f"not read: {kind} ({n})" for kind, n in unread.items()]
-    return replace(whole, pieces=named, warnings=(*whole.warnings, *remarks))
+    whole = join(found)
+    pieces = tuple((str(held.GetName()), count) for held, count in named if count)
+    remarks = stage.unread(stage.prims(), joints=True)
+    return replace(whole, pieces=pieces, warnings=(*whole.warnings, *remarks))
 
 
 class UsdStage:
     """An open stage with pxr's modules; geometry comes out in metres, +z up."""
 
-    def __init__(self, path: Path) -> None:
-        self.usd, self.geom, self.shade, tf = (
+    def __init__(self, path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> None:
+        self.usd, self.geom, self.physics, self.shade, self.ar, tf = (
             require(f"pxr.{n}", "artiworld[usd]", "USD")
-            for n in ("Usd", "UsdGeom", "UsdShade", "Tf")
+            for n in ("Usd", "UsdGeom", "UsdPhysics", "UsdShade", "Ar", "Tf")
         )
-        if not path.is_file():
-            raise InputFileError(path, "no such file", "check the path")
+        if size_of(path) > max_bytes:
+            raise InputFileError(path, "is over the limit of bytes", "thin or cut its meshes first")
         _check_binary(path)
         try:
             self.stage: Any = self.usd.Stage.Open(str(path))
@@ -148,21 +149,15 @@ class UsdStage:
         self.turn = WORLD_FROM_UP[self.up]
         self.into = self.turn @ np.diag([self.unit, self.unit, self.unit, 1.0])
         self.places = self.geom.XformCache()
+        self.remarks: dict[str, None] = {}
+        self._made: dict[Any, tuple[Material, str]] = {}
 
-    def prims(self, below: Any = None) -> Iterator[Any]:
-        """Visible prims, with instances opened; guides and proxies are left out."""
-        for walk, prim in self.all_prims(below):
-            image = self.geom.Imageable(prim)
-            if image and (
-                image.GetVisibilityAttr().Get() == "invisible"
-                or image.GetPurposeAttr().Get() in ("guide", "proxy")
-            ):
-                walk.PruneChildren()
-                continue
-            yield prim
+    def get(self, prim: Any, name: str) -> Any:
+        """An attribute's value, or the default of its schema; None without either."""
+        return prim.GetAttribute(name).Get()
 
-    def all_prims(self, below: Any = None) -> Iterator[tuple[Any, Any]]:
-        """Each prim, with instances opened, and the walk, which may leave out its children."""
+    def walk(self, below: Any = None) -> Iterator[tuple[Any, bool]]:
+        """Each prim, with instances opened, and True where it can be seen."""
         every = self.usd.TraverseInstanceProxies(self.usd.PrimDefaultPredicate)
         root = self.stage.GetPseudoRoot() if below is None else below
         walk = iter(self.usd.PrimRange(root, every))
@@ -170,17 +165,45 @@ class UsdStage:
             if number > MOST_PRIMS:  # instances of instances multiply
                 what = f"has more than {MOST_PRIMS:,} prims"
                 raise InputFileError(self.path, what, "cut the stage")
-            yield walk, prim
+            if prim.IsA(self.geom.PointInstancer):
+                walk.PruneChildren()
+            image = self.geom.Imageable(prim)
+            shown = not image or image.ComputeVisibility() != "invisible"
+            yield prim, shown and not (image and image.ComputePurpose() in ("guide", "proxy"))
+
+    def prims(self, below: Any = None) -> Iterator[Any]:
+        """Visible prims, with instances opened."""
+        return (prim for prim, seen in self.walk(below) if seen)
+
+    def is_body(self, prim: Any) -> bool:
+        """True if it moves as one body: it has the schema, which isn't switched off."""
+        has = prim.HasAPI(self.physics.RigidBodyAPI) and not prim.IsA(self.physics.Joint)
+        return has and self.get(prim, "physics:rigidBodyEnabled") is not False
+
+    def body_of(self, prim: Any) -> Any | None:
+        """The body that holds a prim: itself, or the nearest above."""
+        while prim and not self.is_body(prim):
+            prim = prim.GetParent()
+        return prim or None
 
     def is_unread(self, prim: Any) -> bool:
         """True if a prim draws something that isn't read: copies, curves, points, skeletons."""
         if prim.GetTypeName() in ("Mesh", *SHAPES):
             return False
-        return (
-            prim.IsA(self.geom.Gprim)
-            or prim.IsA(self.geom.PointInstancer)
-            or prim.GetTypeName() == "SkelRoot"
+        copies = prim.IsA(self.geom.PointInstancer) or prim.GetTypeName() == "SkelRoot"
+        return copies or prim.IsA(self.geom.Gprim)
+
+    def unread(self, prims: Iterable[Any], *, joints: bool = False) -> list[str]:
+        """What prims draw beside, joints where asked, files that are missing, remarks on looks."""
+        found = Counter(
+            str(p.GetTypeName())
+            for p in prims
+            if self.is_unread(p) or (joints and p.IsA(self.physics.Joint))
         )
+        lost = (re.search(r"asset @(.+?)@", str(e)) for e in self.stage.GetCompositionErrors())
+        missing = dict.fromkeys(os.path.relpath(m[1], self.path.parent) for m in lost if m)
+        out = [f"missing: {name!r} and what it holds" for name in missing]
+        return [*out, *(f"not read: {kind} ({n})" for kind, n in found.items()), *self.remarks]
 
     def world(self, prim: Any) -> FloatArray:
         """(4, 4) world_from_prim in metres, +z up, of points in metres, +z up."""
@@ -199,67 +222,158 @@ class UsdStage:
         mesh = self.geom.Mesh(prim)
         points = np.asarray(mesh.GetPointsAttr().Get() or np.zeros((0, 3)), np.float64)
         sizes = np.asarray(mesh.GetFaceVertexCountsAttr().Get() or (), np.int64)
-        corners = np.asarray(mesh.GetFaceVertexIndicesAttr().Get() or (), np.int64)
-        if points.ndim != 2 or not len(points) or (sizes < 0).any() or sizes.sum() != len(corners):
+        vertices = np.asarray(mesh.GetFaceVertexIndicesAttr().Get() or (), np.int64)
+        if points.ndim != 2 or not len(points) or (sizes < 0).any() or sizes.sum() != len(vertices):
             raise InputFileError(
                 self.path, f"{prim.GetPath()}: its faces and points don't fit together"
             )
-        check_indices(self.path, corners, len(points), sizes=sizes)
-        triangles, _ = triangulate(self.path, corners, sizes, points)
-        faces = corners[triangles]
+        check_indices(self.path, vertices, len(points), sizes=sizes)
+        corners, polygons = triangulate(self.path, vertices, sizes, points)
         if mesh.GetOrientationAttr().Get() == "leftHanded":
-            faces = faces[:, ::-1]
-        return self._coloured(prim, points, faces)
+            corners = corners[:, ::-1]
+        return self._dressed(prim, points, vertices[corners], corners, polygons)
 
     def _primitive(self, prim: Any, kind: str) -> Loaded:
-        made = getattr(self.geom, kind)(prim)
         if kind == "Cube":
-            shape = creation.box(extents=[float(made.GetSizeAttr().Get())] * 3)
+            shape = creation.box(extents=[float(self.get(prim, "size"))] * 3)
         elif kind == "Sphere":
-            shape = creation.icosphere(subdivisions=3, radius=float(made.GetRadiusAttr().Get()))
+            shape = creation.icosphere(subdivisions=3, radius=float(self.get(prim, "radius")))
         else:
-            radius, height = (float(a.Get()) for a in (made.GetRadiusAttr(), made.GetHeightAttr()))
-            build = {
-                "Cylinder": creation.cylinder,
-                "Capsule": creation.capsule,
-                "Cone": creation.cone,
-            }[kind]
-            shape = build(radius=radius, height=height)
+            radius, height = (float(self.get(prim, name)) for name in ("radius", "height"))
+            shape = getattr(creation, kind.lower())(radius=radius, height=height)
             if kind != "Cylinder":  # trimesh's stand on, or begin at, the origin
                 shape.apply_translation(-shape.bounds.mean(0))
-        points = np.asarray(shape.vertices, np.float64)
-        axis = "Z" if kind in ("Cube", "Sphere") else str(made.GetAxisAttr().Get())
-        points = points[:, {"X": [2, 0, 1], "Y": [1, 2, 0], "Z": [0, 1, 2]}[axis]]
-        return self._coloured(prim, points, np.asarray(shape.faces, np.int64))
+        axis = "Z" if kind in ("Cube", "Sphere") else str(self.get(prim, "axis"))
+        turned = {"X": [2, 0, 1], "Y": [1, 2, 0], "Z": [0, 1, 2]}[axis]
+        points, faces = np.asarray(shape.vertices, np.float64)[:, turned], np.asarray(shape.faces)
+        return self._dressed(prim, points, faces, faces, np.zeros(len(faces), np.int64))
 
-    def _coloured(self, prim: Any, points: FloatArray, faces: Any) -> Loaded:
-        shown = self.geom.Gprim(prim).GetDisplayColorAttr().Get()
-        linear = np.asarray(shown if shown else (), np.float64).reshape(-1, 3)
-        if len(linear) == len(points) and len(points) > 1:
-            return Loaded(points, faces, colors=colors_from(to_srgb(np.clip(linear, 0, 1))))
-        one = self._input(prim, "diffuseColor")
-        if one is None and len(linear):
-            one = linear[0]
-        if one is None or not np.isfinite(one).all():
-            return Loaded(points, faces)
-        rgb = to_srgb(np.clip(np.asarray([one], np.float64), 0, 1))[0]
-        color = (int(rgb[0]), int(rgb[1]), int(rgb[2]), 255)
-        metallic, roughness = self._shine(prim)
-        material = Material(str(prim.GetName()), color, None, metallic, roughness)
+    # Looks
+
+    def _dressed(
+        self, prim: Any, points: FloatArray, faces: Any, corners: Any, polygons: Any
+    ) -> Loaded:
+        """(T, 3) triangles of points, corners and (T,) ``polygons`` of the file with their looks;
+        vertices are doubled along seams."""
+        at = {"constant": 0 * faces, "uniform": np.tile(polygons[:, None], 3), "vertex": faces}
+        at |= {"varying": faces, "faceVarying": corners}
+        looks, which = [self._look(prim)], np.zeros(len(faces), np.int32)
+        bind = self.shade.MaterialBindingAPI(prim).GetMaterialBindSubsets
+        for subset in bind() if prim.IsA(self.geom.Mesh) else ():
+            which[np.isin(polygons, np.asarray(subset.GetIndicesAttr().Get() or ()))] = len(looks)
+            looks.append(self._look(subset.GetPrim()))
+        base = np.array([look.base_color for look, _ in looks], np.uint8)[which]
+        shown = next((name for _, name in looks if name == "displayColor"), "")
+        linear = self._primvar(prim, shown, 3, at) if shown else None
+        colors = None
+        if linear is not None:
+            alpha = self._primvar(prim, "displayOpacity", 1, at)
+            alpha = np.ones((*faces.shape, 1)) if alpha is None else alpha
+            colors = to_srgb(np.concatenate([linear, alpha], axis=2).reshape(-1, 4))
+            own = np.array([name == shown for _, name in looks])[which]
+            colors = np.where(own[:, None, None], colors.reshape(-1, 3, 4), base[:, None])
+        named = next((name for look, name in looks if look.texture is not None), "")
+        uv = self._primvar(prim, named, 2, at) if named else None
+        for i, (look, name) in enumerate(looks):
+            if look.texture is not None and (uv is None or name != named):
+                looks[i] = replace(look, texture=None), name
+                said = f"coordinates {name!r} of a texture are missing, or a second set"
+                self.remarks[f"{prim.GetPath()}: {said}"] = None
+        values = [v.reshape(-1, v.shape[2]) for v in (uv, colors) if v is not None]
+        if values:
+            flat = faces.reshape(-1)
+            first, inverse = same_points(np.column_stack([flat, *values]))
+            points, faces = points[flat[first]], inverse.reshape(-1, 3)
+            values = [v[first] for v in values]
         return Loaded(
-            points, faces, face_material=np.zeros(len(faces), np.int32), materials=(material,)
+            points,
+            faces,
+            colors=None if colors is None else values[-1],
+            uv=None if uv is None else values[0].astype(np.float32),
+            face_material=which,
+            materials=tuple(look for look, _ in looks),
         )
 
-    def _shine(self, prim: Any) -> list[float | None]:
-        """Metallic and roughness of the bound preview surface."""
-        found = [self._input(prim, name) for name in ("metallic", "roughness")]
-        return [float(v) if isinstance(v, int | float) and 0 <= v <= 1 else None for v in found]
-
-    def _input(self, prim: Any, name: str) -> Any:
-        """A plain value of the bound preview surface, or None."""
-        bound, _ = self.shade.MaterialBindingAPI(prim).ComputeBoundMaterial()
-        if not bound:
+    def _primvar(self, prim: Any, name: str, width: int, at: Any) -> Any | None:
+        """(T, 3, width) at the corners; None where there is none, or it doesn't fit: remarked."""
+        primvar = self.geom.PrimvarsAPI(prim).FindPrimvarWithInheritance(name)
+        said = primvar.ComputeFlattened() if primvar else None
+        if said is None or not len(said):
             return None
-        surface = bound.ComputeSurfaceSource()[0]
-        slot = surface.GetInput(name) if surface else None
-        return slot.Get() if slot and not slot.HasConnectedSource() else None
+        values, kind = np.asarray(said, np.float64), str(primvar.GetInterpolation())
+        values = values.reshape(len(values), -1)
+        if kind == "constant" and len(values) > 1:  # by their number, where nothing is said
+            most = {int(at[k].max(initial=0)) + 1: k for k in ("faceVarying", "uniform", "vertex")}
+            kind = most.get(len(values), kind)
+        if kind not in at or at[kind].max(initial=0) >= len(values) or values.shape[1] < width:
+            self.remarks[f"{prim.GetPath()}: its primvar {name!r} doesn't fit: left out"] = None
+            return None
+        return values[at[kind]][..., :width]
+
+    def _look(self, prim: Any) -> tuple[Material, str]:
+        """The material that is bound to a prim, and the primvar of its texture's coordinates;
+        "displayColor" where the mesh has its colour."""
+        bound = self.shade.MaterialBindingAPI(prim).ComputeBoundMaterial()[0]
+        surface = bound.ComputeSurfaceSource()[0].GetPrim() if bound else None
+        shown = self.geom.Gprim(prim).GetDisplayColorAttr().Get()
+        if not surface and shown is not None and len(shown) == 1:
+            opacity = self.geom.Gprim(prim).GetDisplayOpacityAttr().Get() or (1.0,)
+            r, g, b, a = to_srgb(np.array([[*shown[0], opacity[0]]]))[0].tolist()
+            return Material(str(prim.GetName()), (r, g, b, a)), ""
+        if not surface:
+            return Material(str(prim.GetName())), "displayColor"
+        if bound.GetPath() in self._made:
+            return self._made[bound.GetPath()]
+        name, texture, shown = str(bound.GetPrim().GetName()), None, "displayColor"
+        said = {key: self._value(surface, key) for key in _INPUTS}
+        color, opacity = said["diffuseColor"], said["opacity"]
+        maps = [k for k, v in said.items() if self._value(v, "file") is not None and v != color]
+        if maps:
+            self.remarks[left_out(f"{k} map" for k in maps)] = None
+        if isinstance(color, self.usd.Prim):
+            file, st = self._value(color, "file"), self._value(color, "varname")
+            if file is not None:
+                texture, st = self._picture(file), self._value(color, "st")
+                if (before := self._value(st, "in")) is not None:
+                    self.remarks[f"material {name!r}: what moves its texture isn't read"] = None
+                    st = before
+                st = self._value(st, "varname") or "st"
+            if texture is not None and opacity != color and texture.mode != "RGB":
+                texture = texture.convert("RGB")
+            if st is None or (texture is None and st != shown):
+                self.remarks[f"material {name!r}: the node of its colour isn't read"] = None
+                texture, st = None, shown
+            shown, color = st, None if texture is None else self._value(color, "scale") or (1,) * 3
+        share = [
+            float(v) if isinstance(v, int | float) and 0 <= v <= 1 else None
+            for v in (said[key] for key in _INPUTS[1:4])
+        ]
+        one = np.array([[*(color or (0.58,) * 3)[:3], 1.0 if share[0] is None else share[0]]])
+        r, g, b, a = to_srgb(one)[0].tolist()
+        made = Material(name, (r, g, b, a), texture, share[1], share[2])
+        shown = shown if color is None or texture is not None else ""
+        self._made[bound.GetPath()] = made, shown
+        return made, shown
+
+    def _value(self, node: Any, name: str) -> Any:
+        """The value of a node's input, wherever it comes from, or the node that gives it."""
+        slot = self.shade.Shader(node).GetInput(name) if isinstance(node, self.usd.Prim) else None
+        for attribute in self.shade.Utils.GetValueProducingAttributes(slot) if slot else ():
+            output = self.shade.Output.IsOutput(attribute)
+            return attribute.GetPrim() if output else attribute.Get()
+        return None
+
+    def _picture(self, said: Any) -> Any | None:
+        """An image of the stage's folder, or of a package there; None, with a remark, where it
+        lies elsewhere or can't be read."""
+        at, name = said.resolvedPath or said.path, Path(said.path).name
+        try:
+            outer = Path(self.ar.SplitPackageRelativePathOuter(at)[0]).resolve()
+            inside = outer.is_relative_to(self.path.parent.resolve()) and outer.is_file()
+            found = inside and self.ar.GetResolver().OpenAsset(self.ar.ResolvedPath(at))
+            if not found or found.GetSize() > MOST_BYTES:
+                raise TextureError(f"{said.path!r} can't be read in the stage's folder")
+            return decode(bytes(found.GetBuffer()), f"texture {name}")
+        except TextureError as error:
+            self.remarks[f"texture not used: {error}"] = None
+            return None

@@ -6,8 +6,7 @@ may hold ``category`` and ``description``.
 
 In USD stages prims of kind ``component`` are objects, else the prims below what holds everything.
 Units (``metersPerUnit``) and the up axis come from the stage. Meshes and the primitive shapes are
-read, with the colour that is shown or that a preview surface has; textures are not. What is
-invisible or a guide (collision shapes) is passed over.
+read with their looks. What is invisible or a guide (collision shapes) is passed over.
 
 Two to twelve meshes or shapes on one object are its parts.
 """
@@ -133,17 +132,24 @@ def _with_geometry(gltf: Gltf, nodes: list[dict[str, Any]]) -> set[int]:
 
 def _node_object(file: str, place: Place, entry: tuple[dict[str, Any], FloatArray]) -> SceneObject:
     node, parent = entry
-    pose, scale, _ = placed_frame(_UP @ (parent @ _matrix(node)) @ _UP.T)
+    world = _UP @ (parent @ _matrix(node)) @ _UP.T
     name = maybe_text(node.get("name")) or f"node {place[1]}"
-    extras = node.get("extras")
-    extra = extras if isinstance(extras, dict) else {}
+    return _object(name, world, f"{file}#{place[1]}", place, node.get("extras"))
+
+
+def _object(
+    name: str, world: FloatArray, asset: str, place: Place, said: Any, category: str | None = None
+) -> SceneObject:
+    """An object that stands at (4, 4) ``world``; ``said`` may hold its category and description."""
+    pose, scale, _ = placed_frame(world)
+    extra = said if isinstance(said, dict) else {}
     return SceneObject(
         id=name,
         description=maybe_text(extra.get("description")) or readable(name),
         world_from_object=pose,
         scale=scale,
-        asset=f"{file}#{place[1]}",
-        category=maybe_text(extra.get("category")),
+        asset=asset,
+        category=maybe_text(extra.get("category")) or category,
         place=place,
     )
 
@@ -313,27 +319,13 @@ class _Stage(UsdStage):
 
 
 def _prim_object(stage: _Stage, place: Place, prim: Any) -> SceneObject:
-    world = stage.world(prim)
-    pose, scale, _ = placed_frame(world)
-    name = str(prim.GetName())
-    data = prim.GetCustomData()
-    extra = data if isinstance(data, dict) else {}
-    category = maybe_text(extra.get("category")) or _semantic(prim)
-    return SceneObject(
-        id=name,
-        description=maybe_text(extra.get("description")) or readable(name),
-        world_from_object=pose,
-        scale=scale,
-        asset=f"{stage.path.name}#{prim.GetPath()}",
-        category=category,
-        place=place,
-    )
+    asset = f"{stage.path.name}#{prim.GetPath()}"
+    world, said = stage.world(prim), prim.GetCustomData()
+    return _object(str(prim.GetName()), world, asset, place, said, _semantic(prim))
 
 
 def _semantic(prim: Any) -> str | None:
     """Isaac's label of a prim."""
-    for attribute in prim.GetAttributes():
-        name = attribute.GetName()
-        if name.startswith("semantic:") and name.endswith("semanticData"):
-            return maybe_text(attribute.Get())
-    return None
+    said = {str(a.GetName()): a for a in prim.GetAttributes()}
+    named = (n for n in said if n.startswith("semantic:") and n.endswith("semanticData"))
+    return next((maybe_text(said[n].Get()) for n in named), None)

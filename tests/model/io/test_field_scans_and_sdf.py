@@ -121,6 +121,7 @@ def test_ptx_stations_stand_in_their_poses(tmp_path: Path) -> None:
     said = " | ".join(asset.warnings)
     assert "unit: metres" in said and "2 stations" in said
     assert "2 directions in which nothing was seen" in said and "1 of 2 stations without" in said
+    assert "intensities are left out" in said
 
 
 @pytest.mark.parametrize(("head", "attribute"), [(b"COLOR=", 31), (b"VisCAM", 31 | 1 << 15)])

@@ -1,0 +1,666 @@
+"""USD as Isaac, phones, converters and artists write it is read as they mean it, or told."""
+
+import zipfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from app.cli.main import main
+from model.core.asset import Asset
+from model.geometry.sampling import face_colors
+from model.io.open_asset import open_asset
+
+pytest.importorskip("pxr")
+REPORTS = Path(__file__).parents[4] / "shared" / "public_reports"
+CORNERS = "[4,4,4,4,4,4]"
+SIDES = "[0,3,2,1, 4,5,6,7, 0,1,5,4, 1,2,6,5, 2,3,7,6, 3,0,4,7]"
+RED, BLUE, GREY = (255, 0, 0, 255), (0, 0, 255, 255), (200, 200, 200, 255)
+
+
+def box(low: tuple[float, ...], high: tuple[float, ...], said: str = "", name: str = "m") -> str:
+    (a, b, c), (d, e, f) = low, high
+    points = [(x, y, z) for z in (c, f) for x, y in ((a, b), (d, b), (d, e), (a, e))]
+    return f"""def Mesh "{name}" (
+    prepend apiSchemas = ["PhysicsCollisionAPI","MaterialBindingAPI"]
+) {{
+    int[] faceVertexCounts = {CORNERS}
+    int[] faceVertexIndices = {SIDES}
+    point3f[] points = {points}
+    uniform token subdivisionScheme = "none"
+    {said}
+}}
+"""
+
+
+@dataclass
+class Made:
+    """A cabinet of 0.8 x 0.6 x 1 m whose door hangs on a hinge; each text goes into its place."""
+
+    base: str = ""
+    door: str = ""
+    panel: str = ""
+    hinge: str = ""
+    beside: str = ""
+    outside: str = ""
+    schemas: str = ""
+    bodies: str = '"PhysicsRigidBodyAPI"'
+    kind: str = "PhysicsRevoluteJoint"
+    axis: str = 'uniform token physics:axis = "Z"'
+    limits: str = "float physics:lowerLimit = 0\nfloat physics:upperLimit = 90"
+    unit: float = 1.0
+    kilograms: float = 1.0
+
+    def text(self) -> str:
+        u = 1 / self.unit
+        applied = f"prepend apiSchemas = [{self.schemas}]" if self.schemas else ""
+        low, high = (-0.4 * u, -0.32 * u, 0), (0.4 * u, -0.3 * u, u)
+        hang = f"({-0.4 * u}, {-0.3 * u}, {0.5 * u})"
+        return f"""#usda 1.0
+(
+ defaultPrim = "Cabinet"
+ metersPerUnit = {self.unit}
+ kilogramsPerUnit = {self.kilograms}
+ upAxis = "Z"
+)
+def Xform "Cabinet" {{
+def Xform "base" (prepend apiSchemas = ["PhysicsRigidBodyAPI"]) {{
+{self.base}
+{box((-0.4 * u, -0.3 * u, 0), (0.4 * u, 0.3 * u, u))}
+}}
+def Xform "door" (prepend apiSchemas = [{self.bodies}]) {{
+{self.door}
+{box(low, high, self.panel)}
+}}
+def {self.kind} "hinge" ({applied}) {{
+rel physics:body0 = </Cabinet/base>
+rel physics:body1 = </Cabinet/door>
+{self.axis}
+point3f physics:localPos0 = {hang}
+point3f physics:localPos1 = {hang}
+{self.limits}
+{self.hinge}
+}}
+{self.beside}
+}}
+{self.outside}
+"""
+
+
+def looks(red: str, blue: str = "", more: str = "") -> str:
+    """Materials ``red`` and ``blue``; the inputs of their surfaces."""
+    made = "".join(
+        f"""def Material "{name}" {{
+    token outputs:surface.connect = </Cabinet/Looks/{name}/s.outputs:surface>
+    def Shader "s" {{
+        uniform token info:id = "UsdPreviewSurface"
+        token outputs:surface
+        {inputs}
+    }}
+    {more}
+}}
+"""
+        for name, inputs in (("red", red), ("blue", blue))
+    )
+    return f'def Scope "Looks" {{\n{made}\n}}'
+
+
+BOUND = "rel material:binding = </Cabinet/Looks/red>"
+TEXTURE = """def Shader "t" {
+    uniform token info:id = "UsdUVTexture"
+    asset inputs:file = @tex/a.png@
+    float2 inputs:st.connect = </Cabinet/Looks/red/move.outputs:result>
+    float3 outputs:rgb
+    float outputs:r
+    float outputs:a
+    %s
+}
+def Shader "move" {
+    uniform token info:id = "UsdTransform2d"
+    float2 inputs:in.connect = </Cabinet/Looks/red/st.outputs:result>
+    float2 outputs:result
+    %s
+}
+def Shader "st" {
+    uniform token info:id = "UsdPrimvarReader_float2"
+    string inputs:varname = "uv"
+    float2 outputs:result
+}
+"""
+PICTURED = "color3f inputs:diffuseColor.connect = </Cabinet/Looks/red/t.outputs:rgb>"
+LEFT_BELOW = "(0.25, 0.25)"  # blue; the picture is red elsewhere
+
+
+def uv(values: str, how: str) -> str:
+    return f'texCoord2f[] primvars:uv = {values} ( interpolation = "{how}" )\n{BOUND}'
+
+
+def colors_of(asset: Asset, part: str | None = None) -> dict[tuple[int, ...], int]:
+    assert asset.mesh is not None
+    rows = face_colors(asset.mesh)
+    if part is not None:
+        assert asset.element_part is not None
+        rows = rows[asset.element_part == asset.part_names.index(part)]
+    found, counts = np.unique(rows, axis=0, return_counts=True)
+    return {tuple(c): n for c, n in zip(found.tolist(), counts.tolist(), strict=True)}
+
+
+def door_colors(**expected: int) -> Callable[[Asset], None]:
+    def check(asset: Asset) -> None:
+        named = {"red": RED, "blue": BLUE, "grey": GREY}
+        assert colors_of(asset, "door") == {named[k]: n for k, n in expected.items()}
+
+    return check
+
+
+def told(*words: str) -> Callable[[Asset], None]:
+    def check(asset: Asset) -> None:
+        said = " | ".join(asset.warnings)
+        assert all(word in said for word in words), said
+
+    return check
+
+
+def hung(
+    lower: float | None,
+    upper: float | None,
+    kind: str = "revolute",
+    at: tuple[float, ...] = (-0.4, -0.3, 0.5),
+) -> Callable[[Asset], None]:
+    def check(asset: Asset) -> None:
+        assert asset.tree is not None
+        (joint,) = asset.tree.joints
+        assert joint.type == kind
+        assert (joint.lower, joint.upper) == (pytest.approx(lower), pytest.approx(upper))
+        np.testing.assert_allclose(joint.origin, at, atol=1e-6)
+
+    return check
+
+
+def resists(**values: float) -> Callable[[Asset], None]:
+    def check(asset: Asset) -> None:
+        assert asset.tree is not None
+        (joint,) = asset.tree.joints
+        assert joint.dynamics is not None
+        said = {k: v for k, v in vars(joint.dynamics).items() if v is not None}
+        assert said == pytest.approx(values, rel=1e-5)
+
+    return check
+
+
+def weighs(door: float, **more: tuple[float, ...]) -> Callable[[Asset], None]:
+    def check(asset: Asset) -> None:
+        found = asset.inertials["link_1"]
+        assert found.mass == pytest.approx(door, rel=1e-3)
+        np.testing.assert_allclose(found.center, more.get("center", (0, -0.31, 0.5)), atol=1e-5)
+        if "diagonal" in more:
+            np.testing.assert_allclose(np.diag(found.tensor), more["diagonal"], rtol=1e-3)
+
+    return check
+
+
+def both(*checks: Callable[[Asset], None]) -> Callable[[Asset], None]:
+    def check(asset: Asset) -> None:
+        for each in checks:
+            each(asset)
+
+    return check
+
+
+def parts(*names: str, size: tuple[float, ...] = (0.8, 0.62, 1.0)) -> Callable[[Asset], None]:
+    def check(asset: Asset) -> None:
+        assert asset.part_names == names and asset.mesh is not None
+        np.testing.assert_allclose(np.ptp(asset.mesh.bounds, axis=0), size, atol=1e-6)
+
+    return check
+
+
+def mimics(multiplier: float, offset: float) -> Callable[[Asset], None]:
+    def check(asset: Asset) -> None:
+        assert asset.tree is not None
+        mimic = asset.tree.by_name["hinge2"].mimic
+        assert mimic is not None and mimic.joint == "hinge"
+        assert (mimic.multiplier, mimic.offset) == pytest.approx((multiplier, offset))
+
+    return check
+
+
+def second(schema: str, said: str) -> str:
+    low, high = (-0.4, 0.3, 0), (0.4, 0.32, 1)
+    return f"""def Xform "door2" (prepend apiSchemas = ["PhysicsRigidBodyAPI"]) {{
+{box(low, high)}
+}}
+def PhysicsRevoluteJoint "hinge2" (prepend apiSchemas = ["{schema}"]) {{
+rel physics:body0 = </Cabinet/base>
+rel physics:body1 = </Cabinet/door2>
+uniform token physics:axis = "Z"
+point3f physics:localPos0 = (-.4, .3, .5)
+point3f physics:localPos1 = (-.4, .3, .5)
+{said}
+}}
+"""
+
+
+FREE_Z = 'uniform token physics:axis = "X"'
+LOCKED = "".join(
+    f"float limit:{a}:physics:low = 1\nfloat limit:{a}:physics:high = -1\n"
+    for a in ("transX", "transY", "transZ", "rotX", "rotY")
+)
+D6 = ", ".join(
+    f'"PhysicsLimitAPI:{a}"' for a in ("transX", "transY", "transZ", "rotX", "rotY", "rotZ")
+)
+TURNED = "float limit:rotZ:physics:low = -90\nfloat limit:rotZ:physics:high = 0"
+GROUND = box((-50, -50, -0.01), (50, 50, 0), name="Ground")
+MDL = """def Scope "Looks" {
+def Material "red" {
+    token outputs:mdl:surface.connect = </Cabinet/Looks/red/s.outputs:out>
+    def Shader "s" {
+        uniform token info:implementationSource = "sourceAsset"
+        uniform asset info:mdl:sourceAsset = @OmniPBR.mdl@
+        %s
+        token outputs:out
+    }
+}
+}"""
+ANY = 'uniform token elementType = "face"\nuniform token familyName = "materialBind"'
+
+
+def subset(name: str, faces: str, look: str) -> str:
+    return (
+        f'def GeomSubset "{name}" (prepend apiSchemas = ["MaterialBindingAPI"]) {{\n{ANY}\n'
+        f"int[] indices = {faces}\nrel material:binding = </Cabinet/Looks/{look}>\n}}\n"
+    )
+
+
+def shown(values: str, how: str, indices: str = "") -> str:
+    said = f'color3f[] primvars:displayColor = {values} ( interpolation = "{how}" )\n'
+    return said + (f"int[] primvars:displayColor:indices = {indices}" if indices else "")
+
+
+R, B = "(1,0,0)", "(0,0,1)"
+MADE: dict[str, tuple[Made, Callable[[Asset], None]]] = {
+    # Looks
+    "constant": (Made(panel=shown(f"[{R}]", "constant")), door_colors(red=12)),
+    "uniform": (
+        Made(panel=shown(f"[{R},{R},{B},{B},{B},{B}]", "uniform")),
+        door_colors(red=4, blue=8),
+    ),
+    "indexed": (
+        Made(panel=shown(f"[{R},{B}]", "uniform", "[0,0,0,1,1,1]")),
+        door_colors(red=6, blue=6),
+    ),
+    "vertex": (Made(panel=shown(f"[{','.join([B] * 8)}]", "vertex")), door_colors(blue=12)),
+    "face-varying": (
+        Made(panel=shown(f"[{','.join([R] * 4 + [B] * 20)}]", "faceVarying")),
+        door_colors(red=2, blue=10),
+    ),
+    "inherited": (Made(door=shown(f"[{R}]", "constant")), door_colors(red=12)),
+    "misfit": (
+        Made(panel=shown(f"[{R},{B}]", "uniform")),
+        both(told("displayColor"), door_colors(grey=12)),
+    ),
+    "subsets": (
+        Made(
+            panel=subset("a", "[0,1,2]", "red") + subset("b", "[3]", "blue"),
+            beside=looks(
+                f"color3f inputs:diffuseColor = {R}", f"color3f inputs:diffuseColor = {B}"
+            ),
+        ),
+        door_colors(red=6, blue=2, grey=4),
+    ),
+    "interface": (
+        Made(
+            panel=BOUND,
+            beside=looks(
+                "color3f inputs:diffuseColor.connect = </Cabinet/Looks/red.inputs:c>",
+                more=f"color3f inputs:c = {R}",
+            ),
+        ),
+        door_colors(red=12),
+    ),
+    "bound above": (
+        Made(
+            door=BOUND,
+            bodies='"PhysicsRigidBodyAPI","MaterialBindingAPI"',
+            beside=looks(f"color3f inputs:diffuseColor = {R}"),
+        ),
+        door_colors(red=12),
+    ),
+    "texture right side up": (
+        Made(
+            panel=uv(f"[{', '.join([LEFT_BELOW] * 3 + ['(0.25,0.75)'] * 3)}]", "uniform"),
+            beside=looks(PICTURED, more=TEXTURE % ("", "")),
+        ),
+        door_colors(blue=6, red=6),
+    ),
+    "texture by corners": (
+        Made(
+            panel=uv(f"[{', '.join([LEFT_BELOW] * 4 + ['(0.75,0.25)'] * 20)}]", "faceVarying"),
+            beside=looks(PICTURED, more=TEXTURE % ("", "")),
+        ),
+        door_colors(blue=2, red=10),
+    ),
+    "texture times colour": (
+        Made(
+            panel=uv("[(0.75,0.75)]", "constant"),
+            beside=looks(PICTURED, more=TEXTURE % ("float4 inputs:scale = (0,1,1,1)", "")),
+        ),
+        lambda a: _is(colors_of(a, "door"), {(0, 0, 0, 255): 12}),
+    ),
+    "texture outside": (
+        Made(
+            panel=uv(f"[{LEFT_BELOW}]", "constant"),
+            beside=looks(PICTURED, more=(TEXTURE % ("", "")).replace("tex/a.png", "../a.png")),
+        ),
+        told("../a.png", "stage's folder"),
+    ),
+    "no coordinates": (
+        Made(panel=BOUND, beside=looks(PICTURED, more=TEXTURE % ("", ""))),
+        both(
+            told("coordinates 'uv' of a texture are missing"),
+            lambda a: _is(len(colors_of(a, "door")), 1),
+        ),
+    ),
+    "opacity": (
+        Made(panel=shown(f"[{R}]", "constant") + "float[] primvars:displayOpacity = [0.4]"),
+        lambda a: _is(colors_of(a, "door"), {(255, 0, 0, 102): 12}),
+    ),
+    "glass": (
+        Made(
+            panel=BOUND,
+            beside=looks(f"color3f inputs:diffuseColor = {R}\nfloat inputs:opacity = 0.4"),
+        ),
+        lambda a: _is(colors_of(a, "door"), {(255, 0, 0, 102): 12}),
+    ),
+    "unknown node": (
+        Made(
+            panel=BOUND,
+            beside=looks(
+                PICTURED,
+                more=(TEXTURE % ("", ""))
+                .replace("inputs:file", "inputs:other")
+                .replace("UsdUV", "My"),
+            ),
+        ),
+        told("the node of its colour isn't read"),
+    ),
+    # Geometry
+    "shapes of other kinds": (
+        Made(door='def Cylinder_1 "k" {}\ndef Plane "l" {}'),
+        both(parts("base", "door"), told("Cylinder_1 (1)", "Plane (1)")),
+    ),
+    "prototypes": (
+        Made(
+            door='def PointInstancer "p" {\nrel prototypes = [</Cabinet/door/p/s>]\n'
+            'def Sphere "s" {\ndouble radius = 3\n}\n}\ndef Points "q" {}'
+        ),
+        both(parts("base", "door"), told("not read: PointInstancer (1)", "not read: Points (1)")),
+    ),
+    # Joints
+    "a turn and more": (
+        Made(limits="float physics:lowerLimit = -360\nfloat physics:upperLimit = 720"),
+        hung(-2 * np.pi, 4 * np.pi),
+    ),
+    "lower alone": (
+        Made(limits="float physics:lowerLimit = -30"),
+        both(told("one limit"), hung(-np.pi / 6, 11 * np.pi / 6)),
+    ),
+    "slide with upper alone": (
+        Made(kind="PhysicsPrismaticJoint", limits="float physics:upperLimit = 0.2"),
+        both(told("one limit"), hung(-0.8, 0.2, "prismatic")),
+    ),
+    "no limits": (Made(limits=""), hung(None, None, "continuous")),
+    "free about two": (
+        Made(
+            kind="PhysicsJoint",
+            schemas=D6,
+            axis="",
+            limits=LOCKED.replace("rotY:physics:high = -1", "rotY:physics:high = 5") + TURNED,
+        ),
+        told("not read: PhysicsJoint (1)"),
+    ),
+    "switched off": (
+        Made(hinge="bool physics:jointEnabled = 0"),
+        told("not read: PhysicsRevoluteJoint (1)"),
+    ),
+    "mirrored in x": (
+        Made(
+            door="double3 xformOp:scale = (-1,-1,-1)\n"
+            'uniform token[] xformOpOrder = ["xformOp:scale"]'
+        ),
+        lambda a: _is(a.tree is not None and a.tree.joints[0].axis, (0, 0, 1)),
+    ),
+    "drive in centimetres and grams": (
+        Made(
+            unit=0.01,
+            kilograms=0.001,
+            schemas='"PhysicsDriveAPI:angular", "PhysxJointAPI"',
+            hinge="float drive:angular:physics:maxForce = 1e8\n"
+            "float drive:angular:physics:damping = 1745329.2\n"
+            "float physxJoint:jointFriction = 1e7\nfloat physxJoint:maxJointVelocity = 180",
+        ),
+        both(hung(0, np.pi / 2), resists(effort=10, damping=10, friction=1, velocity=np.pi)),
+    ),
+    "linear drive": (
+        Made(
+            unit=0.01,
+            kind="PhysicsPrismaticJoint",
+            schemas='"PhysicsDriveAPI:linear"',
+            hinge="float drive:linear:physics:maxForce = 1000\n"
+            "float drive:linear:physics:damping = 5",
+        ),
+        resists(effort=10, damping=5),
+    ),
+    "newton's mimic": (
+        Made(
+            beside=second(
+                "NewtonMimicAPI",
+                "rel newton:mimicJoint = </Cabinet/hinge>\n"
+                "float newton:mimicCoef0 = 90\nfloat newton:mimicCoef1 = -0.5",
+            )
+        ),
+        mimics(-0.5, np.pi / 2),
+    ),
+    # Bodies
+    "mass": (Made(door="float physics:mass = 3500", kilograms=0.001), weighs(3.5)),
+    "centre and mass": (
+        Made(door="float physics:mass = 2\npoint3f physics:centerOfMass = (0.1, 0, 0.2)"),
+        weighs(2, center=(0.1, 0, 0.2)),
+    ),
+    "inertia without a body's": (
+        Made(door="float physics:mass = 12\nfloat3 physics:diagonalInertia = (1, 1, 9)"),
+        told("no body's"),
+    ),
+    "off body": (
+        Made(
+            door='def Xform "knob" (prepend apiSchemas = ["PhysicsRigidBodyAPI"]) {\n'
+            f"bool physics:rigidBodyEnabled = 0\n"
+            f"{box((0.3, -0.4, 0.4), (0.35, -0.32, 0.5), name='k')}\n}}"
+        ),
+        both(parts("base", "door", size=(0.8, 0.7, 1.0)), door_colors(grey=24)),
+    ),
+    "ground within": (
+        Made(beside=GROUND),
+        both(parts("base", "door"), told("Ground is 100 x 100 m")),
+    ),
+    "ground outside": (
+        Made(outside=GROUND),
+        both(parts("base", "door"), told("Ground is 100 x 100 m")),
+    ),
+    "lost payload": (
+        Made(beside='def Xform "x" ( prepend payload = @./far/x.usd@ ) {}'),
+        told("far/x.usd"),
+    ),
+    "known": (Made(), lambda a: _is(a.warnings, ())),
+}
+
+
+def _is(found: object, expected: object) -> None:
+    assert found == expected
+
+
+DOORS = "".join(
+    f"""def Xform "door_{side}" (prepend apiSchemas = ["PhysicsRigidBodyAPI"]) {{
+{box((low, -0.32, 0), (low + 0.4, -0.3, 1))}
+}}
+def PhysicsRevoluteJoint "hinge_{side}" {{
+rel physics:body0 = %s
+rel physics:body1 = <%s/door_{side}>
+uniform token physics:axis = "Z"
+point3f physics:localPos0 = ({2 * low + 0.4}, -0.3, 0)
+point3f physics:localPos1 = ({2 * low + 0.4}, -0.3, 0)
+float physics:lowerLimit = 0
+float physics:upperLimit = 90
+}}
+"""
+    for side, low in (("left", -0.4), ("right", 0.0))
+)
+
+
+def static(name: str) -> str:
+    """A cabinet without a body, with two doors."""
+    case = f'def Xform "body" {{\n{box((-0.4, -0.3, 0), (0.4, 0.3, 1))}\n}}\n'
+    doors = DOORS % ((f"</{name}/body>", f"/{name}") * 2)
+    return f'def Xform "{name}" {{\n{case}{doors}\n}}\n'
+
+
+HEAD = '#usda 1.0\n(\n upAxis = "Z"\n metersPerUnit = 1\n)\n'
+WORLD = 'def Scope "none" {}\n' + static("A").replace("rel physics:body0 = </A/body>\n", "")
+INSTANCED = (
+    static("P").replace("def", "class", 1)
+    + 'def Xform "A" (\n instanceable = true\n prepend references = </P>\n) {}\n'
+)
+PLAIN = f"""def Xform "A" {{
+def Xform "base" (prepend apiSchemas = ["PhysicsRigidBodyAPI"]) {{
+{box((0, 0, 0), (1, 1, 1), name="geo")}
+}}
+def Xform "door" (prepend apiSchemas = ["PhysicsRigidBodyAPI"]) {{
+{box((0, -0.1, 0), (1, 0, 1), name="geo")}
+{box((0, -0.2, 0), (0.1, -0.1, 0.1), name="geo2")}
+}}
+}}
+"""
+STAGES: dict[str, tuple[str, tuple[str, ...], int, str]] = {  # parts, joints, what is told
+    "a body joints name": (static("A"), ("body", "door_left", "door_right"), 2, ""),
+    "joints to the world": (WORLD, ("m", "door_left", "door_right"), 0, "PhysicsRevoluteJoint (2)"),
+    "and a ground": (
+        static("A") + GROUND,
+        ("body", "door_left", "door_right"),
+        2,
+        "Ground is 100 x 100 m",
+    ),
+    "in an instance": (INSTANCED, ("body", "door_left", "door_right"), 2, ""),
+    "two of them": (
+        static("A") + static("B"),
+        ("m", "door_left", "door_right") * 2,
+        0,
+        "PhysicsRevoluteJoint (4)",
+    ),
+    "no joint": (PLAIN, ("base", "door"), 0, ""),
+}
+
+
+@pytest.mark.parametrize("name", STAGES)
+def test_bodies_that_stand_and_parts_named_after_bodies(name: str, tmp_path: Path) -> None:
+    text, names, joints, said = STAGES[name]
+    (tmp_path / "a.usda").write_text(HEAD + text)
+    asset = open_asset(tmp_path / "a.usda")
+    assert asset.part_names == names
+    assert len(asset.tree.joints if asset.tree else ()) == joints
+    assert said in " ".join(asset.warnings) and (said or not asset.warnings)
+
+
+def _picture(folder: Path) -> None:
+    """Blue left below, red elsewhere."""
+    image = Image.new("RGB", (8, 8), RED[:3])
+    image.paste(BLUE[:3], (0, 4, 4, 8))
+    for place in (folder / "tex" / "a.png", folder.parent / "a.png"):
+        place.parent.mkdir(exist_ok=True)
+        image.save(place)
+
+
+@pytest.mark.parametrize("name", MADE)
+def test_variants_are_read_or_told(name: str, tmp_path: Path) -> None:
+    made, check = MADE[name]
+    folder = tmp_path / "stage"
+    folder.mkdir()
+    _picture(folder)
+    (folder / "a.usda").write_text(made.text())
+    check(open_asset(folder / "a.usda"))
+
+
+def report(file: str) -> Asset:
+    path = REPORTS / file
+    if not path.exists():
+        pytest.skip("needs the shared public reports")
+    return open_asset(path)
+
+
+FOUR_BARS = ["j1", "j2", "j3"]
+REPORTED: dict[str, Callable[[Asset], None]] = {
+    "usd_cm_drive/cabinet.usda": resists(effort=10, damping=10),
+    "usd_body_disabled/cabinet.usda": both(
+        parts("base", "door", size=(0.8, 0.67, 1)), door_colors(grey=24)
+    ),
+    "usd_mass_only/cabinet.usda": weighs(3.5),
+    "usd_geomsubset/cabinet.usda": lambda a: _is(colors_of(a), {RED: 6, BLUE: 6}),
+    "usd_newton_mimic/cabinet.usda": mimics(-1, 0),
+    "usd_collision_off/cabinet.usda": lambda a: _is(
+        {k: len(v) for k, v in a.shapes.items()}, {"link_1": 1}
+    ),
+    "usd_mirrored_body/cabinet.usda": both(parts("base", "door"), hung(0, np.pi / 2)),
+    "usdz_textured/scan.usdz": lambda a: _is(colors_of(a), {(200, 30, 30, 255): 960}),
+    "usd_limits_inf/inf.usda": hung(None, None, "continuous"),
+    "usd_limits_inf/one_sided.usda": both(hung(0, 2 * np.pi), told("one limit")),
+    "usd_missing_reference/cabinet.usda": told("parts/door.usd"),
+    "usd_isaac_instanced/over.usda": both(parts("base", "door"), lambda a: _is(a.warnings, ())),
+    "usd_isaac_instanced/def_invisible.usda": parts("base", "door"),
+    "usd_static_base/cab.usda": parts("base", "door_left", "door_right", size=(0.6, 0.42, 0.8)),
+    "usd_loop_excluded/bars.usda": both(
+        told("'j4' closes a loop"),
+        lambda a: _is([j.name for j in a.tree.joints], FOUR_BARS),  # type: ignore[union-attr]
+    ),
+    "usd_com_unauthored/cab.usda": weighs(
+        3.5, center=(0, -0.21, 0.4), diagonal=(0.19, 0.29, 0.105)
+    ),
+    "usd_multi_turn/valve.usda": hung(-2 * np.pi, 4 * np.pi, at=(0, -0.2, 0.5)),
+    "usd_model_unread/cab.usda": both(
+        parts("base", "door", size=(0.6, 0.42, 0.8)), told("PointInstancer", "BasisCurves")
+    ),
+    "usd_ground_plane/cab.usda": both(
+        parts("base", "door", size=(0.6, 0.42, 0.8)), told("GroundPlane is 100 x 100 m")
+    ),
+}
+
+
+@pytest.mark.parametrize("file", REPORTED)
+def test_public_reports_are_right(file: str) -> None:
+    REPORTED[file](report(file))
+
+
+def test_an_export_keeps_names_and_colours(tmp_path: Path) -> None:
+    path = REPORTS / "roundtrip_names" / "cabinet.urdf"
+    if not path.exists():
+        pytest.skip("needs the shared public reports")
+    assert main(["export", str(path), "--format", "usd", "--out", str(tmp_path)]) == 0
+    asset = open_asset(tmp_path / "object.usdc")
+    assert asset.part_names == ("base", "door") and asset.warnings == ()
+    assert colors_of(asset, "base") == {RED: 12, (0, 255, 0, 255): 12}
+    assert colors_of(asset, "door") == {BLUE: 12, (255, 255, 0, 128): 12}
+
+
+def test_a_package_has_its_textures_inside(tmp_path: Path) -> None:
+    sdf, tools = (import_module(f"pxr.{n}") for n in ("Sdf", "UsdUtils"))
+
+    _picture(tmp_path)
+    made, check = MADE["texture right side up"]
+    (tmp_path / "a.usda").write_text(made.text())
+    packed = tmp_path / "packed" / "a.usdz"
+    packed.parent.mkdir()
+    tools.CreateNewUsdzPackage(sdf.AssetPath(str(tmp_path / "a.usda")), str(packed))
+    assert any(n.endswith(".png") for n in zipfile.ZipFile(packed).namelist())
+    check(open_asset(packed))
