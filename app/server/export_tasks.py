@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from model.core.errors import CommandError
-from model.core.files import unnamed_file
+from model.core.files import unnamed_file, written_to
 from model.core.packages import install_command
 from model.core.progress import Progress, no_progress, scaled_progress
 from model.geometry.completion import as_scanned, complete
@@ -41,10 +41,11 @@ def zipped(folder: Path, name: str) -> BinaryIO:
     files = sorted(p for p in folder.rglob("*") if p.is_file())
     if sum(p.stat().st_size for p in files) > DOWNLOAD_BYTES:
         raise CommandError(f"too large to download: copy {folder} from the server's disk")
-    out = unnamed_file(folder.parent)
-    with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
-        for path in files:
-            archive.write(path, Path(name) / path.relative_to(folder))
+    with written_to(folder.parent):
+        out = unnamed_file(folder.parent)
+        with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
+            for path in files:
+                archive.write(path, Path(name) / path.relative_to(folder))
     out.seek(0)
     return out
 

@@ -13,7 +13,7 @@ import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, cast
 
 from viser import _messages, infra
 
@@ -40,7 +40,7 @@ def keep_upload(folder: Path, name: str, content: bytes | BinaryIO, max_bytes: i
     safe = plain_name(name)
     suffix = Path(safe).suffix.lower()
     with io.BytesIO(content) if isinstance(content, bytes) else content as file:
-        head = file.read(1 << 24)  # an MJCF may consist of boxes alone
+        head = file.read(1 << 22)  # an MJCF may consist of boxes alone
         bare = suffix == URDF_SUFFIX or b"file=" in head or b"<uri>" in head
         if suffix in MODEL_SUFFIXES and bare:
             raise InputFileError(safe, "its meshes are missing", "zip it with their folder")
@@ -52,7 +52,7 @@ def keep_upload(folder: Path, name: str, content: bytes | BinaryIO, max_bytes: i
         if not head:
             raise InputFileError(safe, "the file is empty", "choose one with a mesh or points")
         file.seek(0)
-        digest = hashlib.file_digest(file, "sha256").hexdigest()
+        digest = hashlib.file_digest(cast("Any", file), "sha256").hexdigest()
         own = folder / digest[:16]
         if suffix == ".zip":
             return unpack(own / Path(safe).stem, safe, file, max_bytes)
@@ -145,7 +145,7 @@ class UploadGuard:
         if size < 0 or not 0 <= message.part_count <= size:
             reason = "its announcement is malformed"
         elif size > self.limit:
-            reason = f"it has {_readable(size)}"
+            reason = f"it has {size / 1e6:,.6g} MB"
         elif not self.room.take(transfer, size, client):
             reason = NO_ROOM
         else:
@@ -166,7 +166,7 @@ class UploadGuard:
         if transfer.received == transfer.declared:
             return True
         gui._current_file_upload_states.pop(message.transfer_uuid, None)
-        reason = f"it is larger than the announced {_readable(transfer.declared)}"
+        reason = f"it is larger than the announced {transfer.declared / 1e6:,.6g} MB"
         self._refuse(client, message, transfer.name, reason)
         return False
 
@@ -194,7 +194,7 @@ class UploadGuard:
         note = "upload-" + message.transfer_uuid
         props = _messages.NotificationProps(
             title="Upload refused",
-            body=f"{name}: {reason}; the limit is {_readable(self.limit)}. "
+            body=f"{name}: {reason}; the limit is {self.limit / 1e6:,.6g} MB. "
             "Put large files on the server and open them by path.",
             loading=False,
             with_close_button=True,
@@ -206,7 +206,3 @@ class UploadGuard:
         loop.call_later(
             UPDATE_DELAY, connection.queue_message, _messages.NotificationUpdateMessage(note, props)
         )
-
-
-def _readable(count: int) -> str:
-    return f"{count / 1e6:,.6g} MB"

@@ -77,14 +77,17 @@ def list_objects(
 @objects_router.post("/objects", status_code=201)
 async def upload(request: Request, name: str, person: Annotator, state: State) -> Any:
     """Add a file, or a zip of one object or several; the body is its content."""
-    content = unnamed_file(state.workspace)
     size = int(request.headers.get("Content-Length", state.config.max_upload_mb * 1_000_000))
-    if not state.room.take(content, size, person.name):
+    try:
+        content = unnamed_file(state.workspace)
+        if not state.room.take(content, size, person.name):
+            raise HTTPException(429, NO_ROOM)
+        async for block in request.stream():
+            await asyncio.to_thread(content.write, block)
+        content.seek(0)
+    except (HTTPException, OSError):
         await discard(request.receive, request.headers)
-        raise HTTPException(429, NO_ROOM)
-    async for block in request.stream():
-        await asyncio.to_thread(content.write, block)
-    content.seek(0)
+        raise
 
     def add() -> Json:
         return _line(state.store.object(state.add_upload(name, content)), None)
