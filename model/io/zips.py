@@ -105,7 +105,7 @@ def _is_whole(folder: Path, files: _Files) -> bool:
     """True if a folder holds all that they hold; former versions left some that lack files."""
     try:
         return folder.is_dir() and all(
-            (folder / path).stat().st_size == entry.file_size for path, entry in files
+            zlib.crc32((folder / path).read_bytes()) == entry.CRC for path, entry in files
         )
     except OSError:
         return False

@@ -202,12 +202,10 @@ def test_no_route_waits_whatever_an_object_is_in(
     state, mia = server.app_state, token_client(server, "mia", "read", "annotate", "review")
     trimesh.creation.box((3, 1, 1)).export(tmp_path / "unread.ply")
     (tmp_path / "broken.ply").write_bytes(b"ply\nnothing")
-    for name in ("gone", "removed"):
-        trimesh.creation.box((3, 1, 2)).export(tmp_path / f"{name}.ply")
-    names = ("unread", "broken", "gone", "removed")
-    unread, broken, gone, removed = state.queue.add([tmp_path / f"{n}.ply" for n in names])
+    trimesh.creation.box((3, 1, 2)).export(tmp_path / "gone.ply")
+    names = ("unread", "broken", "gone")
+    unread, broken, gone = state.queue.add([tmp_path / f"{name}.ply" for name in names])
     (tmp_path / "gone.ply").unlink()
-    state.queue.remove(removed)
     with all_held(state.workers.readers, tmp_path / "readers free"):
         found = {"unread": ask_all(server, routes, proofs, unread)}
     found["broken"] = ask_all(server, routes, proofs, broken)
@@ -219,10 +217,11 @@ def test_no_route_waits_whatever_an_object_is_in(
             })  # fmt: skip
         found[decision] = ask_all(server, routes, proofs, 1)
     found["gone"] = ask_all(server, routes, proofs, gone)
+    state.queue.remove(broken)
     lanes = [w for lane in state.workers.lanes for w in (lane.geometry, lane.segmentation)]
     others = (*state.workers.readers, state.workers.prediction, state.workers.saving)
     with all_held((*lanes, *others), tmp_path / "all free"):
-        for name, id in (("busy", 1), ("busy and unread", unread), ("removed", removed)):
+        for name, id in (("busy", 1), ("busy and unread", unread), ("removed", broken)):
             found[name] = ask_all(server, routes, proofs, id)
     slow = {(s, r): a for s, of in found.items() for r, a in of.items() if a[1] > 10}
     assert not slow
