@@ -58,6 +58,7 @@ SLOW = (
     "tests/app/test_ending.py",
     "tests/app/test_evaluate_command.py",
     "tests/app/test_full_workspace.py",
+    "tests/app/test_routes.py::test_no_route_waits",
     "tests/app/test_interleaved_decisions.py",
     "tests/app/test_interrupt.py",
     "tests/app/test_jobs.py",

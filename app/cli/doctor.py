@@ -22,6 +22,7 @@ from app.cli import output
 from app.cli.commands import DoctorCommand
 from app.cli.output import Result
 from app.server.network import check_address
+from app.server.workers import MEMORY
 from model.core.errors import ArtiworldError
 from model.core.files import static_assets
 from model.core.memory import machine_memory
@@ -261,7 +262,7 @@ def _processors() -> Check:
 
 def _memory() -> Check:
     total = machine_memory() / 1e9
-    found = f"{total:.1f} GB"
+    found = f"{total:.1f} GB, of which people's objects take at most {MEMORY * total:.1f}"
     if total < MIN_MEMORY_GB:
         return Check("memory", "note", found, f"large scans need {MIN_MEMORY_GB:.0f} GB or more")
     return Check("memory", "fine", found)

@@ -10,19 +10,24 @@ import time
 from collections import OrderedDict, deque
 from collections.abc import Hashable, Iterable
 from pathlib import Path
+from typing import BinaryIO
 
 from app.server.acceptances import AssetDrafts, PendingAcceptances
 from app.server.bulk import BulkWork
 from app.server.config import ServeConfig
 from app.server.ending import WorkspaceLease
+from app.server.export_tasks import DOWNLOAD_BYTES
 from app.server.gallery import Gallery, ReviewOrder
 from app.server.learning import Learning
+from app.server.network import Room
 from app.server.object_context import Services
 from app.server.object_queue import ObjectQueue
 from app.server.open_object import OpenObject
 from app.server.scene_workspace import SceneGallery, SceneWorkspace
+from app.server.uploads import keep_upload
 from app.server.workers import Workers
 from model.core.progress import StoredWork
+from model.io.model_files import find_assets
 from model.prediction import DEFAULT
 from sessions.accounts import Account
 from sessions.live import LiveSession, SessionHub
@@ -103,11 +108,13 @@ class AppState:
         bulk: work on many objects.
         learning: from accepted objects.
         presence: who has which object open.
+        room: for what is uploaded and downloaded.
     """
 
     def __init__(self, config: ServeConfig, store: Store, paths: list[Path]) -> None:
         self.config, self.store = config, store
         self._lease = WorkspaceLease(store.workspace)
+        self.room = Room(2 * max(config.max_upload_mb * 1_000_000, DOWNLOAD_BYTES))
         self.hub = SessionHub(store)
         self.workers = Workers()
         self.acceptances = PendingAcceptances(
@@ -159,14 +166,15 @@ class AppState:
     def _queue_changed(self) -> None:
         self.queue.changed()
 
-    def add_upload(self, name: str, content: bytes) -> int:
+    def add_upload(self, name: str, content: bytes | BinaryIO) -> int:
         """Add an uploaded file, or the content of a zip; returns the first object's id.
 
         Raises:
             InputFileError: where nothing in it can be opened, or a zip is hostile.
         """
         max_bytes = 4 * self.config.max_upload_mb * 1_000_000
-        return self.queue.add_upload(self.workspace / "uploads", name, content, max_bytes)
+        kept = keep_upload(self.workspace / "uploads", name, content, max_bytes)
+        return self.queue.add(find_assets([kept]))[0]
 
     def object(self, object_id: int, keep: float = 0.0, who: str = "") -> OpenObject:
         """Return the shared view of an object; opens it on first use.

@@ -23,7 +23,7 @@ from app.server.segmenting_tasks import source_regions
 from app.server.tasks import ReadOptions, arrays_of, asset_of, pixels_of, stamp, working_copy
 from model.core.articulated_object import ArticulatedObject, Part, Prediction
 from model.core.asset import Asset, ElementKind, Source
-from model.core.files import draft_of
+from model.core.files import draft_of, file_sha256
 from model.core.geometry import Mesh, PointCloud
 from model.core.progress import Progress, no_progress
 from model.core.tree import KinematicTree
@@ -396,5 +396,4 @@ def _content(path: Path) -> str:
     """A key of what a file holds; of folders, and files that name others, names and times."""
     if path.is_dir() or is_model(path) or path.suffix.lower() in (".obj", ".gltf"):
         return repr((str(path), stamp(path)))
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+    return file_sha256(path)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import io
 import os
 import zipfile
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
+from model.core.errors import CommandError
+from model.core.files import unnamed_file, written_to
 from model.core.packages import install_command
 from model.core.progress import Progress, no_progress, scaled_progress
 from model.geometry.completion import as_scanned, complete
@@ -28,19 +29,25 @@ from model.io.readback import read_back
 from model.physics.simulation_values import PhysicsSettings, physics_of, whose_shapes
 
 DOWNLOAD_BYTES = 400_000_000
-"""Largest download: it passes through the memory of the server."""
+"""Largest download; a browser's passes through the memory of the server."""
 
 
-def zipped(folder: Path, name: str) -> bytes | None:
-    """Return the files of a folder as a zip, in which it has that name; None if it is too large."""
+def zipped(folder: Path, name: str) -> BinaryIO:
+    """Return the files of a folder as an unnamed zip beside it, in which it has that name.
+
+    Raises:
+        CommandError: where it is too large.
+    """
     files = sorted(p for p in folder.rglob("*") if p.is_file())
     if sum(p.stat().st_size for p in files) > DOWNLOAD_BYTES:
-        return None
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
-        for path in files:
-            archive.write(path, Path(name) / path.relative_to(folder))
-    return buffer.getvalue()
+        raise CommandError(f"too large to download: copy {folder} from the server's disk")
+    with written_to(folder.parent):
+        out = unnamed_file(folder.parent)
+        with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
+            for path in files:
+                archive.write(path, Path(name) / path.relative_to(folder))
+    out.seek(0)
+    return out
 
 
 @dataclass(frozen=True)

@@ -35,6 +35,7 @@ from app.server.network import (
     ApiConnections,
     OncePerMinute,
     Places,
+    Room,
     SharedConnection,
     check_address,
     is_loopback,
@@ -111,6 +112,7 @@ def guarded_server(
     trusted_proxies: tuple[str, ...] = (),
     entrance: Entrance | None = None,
     api: Callable[[Origins], Any] | None = None,
+    room: Room | None = None,
 ) -> viser.ViserServer:
     """Start a viser server behind the guard.
 
@@ -126,6 +128,7 @@ def guarded_server(
         trusted_proxies: addresses or networks whose X-Forwarded-For the API believes.
         entrance: knows the visitors, by account where there are accounts; None: by the token.
         api: makes the ASGI application below :data:`~app.server.network.API`; None: none.
+        room: for uploads; None: for two of the largest.
 
     Raises:
         ConfigurationError: where the address can't be used, or is public without a token.
@@ -156,7 +159,7 @@ def guarded_server(
     for kind in (_messages.ShareUrlRequest, _messages.ShareUrlDisconnect):
         endpoint.unregister_handler(kind)
     server.request_share_url = _no_tunnel
-    uploads = UploadGuard(max_upload_bytes)
+    uploads = UploadGuard(max_upload_bytes, room or Room(2 * max_upload_bytes))
     uploads.attach(endpoint)
     endpoint.on_client_connect(uploads.attach_client)
     endpoint.on_client_connect(guard_messages)

@@ -12,10 +12,13 @@ import queue
 import signal
 import threading
 from collections.abc import Callable, Hashable
+from contextlib import suppress
+from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
+from pathlib import Path
 from typing import Any, Generic, Literal, TypeVar
 
-from app.server.worker import Process, WorkerTemplate, pack, send, start_python, unpack
+from app.server.worker import WorkerTemplate, pack, send, start_python, unpack
 from model.core.errors import ArtiworldError
 from model.core.progress import Cancelled
 
@@ -45,6 +48,7 @@ class OutOfTimeError(ArtiworldError):
     """A job took longer than it may."""
 
 
+@dataclass(eq=False, repr=False)
 class Job(Generic[T]):
     """One call in the worker. Made by :meth:`WorkerProcess.submit`; all methods are thread-safe.
 
@@ -54,47 +58,34 @@ class Job(Generic[T]):
         error: why it failed: an :class:`~model.core.errors.ArtiworldError` or a :class:`JobFailed`.
     """
 
-    def __init__(
-        self,
-        cancel: Callable[[Job[T]], object],
-        number: int,
-        name: str,
-        call: tuple[Callable[..., T], tuple[Any, ...], dict[str, Any]],
-        on_progress: Callable[[float, str], object] | None,
-        key: Hashable,
-        preempted_by: int | None = None,
-        works_on: Hashable = None,
-        most_seconds: float | None = None,
-        repeated: bool = False,
-        on_found: Callable[[Any], object] | None = None,
-    ) -> None:
-        self.name = name
-        self.state: JobState = "queued"
-        self.fraction = 0.0
-        self.message = ""
-        self.error: Exception | None = None
-        self._ask_to_stop = cancel
-        self._number = number
-        self._call: tuple[Any, ...] | None = call
-        self._on_progress = on_progress
-        self._on_found = on_found
-        self._progress_waiting = False
-        self._key = key
-        self._preempted_by = preempted_by
-        self._works_on = works_on
-        self._place: tuple[int, int] = (0, number)  # in the queue
-        self._begun = False
-        self._ran = self._waited = 0.0  # seconds since it began, its own and others'
-        self._value: Any = None
-        self._ended = threading.Event()
-        self._callbacks: list[Callable[[Job[T]], object]] = []
-        self._lock = threading.Lock()
-        self._kill_at: float | None = None
-        self._most_seconds = most_seconds
-        self._deadline = math.inf
-        self._repeated = repeated
-        self._deaths = 0  # of its child while it ran
-        self.moved: Callable[[Job[T]], object] | None = None  # called once, out of time
+    _ask_to_stop: Callable[[Job[T]], object]
+    _number: int
+    name: str
+    _call: tuple[Any, ...] | None
+    _on_progress: Callable[[float, str], object] | None
+    _key: Hashable
+    _preempted_by: int | None = None
+    _works_on: Hashable = None
+    _most_seconds: float | None = None
+    _repeated: bool = False
+    _on_found: Callable[[Any], object] | None = None
+    state: JobState = "queued"
+    fraction: float = 0.0
+    message: str = ""
+    error: Exception | None = None
+    moved: Callable[[Job[T]], object] | None = None  # called once, out of time
+    _place: tuple[int, int] = (0, 0)  # in the queue
+    _begun: bool = False
+    _progress_waiting: bool = False
+    _ran: float = 0.0  # seconds since it began
+    _waited: float = 0.0  # of these, for others
+    _deadline: float = math.inf
+    _kill_at: float | None = None
+    _deaths: int = 0  # of its child while it ran
+    _value: Any = None
+    _ended: threading.Event = field(default_factory=threading.Event)
+    _callbacks: list[Callable[[Job[T]], object]] = field(default_factory=list)
+    _lock: threading.Lock = field(default_factory=threading.Lock)
 
     @property
     def _ends_at(self) -> float:
@@ -232,16 +223,17 @@ class Child:
         self.connection, theirs = multiprocessing.Pipe(duplex=True)
         descriptor = theirs.fileno()
         forked = None if template is None else template.fork(name, descriptor)
-        self.process: Process
-        if forked is not None:
-            self.process = forked
-        else:
-            code = (
-                f"from app.server.worker import work; work({descriptor}, {os.getpid()}, {name!r})"
-            )
-            self.process = start_python(code, descriptor, threads)
+        code = f"from app.server.worker import work; work({descriptor}, {os.getpid()}, {name!r})"
+        self.process = forked or start_python(code, descriptor, threads)
         theirs.close()
         send(self.connection, "setup", 0, pack(setup))
+
+    def memory(self) -> int:
+        """Bytes that it has in memory, where the system tells; else 0."""
+        with suppress(OSError):
+            pages = int(Path(f"/proc/{self.process.pid}/statm").read_text().split()[1])
+            return pages * os.sysconf("SC_PAGE_SIZE")
+        return 0
 
     def kill(self) -> None:
         """Kill the process and wait for its end."""

@@ -63,6 +63,7 @@ class WorkerProcess:
         lazy: whether the child starts with the first job only.
         template: what the child is forked from, with its numeric threads; None starts an
             interpreter.
+        most_kept: a child that has more bytes of memory between two jobs begins anew.
     """
 
     def __init__(
@@ -74,8 +75,9 @@ class WorkerProcess:
         threads: int | None = None,
         lazy: bool = False,
         template: WorkerTemplate | None = None,
+        most_kept: float = math.inf,
     ) -> None:
-        self.name = name
+        self.name, self._most_kept = name, most_kept
         self._lazy = lazy
         self._setup = (initializer or _nothing, arguments, {})
         self._threads = threads or own_threads()
@@ -282,6 +284,11 @@ class WorkerProcess:
                 job._waited += spent
 
     def _send_next(self) -> None:
+        child = self._child
+        if child is not None and not self._running and child.memory() > self._most_kept:
+            _log.info("worker %s begins anew: it keeps %d MB", self.name, child.memory() >> 20)
+            child.kill()
+            self._child = None
         while True:
             with self._lock:
                 if self._child is None:

@@ -14,9 +14,11 @@ import ipaddress
 import logging
 import os
 import socket
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from typing import Any, ClassVar, cast
+from weakref import WeakKeyDictionary
 
 from starlette.datastructures import Headers
 from starlette.exceptions import HTTPException
@@ -140,6 +142,27 @@ class Places:
 
 def _peer(transport: asyncio.Transport) -> str:
     return str((transport.get_extra_info("peername") or ("0.0.0.0",))[0]).partition("%")[0]
+
+
+NO_ROOM = "too much is being sent or fetched just now; try again in a minute"
+
+
+class Room:
+    """Bytes of bodies that may be under way at a time, half of them of one person."""
+
+    def __init__(self, most: int) -> None:
+        self._most, self._lock = most, threading.Lock()
+        self._held: WeakKeyDictionary[object, tuple[Hashable, int]] = WeakKeyDictionary()
+
+    def take(self, body: object, size: int, who: Hashable) -> bool:
+        """Return whether there is room for ``body``, which holds it as long as it lives."""
+        with self._lock:
+            held = [(who, size), *self._held.values()]
+            mine = sum(size for name, size in held if name == who)
+            free = mine <= self._most // 2 and sum(size for _, size in held) <= self._most
+            if free:
+                self._held[body] = who, size
+            return free
 
 
 class OncePerMinute(logging.Filter):

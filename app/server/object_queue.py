@@ -13,10 +13,9 @@ from typing import Any
 
 from app.server.observable import Listener, Observable
 from app.server.tasks import stamp_if_there
-from app.server.uploads import keep_upload
 from model.core.errors import CommandError
 from model.core.progress import StoredWork, attempt
-from model.io.model_files import asset_name, find_assets, refusal
+from model.io.model_files import asset_name, refusal
 from sessions.store import ObjectRecord, Store
 
 
@@ -67,14 +66,6 @@ class ObjectQueue(Observable):
             self._store.mark_restored(back)
         self.changed()
         return ids
-
-    def add_upload(self, folder: Path, name: str, content: bytes, max_bytes: int) -> int:
-        """Add an uploaded file, or the content of a zip; returns the first object's id.
-
-        Raises:
-            InputFileError: where nothing in it can be opened, or a zip is hostile.
-        """
-        return self.add(find_assets([keep_upload(folder, name, content, max_bytes)]))[0]
 
     def _enter(self, paths: list[Path]) -> list[int]:
         records = self._store.open_objects((p, None, asset_name(p)) for p in paths)

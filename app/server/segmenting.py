@@ -120,7 +120,7 @@ class Segmenting:
             return
         obj.start("encode", self._encode(obj.asset), lambda _: None)
 
-    def _encode(self, asset: OpenedAsset) -> Job[float]:
+    def _encode(self, asset: OpenedAsset) -> Job[None]:
         return self._obj.lane.segmentation.submit(
             segmenting_tasks.encode,
             asset.folder,

@@ -4,7 +4,6 @@ the prompts. An asset is encoded once, then segmented after each change of promp
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,7 +22,7 @@ from model.segmentation.prompts import Click, Prompts, Region
 from model.segmentation.registry import load_segmenter
 
 ENCODINGS_KEPT = 8
-"""Encodings kept, so that several people can each work on an object of their own."""
+"""Encodings kept, where several people have to share a lane."""
 MAX_ELEMENTS_KEPT = 400_000
 """Elements (or nodes, where there are more) of all encodings kept; one takes 1 to 3 kB. The last
 encoding is kept whatever its size."""
@@ -54,14 +53,10 @@ _encodings: LruCache[tuple[Path, str], Any] = LruCache(ENCODINGS_KEPT, MAX_ELEME
 _regions: LruCache[tuple[Path, str], npt.NDArray[np.int64]] = LruCache(100)
 
 
-def encode(folder: Path, segmenter: str, progress: Progress = no_progress) -> float:
-    """Encode an asset and index it for rays, before the first click needs either; returns the
-    seconds that it took.
-    """
-    start = time.perf_counter()
+def encode(folder: Path, segmenter: str, progress: Progress = no_progress) -> None:
+    """Encode an asset and index it for rays, before the first click needs either."""
     session_of(folder, segmenter, progress)
     picker_of(folder)
-    return time.perf_counter() - start
 
 
 def session_of(folder: Path, segmenter: str, progress: Progress = no_progress) -> Any:

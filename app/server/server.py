@@ -28,7 +28,7 @@ from app.server.network import url
 from app.server.uploads import keep_upload
 from model.core.errors import InputFileError, StoreError
 from model.core.files import static_assets
-from model.io.formats.loaded import DEFAULT_MAX_BYTES, read_bytes
+from model.io.formats.loaded import DEFAULT_MAX_BYTES, open_file
 from model.io.model_files import find_assets, refusal
 from model.io.zips import is_zip
 from sessions.credentials import Person
@@ -93,6 +93,7 @@ class Server:
             trusted_proxies=config.trusted_proxies,
             entrance=self.entrance,
             api=lambda origins: make_application(self.app_state, self.entrance, origins),
+            room=self.app_state.room,
         )
         self.apps: dict[int, Tab] = {}
         self.viser.on_client_connect(self._connected)
@@ -158,7 +159,7 @@ def paths_to_open(config: ServeConfig) -> list[Path]:
             raise InputFileError(path, "doesn't exist", "give a file or a folder that does")
     uploads = Path(config.workspace) / "uploads"
     named = [
-        keep_upload(uploads, p.name, read_bytes(p), DEFAULT_MAX_BYTES) if is_zip(p) else p
+        keep_upload(uploads, p.name, open_file(p), DEFAULT_MAX_BYTES) if is_zip(p) else p
         for p in named
     ]
     found = find_assets(named or [static_assets() / "examples"])

@@ -7,27 +7,31 @@ memory. The guard checks the announced size and then the bytes received.
 from __future__ import annotations
 
 import hashlib
+import io
 import re
+import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import Any, BinaryIO, cast
 
 from viser import _messages, infra
 
+from app.server.network import NO_ROOM, Room
 from model.core.errors import InputFileError
-from model.core.files import draft_of
+from model.core.files import draft_of, file_sha256
 from model.io.geometry_files import SUFFIXES
 from model.io.model_files import MODEL_SUFFIXES
 from model.io.urdf.files import BORDER, URDF_SUFFIX
 from model.io.zips import unpack
 
 
-def keep_upload(folder: Path, name: str, content: bytes, max_bytes: int) -> Path:
+def keep_upload(folder: Path, name: str, content: bytes | BinaryIO, max_bytes: int) -> Path:
     """Store an uploaded file; returns its path, or the folder that a zip was unpacked to.
 
     Args:
         folder: folder of all uploads.
+        content: a file is read in pieces, and closed.
         max_bytes: largest unpacked size of a zip.
 
     Raises:
@@ -35,23 +39,27 @@ def keep_upload(folder: Path, name: str, content: bytes, max_bytes: int) -> Path
     """
     safe = plain_name(name)
     suffix = Path(safe).suffix.lower()
-    # An MJCF may consist of boxes alone.
-    named = (b"file=", b"<uri>")
-    if suffix in MODEL_SUFFIXES and (suffix == URDF_SUFFIX or any(n in content for n in named)):
-        raise InputFileError(safe, "its meshes are missing", "zip it with their folder")
-    if suffix not in (".zip", *SUFFIXES, *MODEL_SUFFIXES):
-        known = ", ".join(sorted(SUFFIXES))
-        raise InputFileError(
-            safe, "unknown kind of file", f"give one of {known}, or a zip of several"
-        )
-    if not content:
-        raise InputFileError(safe, "the file is empty", "choose one with a mesh or points")
-    own = folder / hashlib.sha256(content).hexdigest()[:16]
-    if suffix == ".zip":
-        return unpack(own / Path(safe).stem, safe, content, max_bytes)
-    if not (own / safe).is_file() or (own / safe).read_bytes() != content:
-        with draft_of(own / safe) as draft:
-            draft.write_bytes(content)
+    with io.BytesIO(content) if isinstance(content, bytes) else content as file:
+        head = file.read(1 << 22)  # an MJCF may consist of boxes alone
+        bare = suffix == URDF_SUFFIX or b"file=" in head or b"<uri>" in head
+        if suffix in MODEL_SUFFIXES and bare:
+            raise InputFileError(safe, "its meshes are missing", "zip it with their folder")
+        if suffix not in (".zip", *SUFFIXES, *MODEL_SUFFIXES):
+            known = ", ".join(sorted(SUFFIXES))
+            raise InputFileError(
+                safe, "unknown kind of file", f"give one of {known}, or a zip of several"
+            )
+        if not head:
+            raise InputFileError(safe, "the file is empty", "choose one with a mesh or points")
+        file.seek(0)
+        digest = hashlib.file_digest(cast("Any", file), "sha256").hexdigest()
+        own = folder / digest[:16]
+        if suffix == ".zip":
+            return unpack(own / Path(safe).stem, safe, file, max_bytes)
+        if not (own / safe).is_file() or file_sha256(own / safe) != digest:
+            file.seek(0)
+            with draft_of(own / safe) as draft, draft.open("wb") as out:
+                shutil.copyfileobj(file, out)
     (own / BORDER).touch()
     return own / safe
 
@@ -72,7 +80,7 @@ UPDATE_DELAY = 0.4
 _Handler = Callable[[Any, Any], Any]
 
 
-@dataclass
+@dataclass(eq=False)
 class _Transfer:
     client: int
     gui: Any
@@ -86,10 +94,12 @@ class UploadGuard:
     """Refuses uploads beyond the limit, on the server's event loop.
 
     Attributes:
-        limit: bytes of one file, and of all unfinished files of one browser together.
+        limit: bytes of one file.
+        room: for the unfinished files of all.
     """
 
     limit: int
+    room: Room
     _transfers: dict[str, _Transfer] = field(default_factory=dict)
     _clients: dict[int, infra.WebsockClientConnection] = field(default_factory=dict)
 
@@ -126,22 +136,20 @@ class UploadGuard:
             del self._transfers[key]
 
     def _start(self, gui: Any, client: int, message: _messages.FileTransferStartUpload) -> bool:
-        if message.source_component_uuid not in gui._gui_input_handle_from_uuid:
-            return False
-        if message.transfer_uuid in self._transfers:
+        known = message.source_component_uuid in gui._gui_input_handle_from_uuid
+        if not known or message.transfer_uuid in self._transfers:
             return False
         message.filename = plain_name(message.filename)
         size = message.size_bytes
-        total = size + sum(t.declared for t in self._transfers.values() if t.client == client)
+        transfer = _Transfer(client, gui, message.filename, size)
         if size < 0 or not 0 <= message.part_count <= size:
             reason = "its announcement is malformed"
         elif size > self.limit:
-            reason = f"it has {_readable(size)}"
-        elif total > self.limit:
-            reason = f"with the unfinished uploads it makes {_readable(total)}"
+            reason = f"it has {size / 1e6:,.6g} MB"
+        elif not self.room.take(transfer, size, client):
+            reason = NO_ROOM
         else:
             if message.part_count:
-                transfer = _Transfer(client, gui, message.filename, size)
                 self._transfers[message.transfer_uuid] = transfer
             return True
         self._refuse(client, message, message.filename, reason)
@@ -158,7 +166,7 @@ class UploadGuard:
         if transfer.received == transfer.declared:
             return True
         gui._current_file_upload_states.pop(message.transfer_uuid, None)
-        reason = f"it is larger than the announced {_readable(transfer.declared)}"
+        reason = f"it is larger than the announced {transfer.declared / 1e6:,.6g} MB"
         self._refuse(client, message, transfer.name, reason)
         return False
 
@@ -186,7 +194,7 @@ class UploadGuard:
         note = "upload-" + message.transfer_uuid
         props = _messages.NotificationProps(
             title="Upload refused",
-            body=f"{name}: {reason}; the limit is {_readable(self.limit)}. "
+            body=f"{name}: {reason}; the limit is {self.limit / 1e6:,.6g} MB. "
             "Put large files on the server and open them by path.",
             loading=False,
             with_close_button=True,
@@ -198,16 +206,3 @@ class UploadGuard:
         loop.call_later(
             UPDATE_DELAY, connection.queue_message, _messages.NotificationUpdateMessage(note, props)
         )
-
-
-def unfinished_uploads(gui: Any) -> dict[str, int]:
-    """Bytes that viser keeps in memory of each unfinished upload."""
-    states = gui._current_file_upload_states
-    return {key: sum(map(len, state["parts"].values())) for key, state in states.items()}
-
-
-def _readable(count: int) -> str:
-    for unit, scale in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
-        if count >= scale:
-            return f"{count / scale:.3g} {unit}"
-    return f"{count} bytes"

@@ -33,7 +33,7 @@ import traceback
 from collections.abc import Callable, Container
 from functools import partial
 from multiprocessing.connection import Connection
-from typing import Any, Protocol
+from typing import Any
 
 from app.server.ending import ignore_end_signals, signals_blocked
 from model.core.errors import ArtiworldError, no_space
@@ -224,39 +224,10 @@ def work(descriptor: int, parent: int, name: str) -> None:
     _Worker(Connection(descriptor)).run()
 
 
-MODULES = (
-    *"app.server.display_tasks app.server.part_tasks app.server.prepare_tasks".split(),
-    *"app.server.segmenting_tasks".split(),
-)
+MODULES = [f"app.server.{name}_tasks" for name in ("display", "part", "prepare", "segmenting")]
 """Imports of the workers' first jobs: two seconds of a processor, mostly trimesh and scipy."""
 _NUMBER = struct.Struct("<i")
 _NAME_BYTES = 200
-
-
-class Process(Protocol):
-    """A started process, as :class:`subprocess.Popen` has it."""
-
-    @property
-    def pid(self) -> int | None:
-        """Its number; None where it hasn't been forked yet."""
-        ...
-
-    @property
-    def returncode(self) -> int | None:
-        """Its exit code, minus the signal that ended it, or None."""
-        ...
-
-    def poll(self) -> int | None:
-        """Return the exit code if it has ended."""
-        ...
-
-    def kill(self) -> None:
-        """Kill it, if it hasn't ended."""
-        ...
-
-    def wait(self) -> int | None:
-        """Wait for its end, and return its exit code."""
-        ...
 
 
 def start_python(code: str, descriptor: int, threads: int) -> subprocess.Popen[bytes]:
@@ -308,7 +279,7 @@ class WorkerTemplate:
             started.set()
         process.wait()
 
-    def fork(self, name: str, descriptor: int) -> Process | None:
+    def fork(self, name: str, descriptor: int) -> Forked | None:
         """Begin a worker that talks over ``descriptor``; returns before it runs.
 
         None where the template is closed, or can't be started.
@@ -328,7 +299,7 @@ class WorkerTemplate:
             return None
         finally:
             os.close(writer)
-        return _Forked(reader)
+        return Forked(reader)
 
     def close(self) -> None:
         """End the template and all its workers."""
@@ -336,11 +307,14 @@ class WorkerTemplate:
             self._socket.close()
 
 
-class _Forked:
-    """The server's side of a forked worker.
+class Forked:
+    """The server's side of a forked worker, with what it needs of :class:`subprocess.Popen`.
 
     Args:
         reader: pipe on which the template writes the worker's number, and later its exit code.
+
+    Attributes:
+        returncode: its exit code, minus the signal that ended it; None while it runs.
     """
 
     def __init__(self, reader: int) -> None:
@@ -355,10 +329,12 @@ class _Forked:
 
     @property
     def pid(self) -> int | None:
+        """Its number; None where it hasn't been forked yet."""
         self.poll()
         return self._pid
 
     def poll(self) -> int | None:
+        """Return the exit code if it has ended."""
         with self._lock:
             while self._reader >= 0 and _readable(self._reader):
                 self._read()
@@ -375,12 +351,13 @@ class _Forked:
         self._reader = -1
 
     def kill(self) -> None:
+        """Kill it, if it hasn't ended."""
         if self.poll() is None and self._pid:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(self._pid, signal.SIGKILL)
 
     def wait(self) -> int | None:
-        """The same; one that isn't forked yet ends itself, as nobody holds its pipe."""
+        """Wait for its exit code; one that isn't forked yet ends itself: nobody holds its pipe."""
         with self._lock:
             while self._pid and self._reader >= 0:
                 self._read()

@@ -4,6 +4,7 @@ share a process with another person's object.
 
 from __future__ import annotations
 
+import math
 import os
 import threading
 from collections import Counter
@@ -22,7 +23,10 @@ T = TypeVar("T")
 MEMORY = 0.75
 """Share of the machine's memory for one job that may take much, and for the lanes together."""
 LANE_BYTES = 2 << 30
-"""Memory of a lane with full caches: encodings of 400,000 elements, 3 kB each, and libraries."""
+"""Memory of a lane with full caches: encodings of 400,000 elements, 3 kB each, and libraries. A
+process with more, of gaps between them, begins anew, unless one heavy object may fill it."""
+KEPT_BYTES = 1 << 30
+"""Memory with which a process that reads or writes files goes on; with more it begins anew."""
 HEAVY_LANES = 2
 """Two people with a heavy object each; more of them share these lanes."""
 
@@ -105,6 +109,7 @@ class Lanes:
                     arguments=(HEAVY,) if heavy else (),
                     lazy=heavy or bool(lanes),
                     template=self._template,
+                    most_kept=math.inf if heavy else LANE_BYTES,
                 )
                 for work in ("geometry", "segmentation")
             )
@@ -186,16 +191,15 @@ class Workers:
 
     def __init__(self) -> None:
         self.template = WorkerTemplate(own_threads()) if WorkerTemplate.possible() else None
+        kept: dict[str, Any] = {"template": self.template, "most_kept": KEPT_BYTES}
         self.readers = tuple(
-            WorkerProcess(
-                name, initializer=in_background, arguments=(READING,), template=self.template
-            )
+            WorkerProcess(name, initializer=in_background, arguments=(READING,), **kept)
             for name in ("reading", "reading 2")
         )
         self.lanes = Lanes(self.template)
         self.geometry, self.segmentation = self.lanes.first.geometry, self.lanes.first.segmentation
         self.prediction = WorkerProcess("prediction", template=self.template)
-        self.saving = WorkerProcess("saving", template=self.template)
+        self.saving = WorkerProcess("saving", **kept)
         self.closing = False
         self._waiting: list[tuple[str, Job[Any]]] = []
 

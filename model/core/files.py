@@ -8,10 +8,11 @@ import itertools
 import json
 import secrets
 import shutil
+import tempfile
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from model.core.errors import InputFileError, no_space
 
@@ -85,6 +86,11 @@ def draft_of(path: Path, whole: Callable[[Path], bool] = lambda _: False) -> Ite
             shutil.rmtree(draft, ignore_errors=True)
         else:
             draft.unlink(missing_ok=True)
+
+
+def unnamed_file(folder: Path) -> BinaryIO:
+    """Open a file on the disk of ``folder`` that is gone once it is closed."""
+    return tempfile.TemporaryFile(dir=folder)
 
 
 def _take_place(draft: Path, path: Path, whole: Callable[[Path], bool]) -> None:

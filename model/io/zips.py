@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import lzma
 import os
 import stat
@@ -13,10 +12,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
+from typing import BinaryIO
 
 from model.core.errors import InputFileError
 from model.core.files import draft_of
-from model.io.formats.loaded import DEFAULT_MAX_BYTES, read_bytes
+from model.io.formats.loaded import DEFAULT_MAX_BYTES, open_file
 from model.io.geometry_files import SUFFIXES
 from model.io.model_files import MODEL_SUFFIXES, find_assets
 from model.io.urdf.files import BORDER
@@ -38,7 +38,7 @@ _WANTED = frozenset((*SUFFIXES, *MODEL_SUFFIXES, *_BESIDE))
 _Files = list[tuple[PurePosixPath, zipfile.ZipInfo]]
 
 
-def unpack(target: Path, name: str, content: bytes, max_bytes: int) -> Path:
+def unpack(target: Path, name: str, file: BinaryIO, max_bytes: int) -> Path:
     """Unpack what a zip holds of objects into ``target``, in a folder that nothing in it may leave.
 
     Args:
@@ -49,11 +49,11 @@ def unpack(target: Path, name: str, content: bytes, max_bytes: int) -> Path:
         InputFileError: where it is damaged or hostile, or holds nothing of the kind.
     """
     try:
-        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        with zipfile.ZipFile(file) as archive:
             files = _files_in(archive, name)
             if not _is_whole(target, files):
                 with draft_of(target, lambda there: _is_whole(there, files)) as draft:
-                    _extract(archive, files, draft, name, len(content), max_bytes)
+                    _extract(archive, files, draft, name, file.seek(0, os.SEEK_END), max_bytes)
                     if target.is_dir():  # a former version left it, and its objects may be open
                         _complete(target, files, draft)
     except (*DAMAGED, OSError) as error:
@@ -76,9 +76,9 @@ def unzipped(path: Path) -> Iterator[Path]:
     if not is_zip(path):
         yield path
         return
-    with TemporaryDirectory(prefix="artiworld-") as folder:
+    with TemporaryDirectory(prefix="artiworld-") as folder, open_file(path) as file:
         place = Path(folder, path.stem)
-        found = find_assets([unpack(place, str(path), read_bytes(path), DEFAULT_MAX_BYTES)])
+        found = find_assets([unpack(place, str(path), file, DEFAULT_MAX_BYTES)])
         if len(found) > 1:
             names = ", ".join(p.name for p in found[:5])
             raise InputFileError(path, f"holds {len(found)} objects ({names})", "unpack it")

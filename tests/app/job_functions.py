@@ -60,6 +60,13 @@ def count_calls() -> int:
     return _state["calls"]
 
 
+_kept: list[bytes] = []
+
+
+def keep(size: int) -> None:
+    _kept.append(b"x" * size)
+
+
 def set_start(value: int) -> None:
     _state["calls"] = value
 

@@ -97,6 +97,18 @@ def test_forked_workers_are_processes_of_their_own(template):
 
 
 @needs_fork
+def test_a_worker_that_keeps_much_begins_anew_between_two_jobs(template):
+    """What waits goes on."""
+    with WorkerProcess("keeps", template=template, most_kept=400_000_000) as worker:
+        child = worker.submit(functions.pid).result(60)
+        worker.submit(functions.keep, 50_000_000).result(60)
+        assert worker.submit(functions.pid).result(60) == child
+        jobs = [worker.submit(functions.keep, size) for size in (400_000_000, 10)]
+        assert worker.submit(functions.pid).result(60) not in (child, None)
+        assert [job.state for job in jobs] == ["done", "done"]
+
+
+@needs_fork
 def test_a_killed_template_begins_anew():
     """Its workers die with it and are forked from the next one; a click is repeated."""
     template = WorkerTemplate(1)

@@ -5,10 +5,11 @@ takes long, and a token does what its scopes say.
 from __future__ import annotations
 
 import errno
+import io
 import re
 import time
-from collections.abc import Iterator
-from contextlib import suppress
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -19,8 +20,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from app.client import ApiError
+from app.server import uploads
 from app.server.acceptances import AssetDrafts
-from app.server.api import guard
+from app.server.api import guard, objects
 from app.server.server import Server
 from model.core.errors import NoSpaceError
 from sessions.credentials import SCOPES_OF
@@ -162,7 +164,7 @@ def test_numbers_of_webhooks_and_tokens_are_bounded(server, proofs) -> None:
 def ask_all(
     server: Server, routes: list[Any], proofs: dict[str, str], id: int
 ) -> dict[str, tuple[int, float]]:
-    """Status and seconds of every route about an object."""
+    """Status and seconds of every route about an object, and of every list."""
     bodies = {
         "commands": {"command": {"kind": "set_category", "category": "Box"}},
         "regions": {"part": 1, "elements": [0, 1]},
@@ -171,9 +173,9 @@ def ask_all(
     }  # fmt: skip
     out = {}
     for method, path, _ in routes:
-        if "{object_id}" not in path:
+        if "{object_id}" not in path and (method != "GET" or "{" in path or "/oidc" in path):
             continue
-        tail = path.partition("}/")[2]
+        tail = path.partition("}/")[2] or path
         body = bodies.get(tail, {}) if method in ("POST", "PUT") else None
         begun = time.monotonic()
         asked = path.replace("{object_id}", str(id)).replace("{number}", "1")
@@ -182,22 +184,30 @@ def ask_all(
     return out
 
 
+@contextmanager
+def all_held(workers: Iterable[Any], free: Path) -> Iterator[None]:
+    """Workers that do nothing for others within the block: who waits for one waits for ever."""
+    held = [worker.submit(functions.wait_for, free, priority=50) for worker in workers]
+    try:
+        yield
+    finally:
+        free.touch()
+    for job in held:
+        job.result(60)
+
+
 def test_no_route_waits_whatever_an_object_is_in(
     server: Server, routes, proofs, tmp_path: Path
 ) -> None:
     state, mia = server.app_state, token_client(server, "mia", "read", "annotate", "review")
     trimesh.creation.box((3, 1, 1)).export(tmp_path / "unread.ply")
     (tmp_path / "broken.ply").write_bytes(b"ply\nnothing")
-    unread = state.queue.add([tmp_path / "unread.ply"])[0]
-    broken = state.queue.add([tmp_path / "broken.ply"])[0]
-    free = tmp_path / "free"
-    held = [
-        reader.submit(functions.wait_for, free, priority=50) for reader in state.workers.readers
-    ]
-    found = {"unread": ask_all(server, routes, proofs, unread)}
-    free.touch()
-    for job in held:
-        job.result(60)
+    trimesh.creation.box((3, 1, 2)).export(tmp_path / "gone.ply")
+    names = ("unread", "broken", "gone")
+    unread, broken, gone = state.queue.add([tmp_path / f"{name}.ply" for name in names])
+    (tmp_path / "gone.ply").unlink()
+    with all_held(state.workers.readers, tmp_path / "readers free"):
+        found = {"unread": ask_all(server, routes, proofs, unread)}
     found["broken"] = ask_all(server, routes, proofs, broken)
     found["no parts"] = ask_all(server, routes, proofs, 2)
     for decision in ("todo", "predict", "submit", "reject", "accept"):
@@ -206,6 +216,13 @@ def test_no_route_waits_whatever_an_object_is_in(
                 "reason": "axis", "override": "a test", "warnings_seen": True
             })  # fmt: skip
         found[decision] = ask_all(server, routes, proofs, 1)
+    found["gone"] = ask_all(server, routes, proofs, gone)
+    state.queue.remove(broken)
+    lanes = [w for lane in state.workers.lanes for w in (lane.geometry, lane.segmentation)]
+    others = (*state.workers.readers, state.workers.prediction, state.workers.saving)
+    with all_held((*lanes, *others), tmp_path / "all free"):
+        for name, id in (("busy", 1), ("busy and unread", unread), ("removed", broken)):
+            found[name] = ask_all(server, routes, proofs, id)
     slow = {(s, r): a for s, of in found.items() for r, a in of.items() if a[1] > 10}
     assert not slow
     assert found["unread"]["POST accept"][0] == 409, "it has no joints, and that is said at once"
@@ -263,16 +280,24 @@ def test_a_token_that_reads_changes_no_account(server, routes, proofs) -> None:
 def test_an_upload_that_finds_no_room_is_refused_and_leaves_nothing(
     server: Server, tmp_path: Path, monkeypatch
 ) -> None:
-    def full(*_: object) -> None:
+    def full(*_: object) -> Any:
         raise OSError(errno.ENOSPC, "No space left on device")
 
+    class Full(io.BytesIO):
+        write = full
+
     ann = token_client(server, "ann", "read", "annotate")
-    trimesh.creation.box((5, 1, 1)).export(tmp_path / "big.ply")
-    with monkeypatch.context() as patch:
-        patch.setattr(Path, "write_bytes", full)
-        with pytest.raises(ApiError, match="check space") as caught:
-            ann.upload(tmp_path / "big.ply")
-    assert caught.value.status == 507
+    trimesh.creation.icosphere(5).export(tmp_path / "big.ply")
+    for module, name, broken in (
+        (uploads.shutil, "copyfileobj", full),
+        (objects, "unnamed_file", full),
+        (objects, "unnamed_file", lambda _: Full()),
+    ):
+        with monkeypatch.context() as patch:
+            patch.setattr(module, name, broken)
+            with pytest.raises(ApiError, match="check space") as caught:
+                ann.upload(tmp_path / "big.ply")
+        assert caught.value.status == 507
     assert not [p for p in server.app_state.workspace.rglob("*big*") if p.is_file()]
     assert ann.upload(tmp_path / "big.ply")["name"] == "big"
 

@@ -3,15 +3,24 @@
 from __future__ import annotations
 
 import contextlib
+import http.client
 import io
+import itertools
+import json
 import random
+import shutil
 import stat
+import tracemalloc
 import zipfile
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from PIL import Image
 
+from app.server.export_tasks import DOWNLOAD_BYTES
+from app.server.network import Room
+from app.server.server import Server
 from app.server.uploads import keep_upload
 from model.core.errors import InputFileError
 from model.io.model_files import find_assets
@@ -124,3 +133,104 @@ def test_ten_who_upload_the_same_files_get_them_whole(tmp_path: Path) -> None:
         folders = list((tmp_path / "workspace" / "uploads").glob("*/objects"))
         assert [len(list(f.rglob("*.*"))) for f in folders] == [120] * 6
         assert ann.call("GET", "/objects")["total"] == 1 + 6 * 61
+
+
+@pytest.fixture
+def large(tmp_path: Path) -> Iterator[tuple[Server, http.client.HTTPConnection, dict[str, str]]]:
+    """A server of a tiny object; a connection to it, and headers that let in."""
+    (tmp_path / "tri.obj").write_bytes(OBJ)
+    with team_server(tmp_path / "workspace", tmp_path / "tri.obj") as server:
+        people = server.app_state.store.people
+        ann = people.accounts.find("ann")
+        token = people.credentials.make_token(ann, "test", ("read", "annotate"))
+        connection = http.client.HTTPConnection("127.0.0.1", server.viser.get_port(), timeout=60)
+        yield server, connection, {"Authorization": f"Bearer {token}"}
+
+
+def blocks(count: int) -> Iterator[bytes]:
+    """A binary PLY of so many MB, of points."""
+    points = (count * 2**20) // 12
+    yield (
+        b"ply\nformat binary_little_endian 1.0\nelement vertex %d\n"
+        b"property float x\nproperty float y\nproperty float z\nend_header\n" % points
+    )
+    yield from itertools.repeat(bytes(12 * 2**15), points // 2**15 + 1)
+
+
+@contextlib.contextmanager
+def little_memory() -> Iterator[None]:
+    """Fail where Python takes more than a quarter of what is sent, at any moment."""
+    tracemalloc.start()
+    try:
+        yield
+        assert tracemalloc.get_traced_memory()[1] < MANY * 2**20 / 4
+    finally:
+        tracemalloc.stop()
+
+
+MANY = 40
+"""MB of a large body."""
+
+
+def answer_of(
+    connection: http.client.HTTPConnection, headers: dict[str, str]
+) -> http.client.HTTPResponse:
+    """The answer, also where it takes long."""
+    answer = connection.getresponse()
+    while answer.status == 202:
+        place = answer.headers["Location"]
+        answer.read()
+        connection.request("GET", place, headers=headers)
+        answer = connection.getresponse()
+    assert answer.status < 300, answer.read()
+    return answer
+
+
+def test_a_large_upload_does_not_pass_whole_through_memory(large) -> None:
+    server, connection, headers = large
+    with little_memory():
+        connection.request("POST", "/api/v1/objects?name=big.ply", blocks(MANY), headers)
+        assert json.load(answer_of(connection, headers))["name"] == "big"
+    (kept,) = (server.app_state.workspace / "uploads").rglob("big.ply")
+    assert kept.stat().st_size > MANY * 2**20
+
+
+def test_a_large_download_does_not_pass_whole_through_memory(large, tmp_path, monkeypatch) -> None:
+    server, connection, headers = large
+    (tmp_path / "asset").mkdir()
+    content = random.Random(1).randbytes(MANY * 2**20)
+    (tmp_path / "asset" / "mesh.bin").write_bytes(content)
+    monkeypatch.setattr(server.app_state.store.assets, "folder", lambda _: tmp_path / "asset")
+    with little_memory():
+        connection.request("GET", "/api/v1/assets/1", headers=headers)
+        with (tmp_path / "got.zip").open("wb") as out:
+            shutil.copyfileobj(answer_of(connection, headers), out)
+    with zipfile.ZipFile(tmp_path / "got.zip") as archive:
+        assert archive.read("tri/mesh.bin") == content
+
+
+def test_bodies_have_room_for_all_together_and_half_of_it_for_one(large) -> None:
+    server, connection, headers = large
+    room, taken = Room(100), [Body() for _ in range(4)]
+    assert room.take(taken[0], 50, "ann") and not room.take(taken[1], 1, "ann")
+    assert room.take(taken[1], 30, "rob") and not room.take(taken[2], 30, "mia")
+    del taken[0]
+    assert room.take(taken[1], 30, "mia"), "what is over gives its room back"
+    half = room_of(server) // 2
+    held = [Body(), Body()]
+    full = [server.app_state.room.take(held[n], half, who) for n, who in enumerate(("rob", "mia"))]
+    assert full == [True, True]
+    for refused in (True, False):
+        connection.request("POST", "/api/v1/objects?name=b.obj", OBJ, headers)
+        answer = connection.getresponse()
+        assert (answer.status == 429) == refused, answer.read()
+        answer.read()
+        held.clear()
+
+
+class Body:
+    """Stands in for a request."""
+
+
+def room_of(server: Server) -> int:
+    return 2 * max(server.config.max_upload_mb * 1_000_000, DOWNLOAD_BYTES)

@@ -440,7 +440,7 @@ def read_source(path: Path, is_scene: bool) -> int:
         unpack(scene, path.parent / "inside")
         return len(scene.objects)
     if path.suffix == ".zip":
-        kept = keep_upload(path.parent / "uploads", path.name, path.read_bytes(), MOST_UNPACKED)
+        kept = keep_upload(path.parent / "uploads", path.name, path.open("rb"), MOST_UNPACKED)
         return sum(open_asset(found).element_count for found in find_assets([kept]))
     return open_asset(path).element_count
 

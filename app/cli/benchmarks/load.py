@@ -102,7 +102,7 @@ def _measure(scene: Path, root: Path, objects: int, opening: str) -> dict[str, A
 
     ``first`` is until any part of the scene was received, ``whole`` until every object was sent;
     ``loop_held_ms`` the longest time that one callback blocked the event loop; ``pick_ms``
-    processor time to find the object under a click; memory in MiB, of server and worker together.
+    processor time to find the object under a click; memory in MiB, of the server and its workers.
     """
     start, used = time.perf_counter(), _cpu(os.getpid())
     config = ServeConfig(
@@ -129,7 +129,7 @@ def _measure(scene: Path, root: Path, objects: int, opening: str) -> dict[str, A
         )
         figures["sent_mb"] = browser.quiet() / 1e6
         figures["whole_ms"] = 1000 * (browser.last - start)
-        figures["memory_mb"] = sum(_peak_memory(p) for p in (os.getpid(), worker) if p)
+        figures["memory_mb"] = _memory(os.getpid())
         figures["loop_held_ms"] = 1000 * watch.worst
         watch.stop()
         figures["pick_ms"] = _pick(app)
@@ -143,14 +143,6 @@ def _cpu(pid: int) -> float:
     """Processor seconds of a process so far."""
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-
-
-def _peak_memory(pid: int) -> float:
-    """Peak memory of a process in MiB."""
-    for line in Path(f"/proc/{pid}/status").read_text().splitlines():
-        if line.startswith("VmHWM:"):
-            return int(line.split()[1]) / 1024
-    return 0.0
 
 
 def _pick(app: Any) -> float:

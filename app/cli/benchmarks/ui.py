@@ -28,9 +28,7 @@ from app.cli.output import Result, print_figures
 from app.cli.serve import start_server
 from app.server.config import ServeConfig
 from model.core.geometry import Mesh, PointCloud, merged
-from model.core.joint import Joint
 from model.core.progress import Progress
-from model.core.tree import KinematicTree
 from model.io.write import write_cloud, write_mesh
 
 WAIT_SECONDS = 300.0
@@ -226,7 +224,6 @@ def _measure(path: Path, workspace: Path, options: UiBench) -> dict[str, Any]:
         figures["loop_held_ms"] = 1000 * watch.worst
         watch.stop()
         figures |= _baseline(app, browser)
-        figures["ticks_a_second"] = _ticks(app)
         browser.close()
         return figures
     finally:
@@ -287,17 +284,3 @@ def _baseline(app: Any, browser: SimulatedBrowser) -> dict[str, Any]:
     wait_for(lambda: browser.last > start, "the whole object")
     size = browser.quiet(1.0) - before
     return {"whole_bytes": size, "whole_ms": 1000 * (browser.last - start)}
-
-
-def _ticks(app: Any, links: int = 40, ticks: int = 100) -> float:
-    """Poses sent per second for an object of ``links`` moving parts."""
-    joints = tuple(
-        Joint(f"j{k}", "revolute", f"link_{k}", f"link_{k + 1}", (0, 0, 1), (0, 0, 0), -1.0, 1.0)
-        for k in range(links)
-    )
-    tree = KinematicTree(tuple(f"link_{k}" for k in range(links + 1)), joints)
-    app.picture.parts.pretend(range(links + 1))
-    start = time.perf_counter()
-    for tick in range(ticks):
-        app.picture.parts.pose(tree.pose({j.name: np.sin(0.1 * tick) for j in joints}))
-    return ticks / (time.perf_counter() - start)

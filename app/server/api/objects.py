@@ -4,6 +4,9 @@ and the accepted ones as files.
 
 from __future__ import annotations
 
+import asyncio
+import functools
+import os
 import secrets
 import shutil
 import time
@@ -13,15 +16,17 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from fastapi import APIRouter, HTTPException, Query, Request
-from fastapi.responses import Response
+from fastapi.responses import Response, StreamingResponse
 from pydantic import BaseModel, Field
 
 from app.server.api import guard
 from app.server.api.guard import Annotator, Count, Id, Json, LongRouter, Manager, Reader, State
 from app.server.app_state import AppState
 from app.server.export_tasks import ExportTask, export_one, zipped
+from app.server.network import NO_ROOM, discard
 from app.server.open_object import OpenObject
 from model.core import codec
+from model.core.files import unnamed_file
 from model.core.progress import each
 from model.io.export.registry import exporter_names
 from model.physics.simulation_values import PhysicsSettings
@@ -72,7 +77,17 @@ def list_objects(
 @objects_router.post("/objects", status_code=201)
 async def upload(request: Request, name: str, person: Annotator, state: State) -> Any:
     """Add a file, or a zip of one object or several; the body is its content."""
-    content = await request.body()
+    size = int(request.headers.get("Content-Length", state.config.max_upload_mb * 1_000_000))
+    try:
+        content = unnamed_file(state.workspace)
+        if not state.room.take(content, size, person.name):
+            raise HTTPException(429, NO_ROOM)
+        async for block in request.stream():
+            await asyncio.to_thread(content.write, block)
+        content.seek(0)
+    except (HTTPException, OSError):
+        await discard(request.receive, request.headers)
+        raise
 
     def add() -> Json:
         return _line(state.store.object(state.add_upload(name, content)), None)
@@ -270,7 +285,7 @@ def download(object_id: Id, person: Reader, state: State, format: str = "asset")
     if folder is None:
         raise HTTPException(404, "the object has no asset: it wasn't accepted yet")
     if format == "asset":
-        return _zipped(folder, name)
+        return _zipped(folder, name, person, state)
     out = state.workspace / "exports" / f".{secrets.token_hex(8)}"
     task = ExportTask(
         folder, ((format, out),), PhysicsSettings(), state.workspace / "collision", check=False
@@ -278,16 +293,19 @@ def download(object_id: Id, person: Reader, state: State, format: str = "asset")
     try:
         saving = state.workers.saving
         saving.submit(export_one, task, priority=-1, most_seconds=OPEN_SECONDS).result()
-        return _zipped(out, f"{name}_{format}")
+        return _zipped(out, f"{name}_{format}", person, state)
     finally:
         shutil.rmtree(out, ignore_errors=True)
 
 
-def _zipped(folder: Path, name: str) -> Response:
+def _zipped(folder: Path, name: str, person: Person, state: AppState) -> Response:
     plain = "".join(c if c.isalnum() or c in "._-" else "_" for c in name)[:80] or "asset"
-    content = zipped(folder, plain)
-    if content is None:
-        raise HTTPException(413, "the asset is too large to download; copy it from the server")
+    file = zipped(folder, plain)
+    size = os.fstat(file.fileno()).st_size
+    if not state.room.take(file, size, person.name):
+        raise HTTPException(429, NO_ROOM)
     quoted = plain.encode("ascii", "replace").decode().replace("?", "_")
     headers = {"Content-Disposition": f'attachment; filename="{quoted}.zip"'}
-    return Response(content, media_type="application/zip", headers=headers)
+    headers["Content-Length"] = f"{size}"
+    blocks = iter(functools.partial(file.read, 1 << 16), b"")
+    return StreamingResponse(blocks, media_type="application/zip", headers=headers)

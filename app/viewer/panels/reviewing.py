@@ -408,7 +408,5 @@ def send_folder(tab: Tab, folder: Path, name: str) -> None:
     Raises:
         CommandError: where it is too large.
     """
-    content = zipped(folder, name)
-    if content is None:
-        raise CommandError(queue_words.too_large(str(folder)))
-    tab.client.send_file_download(f"{name}.zip", content)
+    with zipped(folder, name) as file:
+        tab.client.send_file_download(f"{name}.zip", file.read())

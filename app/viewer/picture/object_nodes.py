@@ -4,7 +4,7 @@ parts drawn one by one so that joints can move them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -360,8 +360,3 @@ class MovingParts:
             if distance < nearest:
                 nearest, found = distance, payload.part
         return found
-
-    def pretend(self, parts: Iterable[int]) -> None:
-        """Frames without geometry, to measure how fast poses are sent."""
-        scene = self._client.scene
-        self._frames = {k: scene.add_frame(f"/part/{k}", show_axes=False) for k in parts}

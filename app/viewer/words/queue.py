@@ -123,7 +123,6 @@ NEED_PACKAGE: Final = "a SimReady package names its author and its license"
 TAKEN: Final = "that folder exists already: give another name"
 BAD_NAME: Final = "a folder's name has only letters, digits, dots, dashes and underscores"
 written = Message("Written to {folder}")
-too_large = Message("too large to download: it is in {folder}")
 
 
 def title(count: int) -> str:

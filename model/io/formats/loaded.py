@@ -12,7 +12,7 @@ import stat
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import mapbox_earcut
 import numpy as np
@@ -183,7 +183,13 @@ def size_of(path: Path) -> int:
 
 
 def read_bytes(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> bytes:
-    """The content of a regular file.
+    """The content of a regular file; errors as of :func:`open_file`."""
+    with open_file(path, max_bytes) as file:
+        return file.read()
+
+
+def open_file(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> BinaryIO:
+    """Open a regular file for reading.
 
     Raises:
         InputFileError: where it is missing, empty, too large, a pipe or a device, or unreadable.
@@ -196,7 +202,7 @@ def read_bytes(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> bytes:
             "thin or cut the scan first",
         )
     try:
-        return path.read_bytes()
+        return path.open("rb")
     except OSError as error:
         raise InputFileError(
             path, f"can't be read: {error.strerror}", "check permissions"
