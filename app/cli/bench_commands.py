@@ -128,13 +128,6 @@ class PredictBench(ReportCommand):
 
 
 @dataclass(frozen=True, kw_only=True)
-class WeightsBench(LimitedBench):
-    """The inputs that the predictor's weights read."""
-
-    place: ClassVar[str] = "app.cli.benchmarks.predictions:weights_bench"
-
-
-@dataclass(frozen=True, kw_only=True)
 class NetworksBench(ReportCommand):
     """The paper-size networks with random weights."""
 
@@ -217,7 +210,6 @@ BENCHES: dict[str, type[Command]] = {
     "joints": JointsBench,
     "teach": TeachBench,
     "predict": PredictBench,
-    "weights": WeightsBench,
     "networks": NetworksBench,
     "rivals": RivalsBench,
     "faults": FaultsBench,

@@ -389,11 +389,6 @@ class Tab:
         obj = self.selection.object
         return obj and (obj.record.id, obj.document.review.state)
 
-    @property
-    def messages(self) -> list[tuple[str, str]]:
-        """Time and text of the latest notes, newest first."""
-        return list(reversed(self._notes.log))
-
     def say(self, text: str) -> None:
         """Show a line below the picture for a moment."""
         set_page_state(self.client, said=text)
@@ -401,3 +396,8 @@ class Tab:
     def do(self, command: cmd.Command) -> None:
         """Carry out one decision about the open object."""
         self.selection.need_object().do(command, self.user)
+
+
+def latest_messages(tab: Tab) -> list[tuple[str, str]]:
+    """Time and text of the notes that a tab showed, newest first."""
+    return list(reversed(tab._notes.log))

@@ -61,6 +61,16 @@ _LISTED = 5
 """Kinds that a remark names; it counts the others."""
 
 
+def counted(found: Counter[str]) -> list[str]:
+    """A remark that counts what isn't known; else nothing."""
+    kinds = +found
+    if not kinds:
+        return []
+    listed = ", ".join(f"{what} ({n})" for what, n in kinds.most_common(_LISTED))
+    rest = f" and {len(kinds) - _LISTED} kinds more" if len(kinds) > _LISTED else ""
+    return [f"not read: {listed}{rest}"]
+
+
 @dataclass(frozen=True)
 class XmlSchema:
     """The elements and attributes that a reader reads or answers for.
@@ -118,11 +128,7 @@ class XmlSchema:
                 elif child.tag in self.elements:
                     stack.append(child)
                 seen.add(child.tag)
-        if not found:
-            return []
-        listed = ", ".join(f"{what} ({n})" for what, n in found.most_common(_LISTED))
-        rest = f" and {len(found) - _LISTED} kinds more" if len(found) > _LISTED else ""
-        return [f"not read: {listed}{rest}"]
+        return counted(found)
 
     def _is_further(self, tag: str, child: str, seen: set[str]) -> bool:
         """True if a reader took another element in its place."""

@@ -23,6 +23,7 @@ from model.core.errors import GeometryError, InputFileError, KinematicsError
 from model.core.files import free_name
 from model.core.geometry import affine, uniform_scale
 from model.core.joint import JOINT_KINDS, JOINT_TYPES, DeclaredDynamics, Joint, JointType, Mimic
+from model.core.packages import require
 from model.core.tree import KinematicTree
 from model.io.export.usd import AFFORDANCE, FRICTION, NAME_KEY
 from model.io.formats.loaded import DEFAULT_MAX_BYTES
@@ -88,7 +89,8 @@ class _Link:
 class _Reader:
     def __init__(self, path: Path, max_bytes: int) -> None:
         self.path, self.stage = path, UsdStage(path, max_bytes)
-        self.physics, self.get = self.stage.physics, self.stage.get
+        self.physics: Any = require("pxr.UsdPhysics", "artiworld[usd]", "USD")
+        self.get = self.stage.get
         self.notes: list[str] = []
         self.link_of: dict[Any, str] = {}  # path of a body's prim → its link
         self.taken = {WORLD}

@@ -29,7 +29,6 @@ from app.cli.bench_commands import (
     ScansBench,
     SegmentBench,
     TeachBench,
-    WeightsBench,
 )
 from app.cli.benchmarks.shapes import chest
 from app.cli.output import Result, check_output, each_with_progress, print_records
@@ -60,20 +59,10 @@ from model.evaluation.teaching import SPLITS, TeachConfig
 from model.evaluation.teaching import run as run_teach
 from model.evaluation.teaching import table as teach_table
 from model.prediction.arti4urdf.decoding import decode
-from model.prediction.arti4urdf.network import load_weights
 from model.prediction.arti4urdf.predictor import Arti4UrdfPredictor, make_prompt
 from model.prediction.arti4urdf.structure import read_structure
 from model.prediction.builder import SWITCHES
 from model.prediction.registry import DEFAULT, Predictor, load_predictor
-from model.training.arti4urdf.small_trainer import (
-    both,
-    foreign_wholes,
-    probe,
-    shuffled_clouds,
-    shuffled_shapes,
-    unseen_samples,
-    without_rules,
-)
 from model.validation.engines import MUJOCO, require_engines
 
 FOLDERS = (
@@ -164,37 +153,6 @@ def row(title: str, report: Report) -> dict[str, Any]:
         "calibration error": round(report.calibration.ece, 3),
         "s an object": round(sum(report.seconds) / max(count, 1), 2),
     }
-
-
-OBJECTS = 64
-"""With half as many, two decisions that turn over can hide what a whole cloud is worth."""
-
-
-def weights_bench(options: WeightsBench, progress: Progress) -> Result:
-    """Probe the weights with changed inputs."""
-    samples = unseen_samples(OBJECTS if options.limit is None else options.limit, progress)
-    model, version = load_weights()
-    changes = {
-        "as it is": None,
-        "shapes shuffled": shuffled_shapes,
-        "without rules": without_rules,
-        "without rules, clouds shuffled": both(without_rules, shuffled_clouds),
-        "without rules, foreign wholes": both(without_rules, foreign_wholes),
-    }
-    rows = []
-    for name, change in changes.items():
-        found = probe(model, samples, change)
-        rows.append(
-            {
-                "input": name,
-                "types": round(found.types, 3),
-                "candidates": round(found.slots, 3),
-                "parents": round(found.trees, 3),
-                "surprise": round(found.surprise, 4),
-            }
-        )
-    report = {"weights": version, "objects": len(samples), "rows": rows}
-    return Result(report, lambda: print_records(f"Right decisions of {version}", rows))
 
 
 PART_COUNTS = (2, 4, 9, 16, 32)

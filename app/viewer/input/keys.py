@@ -12,7 +12,7 @@ from typing import Any
 
 from app.server.page import ArtiworldShownMessage, set_page_state
 from app.viewer.panels.widgets import Dialog
-from app.viewer.tab import Tab
+from app.viewer.tab import Tab, latest_messages
 from app.viewer.words import common as common_words
 from app.viewer.words import keys as words
 
@@ -65,7 +65,7 @@ class KeySheet(Dialog):
 
     def toggle_messages(self) -> None:
         """Show the latest messages, newest first, or close the sheet."""
-        self._toggle(words.MESSAGES, self._tab.messages or [(words.NO_MESSAGES, "")])
+        self._toggle(words.MESSAGES, latest_messages(self._tab) or [(words.NO_MESSAGES, "")])
 
     def _toggle(self, title: str, sheet: Rows) -> None:
         if self.close():

@@ -35,6 +35,7 @@ from model.io.formats.loaded import (
     size_of,
     triangulate,
 )
+from model.io.robot_xml import counted
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -49,6 +50,17 @@ WORLD_FROM_UP = {
     "y": np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]]),
     "z": np.eye(4),
 }
+_SCHEMAS = ("PhysxJoint", "PhysxMimicJoint", "NewtonMimic", "Semantics")
+"""Applied schemas that usd-core doesn't know and a reader does, without ``API`` behind."""
+_STATED = re.compile(r"holeIndices|(physics|drive|limit|state|physx\w*|newton|mjc):")
+_READ = re.compile(
+    r"physics:(rigidBodyEnabled|collisionEnabled|jointEnabled|excludeFromArticulation|axis|mass|"
+    r"(lower|upper)Limit|coneAngle[01]Limit|local(Pos|Rot)[01]|centerOfMass|diagonalInertia|"
+    r"principalAxes|approximation|gravity\w+)|drive:\w+:physics:(damping|maxForce|type)|"
+    r"physxJoint:(jointFriction|maxJointVelocity)|newton:mimic(Coef[01]|Enabled)|"
+    r"physxMimicJoint:\w+:(gearing|offset|referenceJointAxis)"
+)
+"""Attributes of physics that a reader knows."""
 
 
 def _said(error: Exception) -> str:
@@ -127,7 +139,7 @@ class UsdStage:
     """An open stage with pxr's modules; geometry comes out in metres, +z up."""
 
     def __init__(self, path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> None:
-        self.usd, self.geom, self.physics, self.shade, self.ar, tf = (
+        self._usd, self._geom, self._physics, self._shade, self._ar, tf = (
             require(f"pxr.{n}", "artiworld[usd]", "USD")
             for n in ("Usd", "UsdGeom", "UsdPhysics", "UsdShade", "Ar", "Tf")
         )
@@ -135,21 +147,21 @@ class UsdStage:
             raise InputFileError(path, "is over the limit of bytes", "thin or cut its meshes first")
         _check_binary(path)
         try:
-            self.stage: Any = self.usd.Stage.Open(str(path))
+            self.stage: Any = self._usd.Stage.Open(str(path))
         except tf.ErrorException as error:
             what = f"is no USD stage: {_said(error)}"
             raise InputFileError(path, what, "export it again") from None
         self.path = path
-        self.up: Any = str(self.geom.GetStageUpAxis(self.stage)).lower()
-        self.unit = float(self.geom.GetStageMetersPerUnit(self.stage))
+        self.up: Any = str(self._geom.GetStageUpAxis(self.stage)).lower()
+        self.unit = float(self._geom.GetStageMetersPerUnit(self.stage))
         if self.up not in ("y", "z") or not (0 < self.unit < 1e6):
             raise InputFileError(
                 path, f"has up axis {self.up!r} and {self.unit} metres a unit", "y or z up, above 0"
             )
         self.turn = WORLD_FROM_UP[self.up]
         self.into = self.turn @ np.diag([self.unit, self.unit, self.unit, 1.0])
-        self.places = self.geom.XformCache()
-        self.remarks: dict[str, None] = {}
+        self._places = self._geom.XformCache()
+        self._remarks: dict[str, None] = {}
         self._made: dict[Any, tuple[Material, str]] = {}
 
     def get(self, prim: Any, name: str) -> Any:
@@ -158,16 +170,16 @@ class UsdStage:
 
     def walk(self, below: Any = None) -> Iterator[tuple[Any, bool]]:
         """Each prim, with instances opened, and True where it can be seen."""
-        every = self.usd.TraverseInstanceProxies(self.usd.PrimDefaultPredicate)
+        every = self._usd.TraverseInstanceProxies(self._usd.PrimDefaultPredicate)
         root = self.stage.GetPseudoRoot() if below is None else below
-        walk = iter(self.usd.PrimRange(root, every))
+        walk = iter(self._usd.PrimRange(root, every))
         for number, prim in enumerate(walk):
             if number > MOST_PRIMS:  # instances of instances multiply
                 what = f"has more than {MOST_PRIMS:,} prims"
                 raise InputFileError(self.path, what, "cut the stage")
-            if prim.IsA(self.geom.PointInstancer):
+            if prim.IsA(self._geom.PointInstancer):
                 walk.PruneChildren()
-            image = self.geom.Imageable(prim)
+            image = self._geom.Imageable(prim)
             shown = not image or image.ComputeVisibility() != "invisible"
             yield prim, shown and not (image and image.ComputePurpose() in ("guide", "proxy"))
 
@@ -177,7 +189,7 @@ class UsdStage:
 
     def is_body(self, prim: Any) -> bool:
         """True if it moves as one body: it has the schema, which isn't switched off."""
-        has = prim.HasAPI(self.physics.RigidBodyAPI) and not prim.IsA(self.physics.Joint)
+        has = prim.HasAPI(self._physics.RigidBodyAPI) and not prim.IsA(self._physics.Joint)
         return has and self.get(prim, "physics:rigidBodyEnabled") is not False
 
     def body_of(self, prim: Any) -> Any | None:
@@ -190,24 +202,46 @@ class UsdStage:
         """True if a prim draws something that isn't read: copies, curves, points, skeletons."""
         if prim.GetTypeName() in ("Mesh", *SHAPES):
             return False
-        copies = prim.IsA(self.geom.PointInstancer) or prim.GetTypeName() == "SkelRoot"
-        return copies or prim.IsA(self.geom.Gprim)
+        copies = prim.IsA(self._geom.PointInstancer) or prim.GetTypeName() == "SkelRoot"
+        return copies or prim.IsA(self._geom.Gprim)
 
     def unread(self, prims: Iterable[Any], *, joints: bool = False) -> list[str]:
-        """What prims draw beside, joints where asked, files that are missing, remarks on looks."""
-        found = Counter(
-            str(p.GetTypeName())
-            for p in prims
-            if self.is_unread(p) or (joints and p.IsA(self.physics.Joint))
-        )
+        """Remarks on shapes, schemas and values that no reader knows, joints where asked, missing
+        files, looks."""
+        found = Counter[str]()
+        for prim in prims:
+            known = bool(prim.GetPrimTypeInfo().GetSchemaTypeName()) or not prim.GetTypeName()
+            joint = joints and prim.IsA(self._physics.Joint)
+            found[str(prim.GetTypeName())] += not known or joint or self.is_unread(prim)
+            found.update(self._unknown(prim))
         lost = (re.search(r"asset @(.+?)@", str(e)) for e in self.stage.GetCompositionErrors())
         missing = dict.fromkeys(os.path.relpath(m[1], self.path.parent) for m in lost if m)
         out = [f"missing: {name!r} and what it holds" for name in missing]
-        return [*out, *(f"not read: {kind} ({n})" for kind, n in found.items()), *self.remarks]
+        return [*out, *counted(found), *self._remarks]
+
+    def _unknown(self, prim: Any) -> Iterator[str]:
+        """Schemas and values of a prim that no reader knows; values of unknown schemas go with
+        them."""
+        theirs: set[str] = set()
+        for name in prim.GetPrimTypeInfo().GetAppliedAPISchemas():
+            plain = str(name).partition(":")[0]
+            registered = self._usd.SchemaRegistry().FindAppliedAPIPrimDefinition(plain)
+            if registered is None and plain.removesuffix("API") not in _SCHEMAS:
+                theirs.add(plain.removesuffix("API").lower())
+                yield f"schema {plain}"
+        for attribute in prim.GetAuthoredAttributes():
+            name, value = str(attribute.GetName()), attribute.Get()
+            if attribute.ValueMightBeTimeVarying():
+                yield "animation"
+            stated = _STATED.match(name) and name.partition(":")[0].lower() not in theirs
+            usual = prim.GetPrimDefinition().GetAttributeFallbackValue(name)
+            says = str(value) != str(usual) and (len(value) if np.ndim(value) else bool(value))
+            if stated and says and not _READ.fullmatch(name):
+                yield name
 
     def world(self, prim: Any) -> FloatArray:
         """(4, 4) world_from_prim in metres, +z up, of points in metres, +z up."""
-        out = np.asarray(self.places.GetLocalToWorldTransform(prim), np.float64).T
+        out = np.asarray(self._places.GetLocalToWorldTransform(prim), np.float64).T
         out[:3, 3] *= self.unit
         return self.turn @ out @ self.turn.T
 
@@ -219,7 +253,7 @@ class UsdStage:
         return self._primitive(prim, kind) if kind in SHAPES else None
 
     def _mesh(self, prim: Any) -> Loaded:
-        mesh = self.geom.Mesh(prim)
+        mesh = self._geom.Mesh(prim)
         points = np.asarray(mesh.GetPointsAttr().Get() or np.zeros((0, 3)), np.float64)
         sizes = np.asarray(mesh.GetFaceVertexCountsAttr().Get() or (), np.int64)
         vertices = np.asarray(mesh.GetFaceVertexIndicesAttr().Get() or (), np.int64)
@@ -258,8 +292,8 @@ class UsdStage:
         at = {"constant": 0 * faces, "uniform": np.tile(polygons[:, None], 3), "vertex": faces}
         at |= {"varying": faces, "faceVarying": corners}
         looks, which = [self._look(prim)], np.zeros(len(faces), np.int32)
-        bind = self.shade.MaterialBindingAPI(prim).GetMaterialBindSubsets
-        for subset in bind() if prim.IsA(self.geom.Mesh) else ():
+        bind = self._shade.MaterialBindingAPI(prim).GetMaterialBindSubsets
+        for subset in bind() if prim.IsA(self._geom.Mesh) else ():
             which[np.isin(polygons, np.asarray(subset.GetIndicesAttr().Get() or ()))] = len(looks)
             looks.append(self._look(subset.GetPrim()))
         base = np.array([look.base_color for look, _ in looks], np.uint8)[which]
@@ -278,7 +312,7 @@ class UsdStage:
             if look.texture is not None and (uv is None or name != named):
                 looks[i] = replace(look, texture=None), name
                 said = f"coordinates {name!r} of a texture are missing, or a second set"
-                self.remarks[f"{prim.GetPath()}: {said}"] = None
+                self._remarks[f"{prim.GetPath()}: {said}"] = None
         values = [v.reshape(-1, v.shape[2]) for v in (uv, colors) if v is not None]
         if values:
             flat = faces.reshape(-1)
@@ -296,7 +330,7 @@ class UsdStage:
 
     def _primvar(self, prim: Any, name: str, width: int, at: Any) -> Any | None:
         """(T, 3, width) at the corners; None where there is none, or it doesn't fit: remarked."""
-        primvar = self.geom.PrimvarsAPI(prim).FindPrimvarWithInheritance(name)
+        primvar = self._geom.PrimvarsAPI(prim).FindPrimvarWithInheritance(name)
         said = primvar.ComputeFlattened() if primvar else None
         if said is None or not len(said):
             return None
@@ -306,21 +340,23 @@ class UsdStage:
             most = {int(at[k].max(initial=0)) + 1: k for k in ("faceVarying", "uniform", "vertex")}
             kind = most.get(len(values), kind)
         if kind not in at or at[kind].max(initial=0) >= len(values) or values.shape[1] < width:
-            self.remarks[f"{prim.GetPath()}: its primvar {name!r} doesn't fit: left out"] = None
+            self._remarks[f"{prim.GetPath()}: its primvar {name!r} doesn't fit: left out"] = None
             return None
         return values[at[kind]][..., :width]
 
     def _look(self, prim: Any) -> tuple[Material, str]:
         """The material that is bound to a prim, and the primvar of its texture's coordinates;
         "displayColor" where the mesh has its colour."""
-        bound = self.shade.MaterialBindingAPI(prim).ComputeBoundMaterial()[0]
+        bound = self._shade.MaterialBindingAPI(prim).ComputeBoundMaterial()[0]
         surface = bound.ComputeSurfaceSource()[0].GetPrim() if bound else None
-        shown = self.geom.Gprim(prim).GetDisplayColorAttr().Get()
+        shown = self._geom.Gprim(prim).GetDisplayColorAttr().Get()
         if not surface and shown is not None and len(shown) == 1:
-            opacity = self.geom.Gprim(prim).GetDisplayOpacityAttr().Get() or (1.0,)
+            opacity = self._geom.Gprim(prim).GetDisplayOpacityAttr().Get() or (1.0,)
             r, g, b, a = to_srgb(np.array([[*shown[0], opacity[0]]]))[0].tolist()
             return Material(str(prim.GetName()), (r, g, b, a)), ""
         if not surface:
+            if bound:
+                self._remarks[f"material {str(bound.GetPrim().GetName())!r}: not read"] = None
             return Material(str(prim.GetName())), "displayColor"
         if bound.GetPath() in self._made:
             return self._made[bound.GetPath()]
@@ -329,19 +365,19 @@ class UsdStage:
         color, opacity = said["diffuseColor"], said["opacity"]
         maps = [k for k, v in said.items() if self._value(v, "file") is not None and v != color]
         if maps:
-            self.remarks[left_out(f"{k} map" for k in maps)] = None
-        if isinstance(color, self.usd.Prim):
+            self._remarks[left_out(f"{k} map" for k in maps)] = None
+        if isinstance(color, self._usd.Prim):
             file, st = self._value(color, "file"), self._value(color, "varname")
             if file is not None:
                 texture, st = self._picture(file), self._value(color, "st")
                 if (before := self._value(st, "in")) is not None:
-                    self.remarks[f"material {name!r}: what moves its texture isn't read"] = None
+                    self._remarks[f"material {name!r}: what moves its texture isn't read"] = None
                     st = before
                 st = self._value(st, "varname") or "st"
             if texture is not None and opacity != color and texture.mode != "RGB":
                 texture = texture.convert("RGB")
             if st is None or (texture is None and st != shown):
-                self.remarks[f"material {name!r}: the node of its colour isn't read"] = None
+                self._remarks[f"material {name!r}: the node of its colour isn't read"] = None
                 texture, st = None, shown
             shown, color = st, None if texture is None else self._value(color, "scale") or (1,) * 3
         share = [
@@ -357,9 +393,9 @@ class UsdStage:
 
     def _value(self, node: Any, name: str) -> Any:
         """The value of a node's input, wherever it comes from, or the node that gives it."""
-        slot = self.shade.Shader(node).GetInput(name) if isinstance(node, self.usd.Prim) else None
-        for attribute in self.shade.Utils.GetValueProducingAttributes(slot) if slot else ():
-            output = self.shade.Output.IsOutput(attribute)
+        slot = self._shade.Shader(node).GetInput(name) if isinstance(node, self._usd.Prim) else None
+        for attribute in self._shade.Utils.GetValueProducingAttributes(slot) if slot else ():
+            output = self._shade.Output.IsOutput(attribute)
             return attribute.GetPrim() if output else attribute.Get()
         return None
 
@@ -368,12 +404,12 @@ class UsdStage:
         lies elsewhere or can't be read."""
         at, name = said.resolvedPath or said.path, Path(said.path).name
         try:
-            outer = Path(self.ar.SplitPackageRelativePathOuter(at)[0]).resolve()
+            outer = Path(self._ar.SplitPackageRelativePathOuter(at)[0]).resolve()
             inside = outer.is_relative_to(self.path.parent.resolve()) and outer.is_file()
-            found = inside and self.ar.GetResolver().OpenAsset(self.ar.ResolvedPath(at))
+            found = inside and self._ar.GetResolver().OpenAsset(self._ar.ResolvedPath(at))
             if not found or found.GetSize() > MOST_BYTES:
                 raise TextureError(f"{said.path!r} can't be read in the stage's folder")
             return decode(bytes(found.GetBuffer()), f"texture {name}")
         except TextureError as error:
-            self.remarks[f"texture not used: {error}"] = None
+            self._remarks[f"texture not used: {error}"] = None
             return None

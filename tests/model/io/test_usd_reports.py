@@ -398,7 +398,36 @@ MADE: dict[str, tuple[Made, Callable[[Asset], None]]] = {
             door='def PointInstancer "p" {\nrel prototypes = [</Cabinet/door/p/s>]\n'
             'def Sphere "s" {\ndouble radius = 3\n}\n}\ndef Points "q" {}'
         ),
-        both(parts("base", "door"), told("not read: PointInstancer (1)", "not read: Points (1)")),
+        both(parts("base", "door"), told("not read: PointInstancer (1), Points (1)")),
+    ),
+    # What is stated and not read
+    "stiffness": (
+        Made(
+            schemas='"PhysicsDriveAPI:angular"', hinge="float drive:angular:physics:stiffness = 3"
+        ),
+        told("not read: drive:angular:physics:stiffness (1)"),
+    ),
+    "density": (Made(door="float physics:density = 500"), told("physics:density (1)")),
+    "hole": (Made(panel="int[] holeIndices = [0]"), told("holeIndices (1)")),
+    "schema": (
+        Made(
+            hinge="float foo:strength = 3\nfloat mjc:armature = 2",
+            schemas='"FooJointAPI", "PhysicsDriveAPI:angular"',
+        ),
+        told("schema FooJointAPI (1)", "mjc:armature (1)"),
+    ),
+    "animation": (
+        Made(door="double3 xformOp:translate.timeSamples = {0: (0, 0, 0), 1: (0, 1, 0)}"),
+        told("animation (1)"),
+    ),
+    "look of MDL": (
+        Made(
+            panel="rel material:binding = </Cabinet/red>",
+            beside='def Material "red" {\n'
+            "token outputs:mdl:surface.connect = </Cabinet/red/s.outputs:out>\n"
+            'def Shader "s" {\ntoken outputs:out\n}\n}',
+        ),
+        told("material 'red': not read"),
     ),
     # Joints
     "a turn and more": (
