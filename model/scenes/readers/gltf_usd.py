@@ -275,9 +275,9 @@ class _Stage(UsdStage):
                 solid.add(at.GetPath())
                 at = at.GetParent()
         found: list[Any] = []
-        walk = iter(self.usd.PrimRange(self.stage.GetPseudoRoot()))
+        walk = iter(self._usd.PrimRange(self.stage.GetPseudoRoot()))
         for prim in walk:
-            if prim.GetPath() in solid and self.usd.ModelAPI(prim).GetKind() == "component":
+            if prim.GetPath() in solid and self._usd.ModelAPI(prim).GetKind() == "component":
                 found.append(prim)
                 walk.PruneChildren()
         return found or self._below_wrappers(solid)
@@ -289,7 +289,7 @@ class _Stage(UsdStage):
                 break
             below = [
                 c
-                for c in level[0].GetFilteredChildren(self.usd.PrimIsDefined)
+                for c in level[0].GetFilteredChildren(self._usd.PrimIsDefined)
                 if c.GetPath() in solid
             ]
             lone = len(below) == 1 and below[0].GetTypeName() in ("Mesh", *SHAPES)
