@@ -11,6 +11,7 @@ import os
 import random
 import secrets
 import shutil
+import socket
 import subprocess
 import sys
 import tempfile
@@ -18,7 +19,7 @@ import threading
 import time
 from base64 import b64encode
 from collections import Counter
-from contextlib import suppress
+from contextlib import closing, suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -39,6 +40,7 @@ from app.cli.benchmarks.ui import (
 )
 from app.cli.output import Result, console, print_records
 from app.cli.serve import start_server
+from app.client import ApiError, Client
 from app.server.accepting import accept
 from app.server.app_state import AppState
 from app.server.config import ServeConfig
@@ -254,6 +256,67 @@ def write_worst(folder: Path) -> list[Path]:
     return out
 
 
+STRANGERS = 255
+"""Connections of visitors without an account."""
+_LOGIN = b"POST /api/v1/login HTTP/1.1\r\nHost: x\r\nX-ArtiWorld: 1\r\nContent-Length: 90\r\n\r\n"
+
+
+def ask_beside(seconds: int) -> list[dict[str, Any]]:
+    """Measure a person's requests without and beside strangers who send bodies a byte a second.
+
+    Returns:
+        One row each: requests, those refused, and the 95th percentile of their times in ms.
+    """
+    with tempfile.TemporaryDirectory(prefix="artiworld-strangers-") as folder:
+        workspace = Path(folder)
+        with closing(Store(workspace)) as store:
+            ann = store.people.accounts.add("ann", "annotator", secrets.token_hex())
+            token = store.people.credentials.make_token(ann, "bench", ("read",))
+        server: Any = start_server(ServeConfig(workspace=workspace, port=0))
+        over = threading.Event()
+        try:
+            client = Client(server.url, token)
+            rows = [{"with": "nobody else", **_asked(client, seconds * QUIET)}]
+            strangers = threading.Thread(target=_drip, args=(server.viser.get_port(), over))
+            strangers.start()
+            rows.append({"with": f"{STRANGERS} strangers", **_asked(client, seconds)})
+            over.set()
+            strangers.join()
+        finally:
+            over.set()
+            server.close()
+    return rows
+
+
+def _drip(port: int, over: threading.Event) -> None:
+    """Send many logins, each a byte a second; who is cut off begins anew."""
+    sockets: list[socket.socket] = []
+    while not over.wait(1.0):
+        for one in list(sockets):
+            try:
+                one.send(b"{")
+            except OSError:
+                sockets.remove(one)
+        with suppress(OSError):
+            while len(sockets) < STRANGERS:
+                sockets.append(socket.create_connection(("127.0.0.1", port), 1))
+                sockets[-1].sendall(_LOGIN)
+    for one in sockets:
+        one.close()
+
+
+def _asked(client: Client, seconds: float) -> dict[str, Any]:
+    taken, refused, end = list[float](), 0, time.perf_counter() + seconds
+    while (began := time.perf_counter()) < end:
+        try:
+            list(client.objects())
+        except (ApiError, OSError):
+            refused += 1
+        taken.append(time.perf_counter() - began)
+        time.sleep(0.2)
+    return {"requests": len(taken), "refused": refused, **waiting_times(taken)}
+
+
 KINDS = ("uploaded", "sorted", "named", "accepted", "released")
 MOST_DECISIONS = 3 * len(KINDS)
 """Before a kill; so many kinds are an object."""
@@ -397,6 +460,7 @@ def faults_bench(options: FaultsBench, progress: Progress) -> Result:
         report["kills"] = kill_servers(options.kills, options.seed, progress)
     if options.clients:
         report["clients"] = click_beside(options.clients, options.seed, progress)
+        report["strangers"] = ask_beside(options.clients)
     kills = report.get("kills", {})
     lost = any(row["lost"] for row in report.get("clients", ()))
     report["failed"] = bool(bad or lost or kills.get("lost") or kills.get("left over"))
@@ -457,3 +521,4 @@ def _print(report: dict[str, Any]) -> None:
         print_records("Servers killed at random moments", [report["kills"]])
     if "clients" in report:
         print_records("Clicks of six people", report["clients"])
+        print_records("Requests of a person", report["strangers"])
