@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import lzma
 import os
 import stat
@@ -57,8 +58,8 @@ def unpack(target: Path, name: str, file: BinaryIO, max_bytes: int) -> Path:
                     if target.is_dir():  # a former version left it, and its objects may be open
                         _complete(target, files, draft)
     except (*DAMAGED, OSError) as error:
-        if isinstance(error, OSError) and error.errno is not None:
-            raise  # such as a full disk; a damaged bz2 stream has no number
+        if isinstance(error, OSError) and error.errno not in (None, errno.EINVAL):
+            raise  # such as a full disk; damaged streams have no number, damaged places this one
         raise InputFileError(
             name, f"is not a readable zip ({error})", "pack it again, without a password"
         ) from error

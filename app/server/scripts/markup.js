@@ -22,11 +22,16 @@
     return (nodes[place] = made);
   };
 
+  // Where nothing of ours comes, viser's own panel says what is wrong with the connection.
+  const begin = () => document.documentElement.classList.add("aw-begun");
+  setTimeout(begin, 15000);
+
   // They lie over the picture, whose place changes with the panels beside it.
   const NARROW = 420;
   let before = "", stepped = false;
   const follow = () => {
     const canvas = window.__viserMutable?.canvas;
+    if (document.querySelector('[role="tab"]')) begin();  // viser's own panel has none
     const box = canvas && canvas.getBoundingClientRect();
     if (!box || !box.width) return;
     const now = `${box.left},${box.width}`;
@@ -92,10 +97,6 @@
     try { return localStorage.getItem(KEY) === "folded"; } catch { return false; }
   };
 
-  // Where nothing of ours comes, viser's own panel says what is wrong with the connection.
-  const begin = () => document.documentElement.classList.add("aw-begun");
-  setTimeout(begin, 15000);
-
   const dark = window.matchMedia("(prefers-color-scheme: dark)");
   const theme = () => send("theme", dark.matches ? "dark" : "light");
   dark.addEventListener("change", theme);
@@ -105,7 +106,6 @@
     theme,
     show(place, html) {
       const at = node(place);
-      begin();
       // What has the keyboard keeps it: the same control is there anew.
       const held = at.contains(document.activeElement) && document.activeElement;
       const key = held && `[data-press="${held.dataset.press}"][value="${CSS.escape(held.value)}"]`;
