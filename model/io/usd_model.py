@@ -157,8 +157,8 @@ class _Reader:
             mesh = to_mesh(cleaned(self.path, world, np.eye(4), 1.0))
             size = np.ptp(mesh.bounds, axis=0)
             if link == WORLD and size[:2].min() > WIDE:
-                told = f"{size[0]:.3g} x {size[1]:.3g} m: taken for a ground, left out"
-                self.notes.append(f"{prim.GetName()} is {told}")
+                extent = f"{size[0]:.3g} x {size[1]:.3g} m: taken for a ground, left out"
+                self.notes.append(f"{prim.GetName()} is {extent}")
                 continue
             yield UrdfVisual(link, None, np.eye(4), mesh=mesh)
 
@@ -347,8 +347,8 @@ class _Reader:
             base = next((n.removesuffix(":gearing") for n in names if n.endswith(":gearing")), "")
             if base:
                 keys, sign = ("referenceJoint", "gearing", "offset"), -1.0
-            told, factor, more = (f"{base or 'newton'}:{key}" for key in keys)
-            targets = prim.GetRelationship(told).GetTargets()
+            lead, factor, more = (f"{base or 'newton'}:{key}" for key in keys)
+            targets = prim.GetRelationship(lead).GetTargets()
             if not (base or targets) or self.get(prim, "newton:mimicEnabled") is False:
                 continue
             leader = at.get(targets[0]) if targets else None
