@@ -181,14 +181,14 @@ class Learning:
         """Learn again when enough other objects are accepted, unless a person chose a version."""
         accepted = [r for r in records if r.state == "accepted"]
         now = frozenset((r.id, r.updated) for r in accepted)
-        before, known = self._accepted, in_use(self._workspace) is not None
+        before = self._accepted
         if before is not None and self._worker is not None:
             return
         self._accepted = now
         most = max(Counter(r.category for r in accepted).values(), default=0)
         if before in (None, now) or chosen_by_person(self._workspace):
             return
-        if most >= LEAST or known:
+        if most >= LEAST or in_use(self._workspace) is not None:
             self.start(lambda _: None, automatic=True)
 
     def start(

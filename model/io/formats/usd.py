@@ -230,13 +230,15 @@ class UsdStage:
                 theirs.add(plain.removesuffix("API").lower())
                 yield f"schema {plain}"
         for attribute in prim.GetAuthoredAttributes():
-            name, value = str(attribute.GetName()), attribute.Get()
+            name = str(attribute.GetName())
             if attribute.ValueMightBeTimeVarying():
                 yield "animation"
             stated = _STATED.match(name) and name.partition(":")[0].lower() not in theirs
+            if not stated or _READ.fullmatch(name):
+                continue
+            value = attribute.Get()
             usual = prim.GetPrimDefinition().GetAttributeFallbackValue(name)
-            says = str(value) != str(usual) and (len(value) if np.ndim(value) else bool(value))
-            if stated and says and not _READ.fullmatch(name):
+            if str(value) != str(usual) and (len(value) if np.ndim(value) else bool(value)):
                 yield name
 
     def world(self, prim: Any) -> FloatArray:
