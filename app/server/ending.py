@@ -75,9 +75,13 @@ class EndSignals:
     def __enter__(self) -> EndSignals:
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, kind: object, *_: object) -> None:
         if not self._came.is_set():
             self._give_back()
+        elif kind is None:  # all is closed; taking native libraries apart may last seconds
+            logging.shutdown()
+            sys.stdout.flush()
+            os._exit(0)
 
     def _give_back(self) -> None:
         if self._writer < 0:

@@ -409,4 +409,4 @@ def send_folder(tab: Tab, folder: Path, name: str) -> None:
         CommandError: where it is too large.
     """
     with zipped(folder, name) as file:
-        tab.client.send_file_download(f"{name}.zip", file.read())
+        tab.client.send_file_download(f"{name}.zip", file.read(), save_immediately=True)

@@ -102,7 +102,9 @@ class SceneCard:
 
     def _report_clicked(self) -> None:
         send = self._tab.client.send_file_download
-        self._workspace.saving.report(lambda path: send(path.name, path.read_bytes()))
+        self._workspace.saving.report(
+            lambda path: send(path.name, path.read_bytes(), save_immediately=True)
+        )
 
     def _recolor(self) -> None:
         self._picture.original_colors = self._original.value
