@@ -114,7 +114,6 @@ SLOW = (
     "tests/model/prediction/geometric/test_odd_part_sets.py",
     "tests/model/scenes/test_language_finder.py",
     "tests/model/segmentation/test_attached_shells.py",
-    "tests/model/segmentation/test_box_scores.py",
     "tests/model/segmentation/test_boxes.py",
     "tests/model/segmentation/test_coincident_faces.py",
     "tests/model/segmentation/test_outliers.py",

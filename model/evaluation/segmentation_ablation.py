@@ -97,9 +97,8 @@ def _no_facets(mesh: Any) -> FaceGroups:
 _NO_BOX = np.zeros((0, 3), np.int16)
 SWITCHES: dict[str, Switch] = {
     "boxes": Switch({"boxes.Boxes.first": _none, "boxes.Boxes.later": _none}),
-    "box network": Switch({"solver.shipped_box_model": _nothing}, "clouds", "solver"),
     "boxes between planes": Switch(
-        {f"boxes.Boxes.{name}": _no_boxes for name in ("_between", "_tight", "_alike")}
+        {"boxes.Boxes._between": _no_boxes, "boxes.Boxes._alike": _no_boxes}
     ),
     "boxes like the mask": Switch({"boxes.Boxes._alike": _no_boxes}),
     "boxes behind fronts": Switch({"plane_boxes.BoxGrid.behind": lambda *_: (_NO_BOX, _NO_BOX)}),

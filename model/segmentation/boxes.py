@@ -5,220 +5,20 @@ directions are proposed around clicked regions, around the mask with them, behin
 deep as the next surface that faces them, and between the object's planes. Planes along the sides of
 such boxes cut off what a negative click means.
 
-A drawer's tray touches the carcass and a door its frame, so the leak through a box's sides says
-little about whether it is a part. A small network ranks the boxes between planes: it looks at every
-side, at where the click lies between them, and at the content.
-
 Objects of a room stand upright. Boxes reach from a clicked front, top or side as deep as furniture
 is; planes between clicks separate cabinets that stand side by side.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import lru_cache
-from operator import attrgetter
-
 import numpy as np
-from cachetools import LRUCache, cachedmethod
 from scipy.sparse import csr_matrix
 
-from model.core.files import static_assets
-from model.segmentation.arrays import Bool, Float, Float32, Float64, Int, Int16, Int64, Uint8
+from model.segmentation.arrays import Bool, Float, Float32, Float64, Int, Int16
 from model.segmentation.encoding import Room
-from model.segmentation.models import Mlp, load_mlp
-from model.segmentation.plane_boxes import SIDE_FEATURES, STEPS, BoxGrid, PlaneBoxes
+from model.segmentation.plane_boxes import BoxGrid, PlaneBoxes
 from model.segmentation.proposals import BOX_SOURCE, PartState, Proposals, Regions, evenly
 from model.segmentation.superpoints import Superpoints
-
-WEIGHTS = "segmentation/boxes.npz"
-_AXES, _ENDS = ("short", "long", "upright"), ("near", "far")
-_ALONG = ("length", "near", "far", "centred", "click_faces")
-BOX_SCORE_FEATURES = (
-    *(f"{axis}_{name}" for axis in _AXES for name in _ALONG),
-    *(f"{axis}_{end}_{name}" for axis in _AXES for end in _ENDS for name in SIDE_FEATURES),
-    *(f"{axis}_{end}_outermost" for axis in _AXES for end in _ENDS),
-    "share",
-    "surface_filled",
-    "inner_strength",
-    "leak",
-    "volume",
-)
-
-_CACHED = 16
-"""Clicked superpoints whose scores are cached."""
-_CONSIDERED, _ALIKE = 400, 0.65
-"""Likeliest boxes that are thinned, and the volume overlap of those that are alike."""
-_SIZE_BIN = 0.3
-"""Logarithmic size of the bins from which one box each is taken."""
-
-
-@lru_cache(maxsize=1)
-def shipped_box_model() -> Mlp | None:
-    """The project's trained network, or None if its file is absent."""
-    path = static_assets() / WEIGHTS
-    return load_mlp(path, BOX_SCORE_FEATURES) if path.is_file() else None
-
-
-class BoxDescriber:
-    """Describes boxes for a click.
-
-    Horizontal directions are sorted by the box's length and their sides by the distance from the
-    click, so what is learned holds for turned and mirrored objects. Up and down stay apart.
-    """
-
-    def __init__(self, boxes: PlaneBoxes, step: Float) -> None:
-        """``step`` (3,) metres along each direction."""
-        low, high = boxes.low.T.astype(np.float32), boxes.high.T.astype(np.float32)
-        self._scale = (step / np.linalg.norm(STEPS * step)).astype(np.float32)
-        length = (high - low + 1) * self._scale
-        swap = length[:, 0] > length[:, 1]
-        rows = np.arange(len(low))[:, None]
-        self._order = np.where(swap[:, None], [1, 0, 2], [0, 1, 2]).astype(np.int8)
-        self._low, self._high = low, high
-        log_length = np.log(np.maximum(length, 1e-3), dtype=np.float64)
-        self._length = log_length[rows, self._order]
-        outermost = np.stack([low <= 0, high >= STEPS - 1], axis=2).astype(np.float32)
-        self._sides = boxes.sides[rows, self._order]
-        self._outermost = outermost[rows, self._order]
-        share = np.maximum(boxes.share, 1e-9, dtype=np.float64)
-        filled = share * boxes.surface.max(initial=1) / np.maximum(boxes.surface, 1e-9)
-        self._held = np.stack(
-            [
-                np.log(share),
-                np.log(filled),
-                boxes.inner,
-                np.log(boxes.leak + 1e-6, dtype=np.float64),
-                log_length.sum(1),
-            ],
-            axis=1,
-        ).astype(np.float32)
-
-    def __call__(self, found: Int64, spot: Int, faces: Bool) -> Float:
-        """(K, F) features of the boxes ``found``, in the order of ``BOX_SCORE_FEATURES``.
-
-        Args:
-            spot: (3,) the click's steps.
-            faces: (3,) whether the surface there faces along each direction.
-        """
-        order, rows = self._order[found], np.arange(len(found))[:, None]
-        before = ((spot - self._low[found]) * self._scale)[rows, order]
-        after = ((self._high[found] - spot) * self._scale)[rows, order]
-        turned = before > after
-        turned[:, 2] = False
-        near, far = np.where(turned, after, before), np.where(turned, before, after)
-        sides, outermost = self._sides[found], self._outermost[found]
-        for axis in (0, 1):
-            at = np.nonzero(turned[:, axis])[0]
-            sides[at, axis] = sides[at, axis, ::-1]
-            outermost[at, axis] = outermost[at, axis, ::-1]
-        along = [self._length[found], near, far, near / np.maximum(near + far, 1e-6), faces[order]]
-        blocks = (np.stack(along, axis=2), sides, outermost, self._held[found])
-        flat = [b.reshape(len(found), int(np.prod(b.shape[1:]))) for b in blocks]
-        return np.concatenate(flat, axis=1).astype(np.float32)
-
-
-@dataclass(frozen=True, eq=False)
-class RankedBoxes:
-    """Boxes that hold all positive clicks and no negative one, the likeliest first.
-
-    Attributes:
-        low, high: (3, K) steps. score: (K,) log-odds. share: (K,) of the surface that they hold.
-    """
-
-    low: Int16
-    high: Int16
-    score: Float
-    share: Float
-
-    def apart(self, most: int) -> Int64:
-        """The likeliest that aren't alike."""
-        low, high = self.low[:, :_CONSIDERED].T, self.high[:, :_CONSIDERED].T
-        free = np.ones(len(low), bool)
-        out: list[int] = []
-        while len(out) < most and free.any():
-            best = int(free.argmax())
-            out.append(best)
-            free &= volume_overlap(low[best][None], high[best][None], low, high)[0] < _ALIKE
-            free[best] = False
-        return np.array(out, np.int64)
-
-    def of_all_sizes(self, most: int) -> Int64:
-        """The likeliest of each size, the likeliest first."""
-        size = np.log(self.share, dtype=np.float64)
-        _, first = np.unique(np.floor(size / _SIZE_BIN), return_index=True)
-        return np.sort(first)[:most]
-
-    def alike(self, low: Int16, high: Int16, least: float) -> Int64:
-        """Boxes whose volume overlaps with a box (1, 3) by ``least``, the likeliest first."""
-        overlap = volume_overlap(low, high, self.low.T, self.high.T)[0]
-        return np.nonzero(overlap >= least)[0]
-
-
-class BoxRanker:
-    """Ranks the boxes between planes for the first click of a part."""
-
-    def __init__(
-        self, boxes: PlaneBoxes, place: Uint8, facing: Bool, step: Float, model: Mlp | None
-    ) -> None:
-        """``place``, ``facing`` (3, C) and ``step`` (3,): see :class:`.BoxGrid`."""
-        self._boxes, self._place, self._facing = boxes, place, facing
-        self._describe = None if model is None else BoxDescriber(boxes, step)
-        self._model = model
-        self._cache: LRUCache = LRUCache(_CACHED)
-
-    @cachedmethod(attrgetter("_cache"))
-    def _scored(self, superpoint: int) -> tuple[Int64, Float]:
-        """Boxes that hold a superpoint, the likeliest first, and their scores."""
-        found = self._boxes.holding(self._place[:, superpoint])
-        if self._model is None or self._describe is None:
-            score = -np.log(self._boxes.leak[found] + 1e-6, dtype=np.float64)
-        else:
-            faces = self._facing[:, superpoint]
-            score = self._model(self._describe(found, self._place[:, superpoint], faces))
-        order = np.argsort(-score, kind="stable")
-        return found[order], score[order]
-
-    def __call__(self, positive: tuple[int, ...], negative: tuple[int, ...]) -> RankedBoxes:
-        """The boxes that agree with clicks, scored for the first positive one."""
-        found, score = self._scored(positive[0])
-        left = self._left(found, positive[1:], negative)
-        return self._ranked(found[left], score[left])
-
-    def tight(self, superpoint: int, negative: tuple[int, ...]) -> RankedBoxes:
-        """The boxes that hold a superpoint and no negative ones, the least leak first.
-
-        For later clicks: scoring their boxes with the network would slow each one down.
-        """
-        found = self._boxes.holding(self._place[:, superpoint])
-        found = found[self._left(found, (), negative)]
-        return self._ranked(found, -self._boxes.leak[found])
-
-    def _left(self, found: Int64, positive: tuple[int, ...], negative: tuple[int, ...]) -> Int64:
-        low, high = self._boxes.low[:, found], self._boxes.high[:, found]
-        ok = np.ones(len(found), bool)
-        for superpoints, wanted in ((positive, True), (negative, False)):
-            for superpoint in superpoints:
-                spot = self._place[:, superpoint].astype(np.int16)[:, None]
-                ok &= ((low <= spot) & (high >= spot)).all(0) == wanted
-        return np.nonzero(ok)[0]
-
-    def _ranked(self, found: Int64, score: Float) -> RankedBoxes:
-        boxes = self._boxes
-        return RankedBoxes(boxes.low[:, found], boxes.high[:, found], score, boxes.share[found])
-
-
-def volume_overlap(low: Int16, high: Int16, other_low: Int16, other_high: Int16) -> Float:
-    """(H, K) IoU of the volumes of boxes (H, 3) with others (K, 3), in steps."""
-    common, one, two = np.ones((len(low), len(other_low)), np.float32), 1.0, 1.0
-    for k in range(3):
-        first = np.maximum(low[:, k, None], other_low[None, :, k])
-        last = np.minimum(high[:, k, None], other_high[None, :, k])
-        common *= np.maximum(last - first + 1, 0)
-        one = one * (high[:, k] - low[:, k] + np.float32(1))
-        two = two * (other_high[:, k] - other_low[:, k] + np.float32(1))
-    return common / (np.asarray(one)[:, None] + two - common)
-
 
 _REGIONS = 10
 """Nested regions around a click that get a box."""
@@ -265,13 +65,12 @@ class Boxes:
     def __init__(
         self,
         grid: BoxGrid,
-        ranker: BoxRanker,
+        planes: PlaneBoxes,
         regions: Regions,
         shells: Shells | None,
         of_mesh: bool,
     ) -> None:
-        """``of_mesh``: take one box between planes of each size, instead of the likeliest."""
-        self._grid, self._ranker = grid, ranker
+        self._grid, self._planes = grid, planes
         self._regions, self._shells = regions, shells
         self._of_mesh = of_mesh
         self._most = _OF_SIZES if of_mesh else _BETWEEN
@@ -299,11 +98,11 @@ class Boxes:
             around = grid.contents(*grid.bounds(wider)) | wider
             deep = grid.contents(*grid.behind(low, high, FRONTS)) | mask
             own = (grid.contents(low, high) | mask)[::2]
-            tight = self._tight(superpoint, after.negative, self._most // 2) | mask
+            tight = self._between((superpoint,), after.negative, self._most // 2) | mask
             out = [around, deep, own, tight]
         else:
             without = mask & ~grid.contents(low, high)
-            outside = mask & ~self._tight(superpoint, after.positive, self._most)
+            outside = mask & ~self._between((superpoint,), after.positive, self._most)
             out = [without, outside, self._cut(mask, low, high, after, superpoint)]
         if after.positive:
             out.append(self._between(after.positive, after.negative, self._most))
@@ -311,26 +110,25 @@ class Boxes:
         return [shaped_proposals(out, self._shells)]
 
     def _between(self, inside: tuple[int, ...], outside: tuple[int, ...], most: int) -> Bool:
-        """(H, C) the likeliest boxes between planes that hold some superpoints and not others."""
-        ranked = self._ranker(inside, outside)
-        return self._contents(ranked, self._few(ranked, most))
+        """(H, C) the least leaking boxes between planes that hold some superpoints and not others.
 
-    def _tight(self, superpoint: int, outside: tuple[int, ...], most: int) -> Bool:
-        """(H, C) the least leaking boxes that hold a superpoint and not others."""
-        ranked = self._ranker.tight(superpoint, outside)
-        return self._contents(ranked, self._few(ranked, most))
-
-    def _few(self, ranked: RankedBoxes, most: int) -> Int64:
-        return ranked.of_all_sizes(most) if self._of_mesh else ranked.apart(most)
+        On clouds they aren't alike; on a mesh there is one of each size.
+        """
+        found = self._planes.holding(self._places(inside), self._places(outside))
+        return self._contents(found.of_all_sizes(most) if self._of_mesh else found.apart(most))
 
     def _alike(self, mask: Bool, inside: tuple[int, ...], outside: tuple[int, ...]) -> Bool:
         """(H, C) boxes that hold some superpoints and not others, like the mask's own box."""
-        low, high = self._grid.bounds(mask[None])
-        ranked = self._ranker(inside, outside)
-        return self._contents(ranked, ranked.alike(low, high, _ALIKE_BOXES)[: self._most])
+        (low,), (high,) = self._grid.bounds(mask[None])
+        found = self._planes.holding(self._places(inside), self._places(outside))
+        alike = np.nonzero(found.overlap(low, high) >= _ALIKE_BOXES)[0]
+        return self._contents(found.take(alike[: self._most]))
 
-    def _contents(self, ranked: RankedBoxes, index: Int64) -> Bool:
-        return self._grid.contents(ranked.low[:, index].T, ranked.high[:, index].T, 0)
+    def _places(self, superpoints: tuple[int, ...]) -> Int16:
+        return self._grid.place[:, list(superpoints)].astype(np.int16)
+
+    def _contents(self, boxes: PlaneBoxes) -> Bool:
+        return self._grid.contents(boxes.low.T, boxes.high.T, 0)
 
     def _some(self, masks: Bool) -> Bool:
         """At most ``_REGIONS`` of the masks, of all sizes."""

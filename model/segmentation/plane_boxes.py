@@ -8,12 +8,10 @@ is lined with surface. A click then looks up the boxes that hold it.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.sparse import csr_matrix
 
 from model.segmentation.arrays import Bool, Float, Float32, Float64, Int, Int16, Int64, Uint8
@@ -40,58 +38,66 @@ _SHEET = 1.35
 """Nodes on a lined side of a box, in areas of the spacing squared."""
 _MOST = 60_000
 """Boxes, those that leak least."""
-
-
-SIDE_FEATURES = ("walked", "crossed", "strength", "lined")
-"""Features of each side of a box, by its area: conductance and number of the links through it;
-their mean strength; the share that is lined with surface."""
+_CONSIDERED, _ALIKE = 400, 0.65
+"""Least leaking boxes that are thinned, and the volume overlap of those that are alike."""
+_SIZE_BIN = 0.3
+"""Logarithmic size of the bins from which one box each is taken."""
 
 
 @dataclass(frozen=True, eq=False)
 class PlaneBoxes:
-    """The boxes between the planes of an object.
+    """Boxes between the planes of an object, the least leak first.
+
+    The leak is the conductance through the sides by the root of the content, less where surface
+    lines the sides.
 
     Attributes:
         low, high: (3, B) first and last step of each along each direction.
-        leak: (B,) conductance through the sides by the root of the content, less where surface
-            lines the sides; ascending.
         share: (B,) float32 of the surface in each box.
-        inner: (B,) float32 mean strength of the links of its content.
-        sides: (B, 3, 2, 4) float32 ``SIDE_FEATURES`` of the low and the high side along each
-            direction.
-        surface: (B,) float32 nodes that would line all sides.
     """
 
     low: Int16
     high: Int16
-    leak: Float
     share: Float
-    inner: Float
-    sides: Float
-    surface: Float
 
-    def holding(self, spot: Int) -> Int64:
-        """The boxes that hold a place (three steps), the least leak first."""
-        at = spot.astype(np.int16)[:, None]
-        return np.nonzero(((self.low <= at) & (self.high >= at)).all(0))[0]
+    def take(self, index: Int) -> PlaneBoxes:
+        """Those at ``index``."""
+        return PlaneBoxes(self.low[:, index], self.high[:, index], self.share[index])
 
-    def sums(self, place: Uint8, values: npt.NDArray) -> Float64:
-        """(B,) sums of ``values`` (C,) at ``place`` (3, C) over the content of each box."""
-        cuts = [np.unique(np.r_[0, self.low[k], self.high[k] + 1, STEPS]) for k in range(3)]
-        slot: list[Int] = [
-            np.asarray(np.searchsorted(c, p, side="right"))
-            for c, p in zip(cuts, place, strict=True)
-        ]
-        shape = [len(c) for c in cuts]
-        flat = np.ravel_multi_index(slot, shape)
-        table = totals(flat, values, int(np.prod(shape))).reshape(shape)
-        for k in range(3):
-            table = table.cumsum(k)
-        ends = [
-            (np.searchsorted(c, low), np.searchsorted(c, high + 1))
-            for c, low, high in zip(cuts, self.low, self.high, strict=True)
-        ]
-        return _corners(table, ends)
+    def holding(self, inside: Int16, outside: Int16) -> PlaneBoxes:
+        """Those that hold some places (3, K) and none of others (3, L), in steps."""
+        found = self
+        for places, wanted in ((inside, True), (outside, False)):
+            for place in places.T[:, :, None]:
+                held = ((found.low <= place) & (found.high >= place)).all(0)
+                found = found.take(np.nonzero(held == wanted)[0])
+        return found
+
+    def apart(self, most: int) -> PlaneBoxes:
+        """At most so many that aren't alike."""
+        boxes = self.take(np.arange(min(len(self.share), _CONSIDERED)))
+        free = np.ones(len(boxes.share), bool)
+        out: list[int] = []
+        while len(out) < most and free.any():
+            best = int(free.argmax())
+            out.append(best)
+            free &= boxes.overlap(boxes.low[:, best], boxes.high[:, best]) < _ALIKE
+            free[best] = False
+        return boxes.take(np.array(out, np.int64))
+
+    def of_all_sizes(self, most: int) -> PlaneBoxes:
+        """At most so many, the first of each size."""
+        size = np.log(self.share, dtype=np.float64)
+        _, first = np.unique(np.floor(size / _SIZE_BIN), return_index=True)
+        return self.take(np.sort(first)[:most])
+
+    def overlap(self, low: Int16, high: Int16) -> Float:
+        """(B,) IoU of their volumes with that of another box (3,), in steps."""
+        first = np.maximum(self.low, low[:, None])
+        last = np.minimum(self.high, high[:, None])
+        common = np.maximum(last - first + np.float32(1), 0).prod(0)
+        own = (self.high - self.low + np.float32(1)).prod(0)
+        return common / (own + (high - low + np.float32(1)).prod() - common)
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,37 +131,20 @@ def plane_boxes(
         held = np.moveaxis(axes[k].between(np.moveaxis(held, k, 0)), 0, k)
     leak, lined = np.zeros_like(held), np.zeros_like(held)
     tables = [_side_tables(superpoints, axes, k, facing[k], step, spacing) for k in range(3)]
-    for k, (through, _, _, faces, full) in enumerate(tables):
+    for k, (through, faces, full) in enumerate(tables):
         leak += np.moveaxis(through[axes[k].first] + through[axes[k].last], 0, k)
         for slots in (axes[k].first, axes[k].last - 1):
             lined += np.moveaxis(np.minimum(faces[slots] / full[None], 1), 0, k)
     share = held / total
     leak = (leak + 1e-6) / np.sqrt(np.maximum(np.minimum(held, total - held), 1)) / (0.5 + lined)
     usable = np.nonzero(((share > _SMALLEST) & (share < _LARGEST)).ravel())[0]
-    leak = leak.ravel()[usable]
-    if len(usable) > _MOST:
-        best = np.sort(np.argpartition(leak, _MOST)[:_MOST])
-        usable, leak = usable[best], leak[best]
-    order = np.argsort(leak, kind="stable")
-    usable, leak = usable[order], leak[order]
+    usable = usable[np.argsort(leak.ravel()[usable], kind="stable")[:_MOST]]
     index = np.unravel_index(usable, held.shape)
     first = np.stack([a.cut[a.first[i]] for a, i in zip(axes, index, strict=True)])
     last = np.stack([a.cut[a.last[i]] - 1 for a, i in zip(axes, index, strict=True)])
-    made = PlaneBoxes(
-        first.astype(np.int16),
-        last.astype(np.int16),
-        leak.astype(np.float32),
-        share.ravel()[usable].astype(np.float32),
-        leak,
-        *_described(axes, index, tables),
+    return PlaneBoxes(
+        first.astype(np.int16), last.astype(np.int16), share.ravel()[usable].astype(np.float32)
     )
-    links = superpoints.links
-    strength, count = (
-        totals(links.a, v, len(superpoints)) + totals(links.b, v, len(superpoints))
-        for v in (links.strength, links.count)
-    )
-    inner = made.sums(place, strength) / np.maximum(made.sums(place, count), 1e-9)
-    return replace(made, inner=inner.astype(np.float32))
 
 
 def _side_tables(
@@ -169,8 +158,8 @@ def _side_tables(
     """Sums over all rectangles in each layer across direction ``k``.
 
     Returns:
-        (layers, intervals, intervals) conductance, number and strength of the links through each,
-        and nodes that face along ``k``; (intervals, intervals) nodes that would line each.
+        (layers, intervals, intervals) conductance of the links through each, and nodes that face
+        along ``k``; (intervals, intervals) nodes that would line each.
     """
     links, axis = superpoints.links, axes[k]
     others, rest = zip(*((axes[o], o) for o in range(3) if o != k), strict=True)
@@ -179,51 +168,14 @@ def _side_tables(
     link = np.repeat(np.arange(len(times)), times)
     cut = low[link] + 1 + np.arange(len(link)) - np.repeat(np.cumsum(times) - times, times)
     side = [o.slot[links.a[link]] for o in others]
-    through, crossed, strong = (
-        _sides(axis, others, cut, side, v[link])
-        for v in (links.conductance, links.count, links.strength)
-    )
+    through = _sides(axis, others, cut, side, links.conductance[link])
     faces = _sides(
         axis, others, axis.slot[facing], [o.slot[facing] for o in others], superpoints.size[facing]
     )
     wide, tall = (
         (o.cut[o.last] - o.cut[o.first]) * step[d] for o, d in zip(others, rest, strict=True)
     )
-    return through, crossed, strong, faces, _SHEET * wide[:, None] * tall[None] / spacing**2
-
-
-def _described(
-    axes: Sequence[_Axis], index: Sequence[Int64], tables: Sequence[Sequence[Float64]]
-) -> tuple[Float, Float]:
-    """``sides`` and ``surface`` of the boxes with these intervals along each direction."""
-    sides = np.zeros((len(index[0]), 3, 2, len(SIDE_FEATURES)), np.float32)
-    surface = np.zeros(len(index[0]), np.float32)
-    for k, (through, crossed, strong, faces, full) in enumerate(tables):
-        one, other = (index[o] for o in range(3) if o != k)
-        area = np.maximum(full[one, other], 1)
-        surface += 2 * area
-        ends = (axes[k].first[index[k]], axes[k].last[index[k]])
-        for side, (cut, slot) in enumerate(((ends[0], ends[0]), (ends[1], ends[1] - 1))):
-            count = crossed[cut, one, other]
-            sides[:, k, side] = np.stack(
-                [
-                    np.minimum(through[cut, one, other] / area, 8),
-                    np.minimum(count / area, 8),
-                    strong[cut, one, other] / np.maximum(count, 1),
-                    np.minimum(faces[slot, one, other] / area, 1),
-                ],
-                axis=1,
-            )
-    return sides, surface
-
-
-def _corners(table: Float64, ends: Sequence[tuple[Int, Int]]) -> Float64:
-    """(B,) sums over boxes between two entries of a summed-area table along each axis."""
-    out = np.zeros(len(ends[0][0]))
-    for corner in itertools.product((0, 1), repeat=3):
-        sign = (-1) ** (3 - sum(corner))
-        out += sign * table[tuple(e[c] for e, c in zip(ends, corner, strict=True))]
-    return out
+    return through, faces, _SHEET * wide[:, None] * tall[None] / spacing**2
 
 
 def _ordered(slot: Int, a: Int, b: Int) -> tuple[Int, Int]:

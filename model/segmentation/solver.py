@@ -17,7 +17,7 @@ import numpy.typing as npt
 from scipy.special import softmax
 
 from model.segmentation.arrays import Bool, Float, Int64, together
-from model.segmentation.boxes import Boxes, BoxRanker, RoomBoxes, Shells, shipped_box_model
+from model.segmentation.boxes import Boxes, RoomBoxes, Shells
 from model.segmentation.encoding import Encoding, Hierarchy, RandomWalk
 from model.segmentation.fronts import FrontRectangles, Fronts
 from model.segmentation.graph import components
@@ -356,10 +356,7 @@ def solver_of(
         shell = np.zeros(len(superpoints), np.int32)
         shell[superpoints.of_node] = nodes.shell
         shells = Shells(shell, superpoints.size)
-    # On meshes faces separate parts better: there the network made later clicks worse.
-    model = None if nodes.of_mesh else shipped_box_model()
-    ranker = BoxRanker(planes, grid.place, grid.facing, grid.step, model)
-    sources: list[ProposalSource] = [Boxes(grid, ranker, regions, shells, nodes.of_mesh)]
+    sources: list[ProposalSource] = [Boxes(grid, planes, regions, shells, nodes.of_mesh)]
     moving_parts = None
     if with_fronts or not nodes.of_mesh:
         fronts = Fronts(nodes, encoding.graph, encoding.strength, superpoints, grid.axes)

@@ -20,10 +20,8 @@ from model.training.segmentation.clicks import (
     train_scorers,
 )
 from model.training.segmentation.networks import (
-    BoxTraining,
     EdgeTraining,
     PartMaskTraining,
-    train_boxes,
     train_edges,
     train_part_masks,
 )
@@ -34,7 +32,7 @@ from model.training.segmentation.visible_objects import (
     train_moving,
 )
 
-Step = Literal["edges", "boxes", "parts", "clouds", "rooms", "moving", "mending", "proposals"]
+Step = Literal["edges", "parts", "clouds", "rooms", "moving", "mending", "proposals"]
 
 
 @dataclass(frozen=True)
@@ -42,18 +40,17 @@ class Training:
     """All trainings; about three hours on two cores.
 
     Attributes:
-        out: folder for ``edges.npz``, ``boxes.npz``, ``first_click.npz``, ``later_click.npz``,
+        out: folder for ``edges.npz``, ``first_click.npz``, ``later_click.npz``,
             ``first_click_cloud.npz``, ``later_click_cloud.npz``, ``first_click_moving.npz``,
             ``later_click_moving.npz``, ``part_masks.npz`` and, of rooms, ``room_first_click.npz``
             and ``room_later_click.npz``.
         skip: trainings whose models are kept as they are.
-        edges, boxes, clicks, clouds, moving, corrective, proposals: their settings.
+        edges, clicks, clouds, moving, corrective, proposals: their settings.
     """
 
     out: Path = field(default_factory=lambda: static_assets() / "segmentation")
     skip: tuple[Step, ...] = ()
     edges: EdgeTraining = field(default_factory=EdgeTraining)
-    boxes: BoxTraining = field(default_factory=BoxTraining)
     clicks: ClickTraining = field(default_factory=ClickTraining)
     clouds: CloudTraining = field(default_factory=CloudTraining)
     moving: MovingPartTraining = field(default_factory=MovingPartTraining)
@@ -71,7 +68,6 @@ def main() -> None:
     out = config.out
     trainings: dict[Step, Callable[[], dict[str, float]]] = {
         "edges": lambda: train_edges(config.edges, out / "edges.npz"),
-        "boxes": lambda: train_boxes(config.boxes, out / "boxes.npz"),
         "parts": lambda: train_scorers(config.clicks, out),
         "clouds": lambda: train_clouds(config.clouds, out),
         "rooms": lambda: train_room_scorers(config.clicks, out),

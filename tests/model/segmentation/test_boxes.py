@@ -9,12 +9,14 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from model.core.asset import Asset
-from model.core.geometry import Mesh
+from model.core.geometry import Mesh, PointCloud
 from model.geometry.sampling import sample_surface
+from model.segmentation.default import DefaultSegmenter
 from model.segmentation.encoding import encode
 from model.segmentation.graph import shipped_edge_model
 from model.segmentation.mask_features import ClickContext
-from model.segmentation.plane_boxes import BoxGrid, main_directions
+from model.segmentation.plane_boxes import BoxGrid, PlaneBoxes, main_directions
+from model.segmentation.prompts import Click, Prompts
 from model.segmentation.proposals import CorrectiveClick, PartState, Proposals
 from model.segmentation.solver import PartSolver, solver_of
 from tests.builders import blocks, spans
@@ -115,18 +117,6 @@ def test_on_a_mesh_boxes_give_whole_shells() -> None:
     state = PartState((front,), (), mask)
     answer = solver.answer(state, back, True, None)
     assert max(overlap(m, encoding, labels == DRAWER) for m in answer.proposals.masks) > 0.99
-
-
-def test_the_network_that_ranks_boxes_is_for_clouds(monkeypatch) -> None:
-    """On meshes, of one shell too, it made later clicks worse."""
-    asked: list[None] = []
-    monkeypatch.setattr("model.segmentation.solver.shipped_box_model", lambda: asked.append(None))
-    one, _ = blocks(((0.0, 0.0, 0.0), (0.4, 0.5, 0.6)))
-    cloud, _ = sample_surface(one, 3000, np.random.default_rng(0))
-    solver_of(encode(Asset("block", mesh=one), None), None, None)
-    assert not asked
-    solver_of(encode(Asset("block", cloud=cloud), None), None, None)
-    assert asked
 
 
 def test_features_have_their_names_and_are_finite(drawers) -> None:
@@ -273,3 +263,45 @@ def test_main_directions_turn_with_the_object(angles) -> None:
 def test_without_directions_the_axes_of_the_frame_stay(normal) -> None:
     axes = main_directions(normal, np.ones(len(normal)))
     assert np.allclose(np.sort(np.abs(axes), axis=1), [[0, 0, 1]] * 3)
+
+
+def test_clicks_leave_the_boxes_between_planes_that_hold_them(drawers) -> None:
+    superpoints, labels = drawers[0].superpoints, drawers[1]
+    grid = BoxGrid(superpoints)
+    planes = grid.between_planes(superpoints)
+    held = grid.contents(planes.low.T[::50], planes.high.T[::50], 0) @ superpoints.size
+    assert np.allclose(held / superpoints.size.sum(), planes.share[::50], atol=1e-6)
+    inner, outer = (int(superpoints.of_node[np.nonzero(labels == p)[0][50]]) for p in (1, 3))
+    place = grid.place.astype(np.int16)
+    before = planes.holding(place[:, [inner]], place[:, []])
+    after = planes.holding(place[:, [inner]], place[:, [outer]])
+    assert 0 < len(after.share) < len(before.share) < len(planes.share)
+    inside = grid.contents(after.low.T, after.high.T, 0)
+    assert inside[:, inner].all() and not inside[:, outer].any()
+    apart = before.apart(6)
+    overlaps = np.stack([apart.overlap(*c) for c in zip(apart.low.T, apart.high.T, strict=True)])
+    assert np.allclose(np.diagonal(overlaps), 1) and (overlaps - np.eye(6)).max() < 0.66
+    sizes = np.floor(np.log(before.of_all_sizes(6).share) / 0.3)
+    assert len(set(sizes.tolist())) == len(sizes)
+
+
+def test_overlap_of_volumes() -> None:
+    low, high = (
+        np.array([[0, 5, 20], [0, 0, 0], [0, 0, 0]]),
+        np.array([[9, 14, 29], [9] * 3, [9] * 3]),
+    )
+    boxes = PlaneBoxes(low.astype(np.int16), high.astype(np.int16), np.ones(3, np.float32))
+    one = np.zeros(3, np.int16), np.full(3, 9, np.int16)
+    assert np.allclose(boxes.overlap(*one), [1, 1 / 3, 0])
+    none = boxes.take(np.zeros(0, np.int64))
+    assert not any(len(b.share) for b in (none.apart(3), none.of_all_sizes(3)))
+    assert not len(none.overlap(*one))
+
+
+def test_an_object_without_planes_has_no_boxes_and_is_answered() -> None:
+    """A ball: nothing faces along a direction for long."""
+    points = np.random.default_rng(0).normal(size=(3000, 3))
+    points = (points / np.linalg.norm(points, axis=1, keepdims=True)).astype(np.float32)
+    session = DefaultSegmenter().encode(Asset("ball", cloud=PointCloud(points)))
+    x, y, z = points[0].tolist()
+    assert (session.segment(Prompts((Click((x, y, z), 1, True, 0),))).labels == 1).any()

@@ -408,7 +408,7 @@ def test_a_mask_that_was_chosen_is_kept_by_the_next_click() -> None:
         return Click(points[index], 1, positive, int(index))
 
     after, refused = [], 0
-    for _ in range(8):
+    for _ in range(14):
         items: list[Click | Region] = [click(central(points, door, rng))]
         first = session.segment(Prompts(tuple(items))).labels == 1
         others = session.candidates(Prompts(tuple(items)), 1)
