@@ -109,10 +109,6 @@ class _Axis:
     last: Int64
     slot: Int64
 
-    def between(self, table: Float) -> Float:
-        """Sums over the intervals, from sums up to each cut along the first axis."""
-        return table[self.last] - table[self.first]
-
 
 def plane_boxes(
     superpoints: Superpoints, place: Uint8, facing: Bool, step: Float, spacing: float
@@ -126,9 +122,7 @@ def plane_boxes(
     at = place.astype(np.int64)
     total = float(superpoints.size.sum())
     axes = [_axis(superpoints, at[k], facing[k], total) for k in range(3)]
-    held = _table([a.slot for a in axes], axes, superpoints.size)
-    for k in range(3):
-        held = np.moveaxis(axes[k].between(np.moveaxis(held, k, 0)), 0, k)
+    held = _over_intervals([a.slot + 1 for a in axes], axes, superpoints.size, range(3))
     leak, lined = np.zeros_like(held), np.zeros_like(held)
     tables = [_side_tables(superpoints, axes, k, facing[k], step, spacing) for k in range(3)]
     for k, (through, faces, full) in enumerate(tables):
@@ -167,11 +161,10 @@ def _side_tables(
     times = high - low
     link = np.repeat(np.arange(len(times)), times)
     cut = low[link] + 1 + np.arange(len(link)) - np.repeat(np.cumsum(times) - times, times)
-    side = [o.slot[links.a[link]] for o in others]
-    through = _sides(axis, others, cut, side, links.conductance[link])
-    faces = _sides(
-        axis, others, axis.slot[facing], [o.slot[facing] for o in others], superpoints.size[facing]
-    )
+    side = [o.slot[links.a[link]] + 1 for o in others]
+    through = _over_intervals([cut, *side], (axis, *others), links.conductance[link], (1, 2))
+    lining = [axis.slot[facing], *(o.slot[facing] + 1 for o in others)]
+    faces = _over_intervals(lining, (axis, *others), superpoints.size[facing], (1, 2))
     wide, tall = (
         (o.cut[o.last] - o.cut[o.first]) * step[d] for o, d in zip(others, rest, strict=True)
     )
@@ -182,25 +175,18 @@ def _ordered(slot: Int, a: Int, b: Int) -> tuple[Int, Int]:
     return np.minimum(slot[a], slot[b]), np.maximum(slot[a], slot[b])
 
 
-def _table(index: Sequence[Int], axes: Sequence[_Axis], values: Float) -> Float64:
-    """Summed-area table over the slots between cuts."""
-    shape = [len(a.cut) for a in axes]
-    flat = np.ravel_multi_index([i + 1 for i in index], shape)
-    out = totals(flat, values, int(np.prod(shape))).reshape(shape)
-    for k in range(len(axes)):
-        out = out.cumsum(k)
-    return out
-
-
-def _sides(
-    axis: _Axis, others: Sequence[_Axis], layer: Int, index: Sequence[Int], values: Float
+def _over_intervals(
+    index: Sequence[Int], axes: Sequence[_Axis], values: Float, along: Sequence[int]
 ) -> Float64:
-    """(layers, intervals, intervals) sums over rectangles in each layer across ``axis``."""
-    shape = [len(axis.cut), *(len(o.cut) for o in others)]
-    flat = np.ravel_multi_index([layer, *(i + 1 for i in index)], shape)
-    out = totals(flat, values, int(np.prod(shape))).reshape(shape).cumsum(1).cumsum(2)
-    out = out[:, others[0].last] - out[:, others[0].first]
-    return out[:, :, others[1].last] - out[:, :, others[1].first]
+    """Sums of ``values`` at places ``index`` over all intervals ``along`` some of three axes."""
+    shape = [len(axis.cut) for axis in axes]
+    flat = np.ravel_multi_index(list(index), shape)
+    out = totals(flat, values, int(np.prod(shape))).reshape(shape)
+    for k in along:
+        out = out.cumsum(k)
+    for k in along:
+        out = out.take(axes[k].last, k) - out.take(axes[k].first, k)
+    return out
 
 
 def _axis(superpoints: Superpoints, at: Int, facing: Bool, total: float) -> _Axis:
