@@ -61,11 +61,11 @@ class PlaneBoxes:
     share: Float
 
     def take(self, index: Int) -> PlaneBoxes:
-        """Those at ``index``."""
+        """Boxes at ``index``."""
         return PlaneBoxes(self.low[:, index], self.high[:, index], self.share[index])
 
     def holding(self, inside: Int16, outside: Int16) -> PlaneBoxes:
-        """Those that hold some places (3, K) and none of others (3, L), in steps."""
+        """Boxes that hold some places (3, K) and none of others (3, L), in steps."""
         found = self
         for places, wanted in ((inside, True), (outside, False)):
             for place in places.T[:, :, None]:
