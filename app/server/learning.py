@@ -44,12 +44,18 @@ class Likeness:
         self.offer: LikeOffer | None = None
         self._obj = obj
         self._asked: tuple[Path, tuple[Path, ...]] | None = None
+        self._encoded: Path | None = None
+
+    def encoded(self) -> None:
+        """Look for an object like the one that was encoded."""
+        self._encoded = None if self._obj.asset is None else self._obj.asset.folder
+        self.update()
 
     def update(self) -> None:
-        """Look for an object like it, as long as nobody worked on it, when it is read and shown."""
+        """Look for an object like it, as long as nobody worked on it, when it is encoded."""
         obj = self._obj
         asset, doc = obj.asset, obj.document
-        if asset is None or not _untouched(doc):
+        if asset is None or asset.folder != self._encoded or not _untouched(doc):
             return
         assets = self._accepted(doc)
         if not assets or (asset.folder, assets) == self._asked:

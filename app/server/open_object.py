@@ -5,7 +5,6 @@ Decisions live in the session's commands; the results of jobs become commands, t
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -44,7 +43,6 @@ class OpenObject(ObjectContext):
     Attributes:
         in_scene: whether it belongs to the open scene.
         present: the people with accounts who have it open, in any server.
-        kept_until: until then (monotonic clock) a script is taken to work on it.
     """
 
     in_scene = False
@@ -52,7 +50,6 @@ class OpenObject(ObjectContext):
     def __init__(self, record: ObjectRecord, services: Services) -> None:
         super().__init__(record, services)
         self.present: tuple[Presence, ...] = ()
-        self.kept_until = 0.0
         self.asked_by = ""  # who waits for it to be read
         self.problem: str | None = None
         self._worker_died = self._reading_stopped = self._warm = False
@@ -120,11 +117,6 @@ class OpenObject(ObjectContext):
     def in_use(self) -> bool:
         """True while a tab shows it, a script or a job works on it, or its acceptance waits."""
         return self.clicked or bool(self.jobs) or self.validation.acceptance_waits
-
-    @property
-    def clicked(self) -> bool:
-        """True while a tab shows it, or a script works on it."""
-        return self.is_shown or time.monotonic() < self.kept_until
 
     def watch(
         self, listener: Listener, notice: Notice, *, shows: bool = True
@@ -223,17 +215,20 @@ class OpenObject(ObjectContext):
             self.notify("Not accepted yet", INTERRUPTED, "yellow")
         for warning in asset.warnings:
             self.notify("Opened with a warning", warning, "orange")
-        self._prepare_clicks(asset)
         whole = asset.source_labels is None and self.document.left_out is None
-        if whole and not self.in_scene and untouched(self.document):
+        proposed = whole and not self.in_scene and untouched(self.document)
+        if self.is_shown or not proposed:  # what is opened ahead may be levelled first
+            self._prepare_clicks(asset)
+        if proposed:
             self.preparing.propose(priority=-1)  # after what the first click needs
         self._state_changed()
 
     def _prepare_clicks(self, asset: OpenedAsset) -> None:
-        """Have a lane of its own, which knows it."""
+        """Have a lane of its own, which knows it; a tilted scan is levelled before."""
         self.lane = self.services.workers.lanes.take(self, heavy=asset.heavy)
         self.lane.geometry.submit(segmenting_tasks.prepare_picking, asset.folder)
-        self.segmenting.prepare()
+        if not self.preparing.tilt:
+            self.segmenting.prepare()
 
     # --- jobs that the state asks for
 
@@ -340,6 +335,10 @@ class OpenObject(ObjectContext):
         if what == "open":
             self._worker_died = isinstance(job.error, JobFailed)
         error = self.jobs.deliver(what, job, keep)
+        if what == "prepare" and error is None and not (self.is_shown or self.preparing.tilt):
+            self.segmenting.prepare()
+        if what == "encode" and error is None:
+            self.likeness.encoded()
         if what == "save" and not self.services.workers.closing:
             self.services.acceptances.end(self.record.id)
         if isinstance(error, OutOfTimeError):

@@ -142,11 +142,12 @@ class Preparing:
         if asset is None or not raw or not (self.noticed() or self.frame() is not None):
             return
         kinds = tuple(kind for kind in CLUTTERING if found.counts[kind])
-        frame, metres, lane = self.frame(kinds), odd_unit(asset), obj.lane
+        frame, metres, lanes = self.frame(kinds), odd_unit(asset), obj.services.workers.lanes
         matrix = np.eye(4) if frame is None else frame
 
         def encode(job: Job[Any]) -> None:
             if job.error is None and self._ahead is job:
+                lane = lanes.reserve(obj, heavy=job.result().heavy)
                 self._ahead = lane.segmentation.submit(
                     segmenting_tasks.encode,
                     job.result().folder,
@@ -170,7 +171,7 @@ class Preparing:
             )
             self._ahead.add_done_callback(encode)
 
-        self._ahead = lane.geometry.submit(
+        self._ahead = obj.lane.geometry.submit(
             prepare_tasks.marked_elements,
             obj.services.workspace,
             None,

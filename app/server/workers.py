@@ -32,7 +32,8 @@ HEAVY_LANES = 2
 
 
 READING, HEAVY = 5, 10
-"""Niceness of reading, a third of the processor beside a click, and of heavy objects, a tenth."""
+"""Niceness of reading, a third of the processor beside a click, and a tenth: of heavy objects and
+of what follows an acceptance, which nobody waits for."""
 
 
 def in_background(niceness: int) -> None:
@@ -88,6 +89,7 @@ class Lanes:
         self._most = {False: max(1, int(MEMORY * machine_memory() / LANE_BYTES)), True: HEAVY_LANES}
         self._lanes: dict[bool, list[Lane]] = {False: [], True: []}  # used last is last
         self._of: WeakKeyDictionary[LaneUser, Lane] = WeakKeyDictionary()
+        self._next: WeakKeyDictionary[LaneUser, Lane] = WeakKeyDictionary()
         self._closing = False
         self.first = self._begin(heavy=False)
 
@@ -122,32 +124,44 @@ class Lanes:
         that. Where all are in use, the one with the fewest objects.
         """
         with self._lock:
-            lanes, mine = self._lanes[heavy], self._of.get(user, self.first)
-            users = Counter(
-                lane for other, lane in self._of.items() if other is not user and other.clicked
-            )
-            shared = users[mine] and user.clicked
-            if user not in self._of or mine not in lanes or shared:
-                free = [lane for lane in lanes if not users[lane] and not lane.busy]
-                if not free and len(lanes) < self._most[heavy] and not self._closing:
-                    free = [self._begin(heavy=heavy)]
-                if free or user not in self._of or mine not in lanes:
-                    mine = min(free or lanes, key=lambda lane: users[lane])
-            self._of[user] = mine
-            lanes.remove(mine)
-            lanes.append(mine)
+            mine = self._of[user] = self._chosen(user, heavy)
+            self._lanes[heavy].remove(mine)
+            self._lanes[heavy].append(mine)
             return mine
+
+    def reserve(self, user: LaneUser, *, heavy: bool) -> Lane:
+        """Return the lane that an object gets when it is read again and is heavy, or not, then."""
+        with self._lock:
+            lane = self._next[user] = self._chosen(user, heavy)
+            return lane
+
+    def _chosen(self, user: LaneUser, heavy: bool) -> Lane:
+        lanes = self._lanes[heavy]
+        former = [self._next.get(user), self._of.get(user)]
+        known = next((lane for lane in former if lane in lanes), None)
+        users = Counter(
+            lane for other, lane in self._of.items() if other is not user and other.clicked
+        )
+        if known is not None and not (users[known] and user.clicked):
+            return known
+        free = [lane for lane in lanes if not users[lane] and not lane.busy]
+        if not free and len(lanes) < self._most[heavy] and not self._closing:
+            free = [self._begin(heavy=heavy)]
+        if not free and known is not None:
+            return known
+        return min(free or lanes, key=lambda lane: users[lane])
 
     def share(self, user: LaneUser, lane: Lane) -> None:
         """Give an object that is opened ahead the lane of the one that a person works on."""
         with self._lock:
             self._of.setdefault(user, lane)
+            self._next.setdefault(user, lane)
 
     def leave(self, user: LaneUser) -> None:
         """Take a lane from an object that is closed, and end it where it has no other one."""
         with self._lock:
-            lane = self._of.pop(user, None)
-            if lane in (None, self.first, *self._of.values()):
+            lane, _ = self._of.pop(user, None), self._next.pop(user, None)
+            if lane in (None, self.first, *self._of.values(), *self._next.values()):
                 return
             for lanes in self._lanes.values():
                 if lane in lanes:
@@ -199,7 +213,7 @@ class Workers:
         self.lanes = Lanes(self.template)
         self.geometry, self.segmentation = self.lanes.first.geometry, self.lanes.first.segmentation
         self.prediction = WorkerProcess("prediction", template=self.template)
-        self.saving = WorkerProcess("saving", **kept)
+        self.saving = WorkerProcess("saving", initializer=in_background, arguments=(HEAVY,), **kept)
         self.closing = False
         self._waiting: list[tuple[str, Job[Any]]] = []
 

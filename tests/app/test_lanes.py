@@ -70,6 +70,17 @@ def test_an_object_that_is_opened_ahead_waits_in_the_lane_of_the_one_before(lane
     assert lanes.take(following, heavy=False) is not lane, "two people"
 
 
+def test_what_is_heavy_until_it_is_cleaned_has_its_next_lane_reserved(lanes: Lanes) -> None:
+    shown, following = Person(), Person()
+    lane, following.clicked = lanes.take(shown, heavy=False), False
+    lanes.share(following, lane)
+    heavy = lanes.take(following, heavy=True)
+    assert heavy is not lane and lanes.reserve(following, heavy=False) is lane
+    assert lanes.take(following, heavy=True) is heavy, "it is shown"
+    lanes.leave(shown)
+    assert lanes.take(following, heavy=False) is lane, "it is cleaned"
+
+
 def test_nobody_shares_a_lane_until_memory_ends(lanes: Lanes) -> None:
     people = [Person() for _ in range(9)]
     taken = [lanes.take(person, heavy=False) for person in people]

@@ -35,6 +35,7 @@ from tests.app.job_functions import (
     segment_and_die_of_two,
 )
 from tests.builders import wait_until
+from tests.raw_scans import raw_scan
 
 GOOD = trimesh.creation.box((1, 0.5, 0.7))
 
@@ -200,6 +201,23 @@ def test_the_next_object_is_open_before_it_is_shown(begin_app, tmp_path: Path) -
     one.watch(lambda: None, lambda *_: None, shows=False)  # follows what becomes of it
     two.watch(lambda: None, lambda *_: None)
     assert two.lane is one.lane, "which has it encoded"
+
+
+def test_a_tilted_scan_that_is_opened_ahead_is_not_encoded_as_it_lies(
+    begin_app, tmp_path: Path
+) -> None:
+    GOOD.export(tmp_path / "one.ply")
+    raw_scan(tmp_path / "two.ply", seed=3, every=5)
+    app_state = begin_app(tmp_path / "one.ply", tmp_path / "two.ply")
+    first, second = [r.id for r in app_state.queue.records()]
+    one = settled(app_state, first)
+    stop = one.watch(lambda: None, lambda *_: None)
+    app_state.open_ahead(second, one)
+    two, kinds = app_state.object(second, keep=0.0), set()
+    two.watch(lambda: kinds.update(two.busy), lambda *_: None, shows=False)
+    wait_until(lambda: two.preparing.current and not two.jobs, "it is read and found tilted")
+    assert two.preparing.tilt and "prepare" in kinds and "encode" not in kinds
+    stop()
 
 
 def test_what_was_undone_before_it_was_answered_is_not_shown(begin_app, tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
 
 from app.server.app_state import AppState
 from app.server.config import ServeConfig
@@ -86,6 +87,23 @@ def test_apply_finds_its_copy_read_and_encoded(opened, tmp_path: Path) -> None:
     prepared(obj)
     assert copies() == before
     assert obj.asset.folder in before and obj.document.left_out.count
+
+
+def test_what_apply_makes_light_is_encoded_where_its_clicks_are_answered(
+    opened, tmp_path: Path
+) -> None:
+    path = tmp_path / "oven.ply"
+    raw_scan(path, seed=3, every=2)
+    cloud = trimesh.load(path)
+    away = np.random.default_rng(0).uniform(*cloud.bounds, (6_000, 3)) * 1.2
+    trimesh.PointCloud(np.vstack([cloud.vertices, away])).export(path)
+    obj = opened(path)
+    assert obj.asset.heavy and obj.preparing.tilt
+    lane = obj.services.workers.lanes.reserve(obj, heavy=False)
+    wait_until(lambda: lane.segmentation.busy, "its cleaned copy is encoded there")
+    assert lane is not obj.lane
+    prepared(obj)
+    assert obj.lane is lane and not obj.asset.heavy
 
 
 def test_provenance_leads_from_the_file_to_the_asset_and_back(opened, tmp_path: Path) -> None:
