@@ -287,6 +287,10 @@ def describe(points: Array, normals: Array, up: Array) -> Described:
     slab = float((height < support - 6 * scatter - 1e-3 * size).mean()) > 0.1
     near = level & (np.abs(height - support) < 3 * band)
     slab = slab or _both_faces(height[near], flat[near], 1e-3 * size)
+    if rest.sum() <= 50:  # what lies there is thinner than the bands: scissors
+        fine = np.abs(height - support) < max(6 * scatter, 1e-3 * size)
+        rest = (height > support) & ~fine
+        reach = _reach(flat[on & fine], flat[rest]) if rest.sum() > 50 else 0.0
     supported = below < 0.03 and reach > 0.1 and on.mean() > 0.04 and not slab
     return Described(features, support if supported else None, on)
 

@@ -114,14 +114,19 @@ _SHELF = [*_SIDES, *_BACK, *(((1, 0.4, 0.02), (0, 0, z)) for z in np.linspace(0.
 _CABINET = [*_SIDES, *_BACK, *(((1, 0.4, 0.02), (0, 0, z)) for z in (0.01, 0.99))]
 _CUBE = [((1, 1, 1), (0, 0, 0.5))]
 _LAMP = [((0.4, 0.4, 0.015), (0, 0, 0.0075)), ((0.04, 0.04, 0.5), (0, 0, 0.26))]
+_PANEL = [((0.8, 0.5, 0.02), (0, 0, 0.01)), ((0.4, 0.3, 0.006), (0, 0, 0.023))]
 _PAIR = [((0.3, 0.3, 0.6), (x, 0, 0.3)) for x in (-0.3, 0.3)]
 
 
 @pytest.mark.parametrize("least", [1.0, 0.1])
 @pytest.mark.parametrize(
     ("boxes", "count"),
-    [(_SHELF, 100_000), (_CABINET, 30_000), *((b, 20_000) for b in (_SHELF, _CUBE, _LAMP, _PAIR))],
-    ids=["shelf", "cabinet", "sparse shelf", "cube", "plate that is no table", "two pieces"],
+    [
+        (_SHELF, 100_000),
+        (_CABINET, 30_000),
+        *((b, 20_000) for b in (_SHELF, _CUBE, _LAMP, _PANEL, _PAIR)),
+    ],
+    ids=["shelf", "cabinet", "sparse shelf", "cube", "no table", "panel", "two pieces"],
 )
 def test_clean_scans_are_kept(boxes: list[tuple], count: int, least: float) -> None:
     points = _scanned(boxes, count, least)
@@ -187,6 +192,18 @@ def test_a_sparse_scan_is_one_piece() -> None:
     far = points[:500] * 0.2 + [9, 0, 0]
     found = largest_component(np.concatenate([points, far]))
     assert found[:5000].mean() > 0.995 and not found[5000:].any()
+
+
+def test_what_is_thin_is_kept_without_its_table() -> None:
+    rng = np.random.default_rng(0)
+    table = np.column_stack([rng.uniform(-0.2, 0.2, (40_000, 2)), rng.normal(0, 2e-4, 40_000)])
+    blade, _ = trimesh.sample.sample_surface(trimesh.creation.box((0.2, 0.04, 0.005)), 9000, seed=1)
+    blade = (blade + [0, 0, 0.0025])[blade[:, 2] > -0.001]
+    turn = Rotation.from_euler("xyz", (0.9, 0.4, 0.2)).as_matrix()
+    points = np.concatenate([table, blade]) @ turn.T
+    found = prepare(Asset("blade", cloud=PointCloud(points.astype(np.float32))))
+    kept = found.kept >= len(table)
+    assert kept.mean() > 0.98 and kept.sum() > 0.9 * len(blade)
 
 
 def test_what_lies_on_a_table_is_told_apart_from_it() -> None:
