@@ -22,6 +22,8 @@ from model.core.errors import InputFileError
 from model.core.geometry import Material
 
 DEFAULT_MAX_BYTES = 4 << 30
+MOST_NODES, MOST_VALUES = 200_000, 60_000_000
+"""Nodes (of USD: prims) of a file, and corners and points of its meshes, with all repetitions."""
 WHITE = (255, 255, 255, 255)
 GREY = (200, 200, 200, 255)
 
@@ -180,6 +182,21 @@ def size_of(path: Path) -> int:
     if info.st_size == 0:
         raise InputFileError(path, "the file is empty", "export or download it again")
     return info.st_size
+
+
+def check_count(path: Path, *, nodes: int = 0, values: int = 0) -> None:
+    """Refuse a file for what it would give: nodes, or corners and points, with all repetitions.
+
+    Raises:
+        InputFileError: above :data:`MOST_NODES` or :data:`MOST_VALUES`.
+    """
+    for count, most, what in (
+        (nodes, MOST_NODES, "nodes"),
+        (values, MOST_VALUES, "corners and points"),
+    ):
+        if count > most:
+            said = f"has more than {most:,} {what}, with those that it repeats"
+            raise InputFileError(path, said, "cut it, or join its meshes")
 
 
 def read_bytes(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> bytes:
