@@ -36,6 +36,7 @@ from app.client import ApiError, Client
 from app.server.config import ServeConfig
 from app.server.network import free_port
 from model.core.geometry import Mesh
+from model.core.memory import processor_seconds
 from model.core.progress import Progress
 from model.io.write import write_cloud, write_mesh
 from sessions.store import Store
@@ -104,7 +105,7 @@ def _measure(scene: Path, root: Path, objects: int, opening: str) -> dict[str, A
     ``loop_held_ms`` the longest time that one callback blocked the event loop; ``pick_ms``
     processor time to find the object under a click; memory in MiB, of the server and its workers.
     """
-    start, used = time.perf_counter(), _cpu(os.getpid())
+    start, used = time.perf_counter(), processor_seconds(os.getpid())
     config = ServeConfig(
         workspace=root / "workspace", port=0, user="bench", scene=scene, assets=(root / "assets",)
     )
@@ -121,8 +122,8 @@ def _measure(scene: Path, root: Path, objects: int, opening: str) -> dict[str, A
         figures: dict[str, Any] = {"opening": opening, "objects": objects}
         figures["first_ms"] = 1000 * (time.perf_counter() - start)
         worker = server.app_state.workers.geometry.pid
-        of_worker = 0.0 if worker is None else _cpu(worker)
-        figures["first_cpu_ms"] = 1000 * (_cpu(os.getpid()) - used + of_worker)
+        of_worker = 0.0 if worker is None else processor_seconds(worker)
+        figures["first_cpu_ms"] = 1000 * (processor_seconds(os.getpid()) - used + of_worker)
         wait_for(
             lambda: len({i for node in picture.nodes for i in node.ids}) == objects,
             "the whole scene",
@@ -137,12 +138,6 @@ def _measure(scene: Path, root: Path, objects: int, opening: str) -> dict[str, A
         return figures
     finally:
         server.close()
-
-
-def _cpu(pid: int) -> float:
-    """Processor seconds of a process so far."""
-    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def _pick(app: Any) -> float:
