@@ -30,10 +30,6 @@ GREY = (200, 200, 200, 255)
 Array = npt.NDArray[Any]
 
 
-def _no_faces() -> Array:
-    return np.zeros((0, 3), np.int64)
-
-
 @dataclass(frozen=True, eq=False)
 class Loaded:
     """The content of one file in the file's own frame and unit, not yet cleaned.
@@ -56,7 +52,7 @@ class Loaded:
     """
 
     vertices: Array
-    faces: Array = field(default_factory=_no_faces)
+    faces: Array = field(default_factory=lambda: np.zeros((0, 3), np.int64))
     normals: Array | None = None
     colors: Array | None = None
     uv: Array | None = None
@@ -164,11 +160,11 @@ def with_plain_colors(loaded: Loaded) -> Loaded:
     return replace(loaded, colors=colors, materials=materials)
 
 
-def size_of(path: Path) -> int:
+def size_of(path: Path, most: float = np.inf) -> int:
     """Bytes of a regular file that holds some.
 
     Raises:
-        InputFileError: where it is missing, empty, a pipe or a device.
+        InputFileError: where it is missing, empty, a pipe or a device, or has more than ``most``.
     """
     try:
         info = path.stat()
@@ -181,6 +177,9 @@ def size_of(path: Path) -> int:
         raise InputFileError(path, "is not a regular file", "give a mesh or point cloud file")
     if info.st_size == 0:
         raise InputFileError(path, "the file is empty", "export or download it again")
+    if info.st_size > most:
+        what = f"{info.st_size / 2**30:.1f} GiB is over the limit of {most / 2**30:.1f} GiB"
+        raise InputFileError(path, what, "thin or cut it first")
     return info.st_size
 
 
@@ -190,13 +189,10 @@ def check_count(path: Path, *, nodes: int = 0, values: int = 0) -> None:
     Raises:
         InputFileError: above :data:`MOST_NODES` or :data:`MOST_VALUES`.
     """
-    for count, most, what in (
-        (nodes, MOST_NODES, "nodes"),
-        (values, MOST_VALUES, "corners and points"),
-    ):
-        if count > most:
-            said = f"has more than {most:,} {what}, with those that it repeats"
-            raise InputFileError(path, said, "cut it, or join its meshes")
+    if nodes > MOST_NODES or values > MOST_VALUES:
+        most = f"{MOST_NODES:,} nodes" if nodes else f"{MOST_VALUES:,} corners and points"
+        what = f"has more than {most}, with those that it repeats"
+        raise InputFileError(path, what, "cut it, or join its meshes")
 
 
 def read_bytes(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> bytes:
@@ -211,13 +207,7 @@ def open_file(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> BinaryIO:
     Raises:
         InputFileError: where it is missing, empty, too large, a pipe or a device, or unreadable.
     """
-    size = size_of(path)
-    if size > max_bytes:
-        raise InputFileError(
-            path,
-            f"{size / 2**30:.1f} GiB is over the limit of {max_bytes / 2**30:.1f} GiB",
-            "thin or cut the scan first",
-        )
+    size_of(path, max_bytes)
     try:
         return path.open("rb")
     except OSError as error:

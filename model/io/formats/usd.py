@@ -15,7 +15,6 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from graphlib import TopologicalSorter
 from pathlib import Path
 from typing import Any
 
@@ -144,8 +143,7 @@ class UsdStage:
             require(f"pxr.{n}", "artiworld[usd]", "USD")
             for n in ("Usd", "UsdGeom", "UsdPhysics", "UsdShade", "Ar", "Tf")
         )
-        if size_of(path) > max_bytes:
-            raise InputFileError(path, "is over the limit of bytes", "thin or cut its meshes first")
+        size_of(path, max_bytes)
         _check_binary(path)
         try:
             self.stage: Any = self._usd.Stage.Open(str(path))
@@ -159,7 +157,7 @@ class UsdStage:
             raise InputFileError(
                 path, f"has up axis {self.up!r} and {self.unit} metres a unit", "y or z up, above 0"
             )
-        self._check_count()
+        check_count(path, nodes=self._count(self.stage.GetPseudoRoot(), {}))
         self.turn = WORLD_FROM_UP[self.up]
         self.into = self.turn @ np.diag([self.unit, self.unit, self.unit, 1.0])
         self._places = self._geom.XformCache()
@@ -167,23 +165,17 @@ class UsdStage:
         self._made: dict[Any, tuple[Material, str]] = {}
         self._repeated = 0  # corners and points in instances
 
-    def _check_count(self) -> None:
-        """Refuse too many prims; those that instances would give are counted, not opened."""
-        counts = Counter[Any]()
-        inside: dict[Any, Counter[Any]] = {}  # path of a prototype → those that it holds
-        for root in (*self.stage.GetPrototypes(), self.stage.GetPseudoRoot()):
-            path, held = root.GetPath(), Counter[Any]()
-            walk = iter(self._usd.PrimRange(root))
+    def _count(self, root: Any, known: dict[Any, int]) -> int:
+        """Prims at and below one, with those in instances, which are counted and not opened."""
+        path = root.GetPath()
+        if path not in known:
+            known[path], walk = 0, iter(self._usd.PrimRange(root))
             for prim in walk:
-                counts[path] += 1
+                inside = self._count(prim.GetPrototype(), known) if prim.IsInstance() else 0
+                known[path] += 1 + inside
                 if prim.IsA(self._geom.PointInstancer):
                     walk.PruneChildren()
-                elif prim.IsInstance():
-                    held[prim.GetPrototype().GetPath()] += 1
-            inside[path] = held
-        for path in TopologicalSorter(inside).static_order():
-            counts[path] += sum(counts[name] * number for name, number in inside[path].items())
-        check_count(self.path, nodes=counts[self.stage.GetPseudoRoot().GetPath()])
+        return known[path]
 
     def get(self, prim: Any, name: str) -> Any:
         """An attribute's value, or the default of its schema; None without either."""

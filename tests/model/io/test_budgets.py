@@ -158,7 +158,7 @@ def test_a_mesh_that_names_its_points_many_times_is_refused(tmp_path: Path, monk
     tree = json.loads(path.read_text())
     tree["meshes"][0]["primitives"] *= 400
     path.write_text(json.dumps(tree))
-    with pytest.raises(InputFileError, match="more than 1,000 corners"):
+    with pytest.raises(InputFileError, match="more than 1,000 corners and points"):
         open_asset(path)
 
 
