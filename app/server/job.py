@@ -79,7 +79,7 @@ class Job(Generic[T]):
     message: str = ""
     error: Exception | None = None
     most_work: float = math.inf
-    moves: list[tuple[float, Callable[[Job[T]], object]]] = field(default_factory=list)
+    moves: list[tuple[float, Callable[[Job[Any]], object]]] = field(default_factory=list)
     _since: tuple[float, float] = (0.0, 0.0)  # clock and processor of its child as it began
     _worked: float = 0.0  # seconds of a processor
     _place: tuple[int, int] = (0, 0)  # in the queue

@@ -241,8 +241,9 @@ class Workers:
         first, most = (base + each * size / 1e6 for base, each in (FIRST_WORK, MOST_WORK))
         reader = slow if size > SMALL_BYTES or not slow.busy else quick
         job = reader.submit(function, *args, most_seconds=most_seconds, **settings)
-        moves = [(QUICK_SECONDS, slow.adopt), (first, late.adopt)]
-        job.most_work, job.moves = most, moves[reader is slow :]
+        job.most_work, job.moves = most, [(first, late.adopt)]
+        if reader is quick:
+            job.moves = [(QUICK_SECONDS, slow.adopt), *job.moves]
         self._waiting.append((who, job))
         return job
 

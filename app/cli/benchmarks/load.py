@@ -13,6 +13,7 @@ import threading
 import time
 import urllib.request
 from collections import Counter
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -292,20 +293,10 @@ def _answers(url: str) -> bool:
 
 def _memory(pid: int) -> float:
     """Megabytes of a process with all that it started, shared pages counted once."""
-    parents: dict[int, int] = {}
-    for entry in filter(str.isdigit, os.listdir("/proc")):
-        try:
-            fields = Path(f"/proc/{entry}/stat").read_text().rpartition(")")[2].split()
-            parents[int(entry)] = int(fields[1])
-        except OSError:
-            continue  # it has just ended
-    mine, total = {pid}, 0.0
-    while more := {p for p, parent in parents.items() if parent in mine} - mine:
-        mine |= more
-    for each in mine:
-        try:
-            lines = Path(f"/proc/{each}/smaps_rollup").read_text().splitlines()
-        except OSError:
-            continue
-        total += sum(int(line.split()[1]) for line in lines if line.startswith("Pss:")) / 1024
+    total, at = 0.0, Path(f"/proc/{pid}")
+    with suppress(OSError):  # it has just ended
+        lines = (at / "smaps_rollup").read_text().splitlines()
+        total = sum(int(line.split()[1]) for line in lines if line.startswith("Pss:")) / 1024
+        started = (each for file in at.glob("task/*/children") for each in file.read_text().split())
+        total += sum(_memory(int(each)) for each in started)
     return total
