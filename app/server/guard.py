@@ -220,7 +220,8 @@ class _Guard:
     _open: dict[ServerConnection, Person] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        _log.addFilter(_is_worth_logging)
+        # Port scanners leave requests incomplete.
+        _log.addFilter(lambda record: record.getMessage() != "opening handshake failed")
         for log in (_log, logging.getLogger("asyncio")):
             log.addFilter(OncePerMinute())
 
@@ -356,11 +357,6 @@ class _Guard:
             return self.routes[path]
         folders = [r for r in self.routes if r.endswith("/") and r != "/" and path.startswith(r)]
         return self.routes[max(folders, key=len)] if folders else None
-
-
-def _is_worth_logging(record: logging.LogRecord) -> bool:
-    """True unless the record is an incomplete request of a port scanner."""
-    return record.getMessage() != "opening handshake failed"
 
 
 def _call_route(route: Route, request: RouteRequest) -> RouteAnswer:

@@ -11,6 +11,7 @@ import os
 import queue
 import signal
 import threading
+import time
 from collections.abc import Callable, Hashable
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -20,6 +21,7 @@ from typing import Any, Generic, Literal, TypeVar
 
 from app.server.worker import WorkerTemplate, pack, send, start_python, unpack
 from model.core.errors import ArtiworldError
+from model.core.memory import processor_seconds
 from model.core.progress import Cancelled
 
 T = TypeVar("T")
@@ -56,6 +58,9 @@ class Job(Generic[T]):
         name: name of the function.
         fraction, message: progress in [0, 1], and the present step.
         error: why it failed: an :class:`~model.core.errors.ArtiworldError` or a :class:`JobFailed`.
+        most_work: seconds of a processor that it may use.
+        moves: of each worker in turn the seconds of a processor after which the job leaves it for
+            those that wait, and what begins it anew elsewhere.
     """
 
     _ask_to_stop: Callable[[Job[T]], object]
@@ -73,7 +78,10 @@ class Job(Generic[T]):
     fraction: float = 0.0
     message: str = ""
     error: Exception | None = None
-    moved: Callable[[Job[T]], object] | None = None  # called once, out of time
+    most_work: float = math.inf
+    moves: list[tuple[float, Callable[[Job[Any]], object]]] = field(default_factory=list)
+    _since: tuple[float, float] = (0.0, 0.0)  # clock and processor of its child as it began
+    _worked: float = 0.0  # seconds of a processor
     _place: tuple[int, int] = (0, 0)  # in the queue
     _begun: bool = False
     _progress_waiting: bool = False
@@ -91,6 +99,16 @@ class Job(Generic[T]):
     def _ends_at(self) -> float:
         """When the child is killed: after a cancellation that it ignored, or out of time."""
         return min(self._deadline, math.inf if self._kill_at is None else self._kill_at)
+
+    @property
+    def out_of_time(self) -> bool:
+        """True once it took longer than it may, or worked longer."""
+        return self._deadline <= time.monotonic() or self._worked >= self.most_work
+
+    @property
+    def may_move(self) -> bool:
+        """True once it leaves its worker if somebody waits."""
+        return bool(self.moves) and self._worked >= self.moves[0][0]
 
     @property
     def done(self) -> bool:
@@ -227,6 +245,12 @@ class Child:
         self.process = forked or start_python(code, descriptor, threads)
         theirs.close()
         send(self.connection, "setup", 0, pack(setup))
+
+    def work_of(self, job: Job[Any]) -> float:
+        """Seconds of a processor since a job began; half of those by the clock where it waits."""
+        clock, processor = job._since
+        used = processor_seconds(self.process.pid or 0) - processor
+        return max(used, (time.monotonic() - clock) / 2)
 
     def memory(self) -> int:
         """Bytes that it has in memory, where the system tells; else 0."""

@@ -30,6 +30,7 @@ from app.server.job import (
     finish,
 )
 from app.server.worker import WorkerTemplate, pack, receive, send, unpack
+from model.core.memory import processor_seconds
 from model.core.progress import own_threads
 
 T = TypeVar("T")
@@ -150,10 +151,10 @@ class WorkerProcess:
         self._wake()
         return job
 
-    def adopt(self, job: Job[Any], most_seconds: float | None) -> None:
+    def adopt(self, job: Job[Any]) -> None:
         """Queue a job of another worker, to run from its beginning."""
         job._ask_to_stop, job._number = self._cancel, next(self._numbers)
-        job._place, job._most_seconds = (job._place[0], job._number), most_seconds
+        job._place = (job._place[0], job._number)
         self._requeue(job)
         self._wake()
 
@@ -340,6 +341,7 @@ class WorkerProcess:
             return
         elif kind == "begun":
             job._begun = True
+            job._since = time.monotonic(), processor_seconds(child.process.pid or 0)
             if job._most_seconds is not None:
                 job._deadline = time.monotonic() + job._most_seconds
         elif kind == "progress":
@@ -370,12 +372,12 @@ class WorkerProcess:
                 self._requeue(other)
         if job is not None and job._kill_at is not None:
             job.end("cancelled")
-        elif job is not None and job._deadline <= time.monotonic() and job.moved is not None:
-            move, job.moved = job.moved, None
-            move(job)
-        elif job is not None and job._deadline <= time.monotonic():
-            text = f"{job.name} took more than {job._most_seconds:g} s and was ended"
+        elif job is not None and job.out_of_time:
+            most = min(job._most_seconds or math.inf, job.most_work)
+            text = f"{job.name} took more than {most:g} s and was ended"
             job.end("failed", error=OutOfTimeError(text))
+        elif job is not None and job.may_move:
+            job.moves.pop(0)[1](job)
         elif job is not None:
             _log.warning("worker %s: %s while running %s", self.name, why, job.name)
             self._repeat_or_fail(job, why)
@@ -401,7 +403,7 @@ class WorkerProcess:
             wanted = job._kill_at is None and not newer and not self._closing
             if wanted:
                 job.state, job._begun, job._deadline = "queued", False, math.inf
-                job._ran = job._waited = 0.0
+                job._ran = job._waited = job._worked = 0.0
                 self._enqueue(job)
         if not wanted:
             job.end("cancelled")
@@ -420,7 +422,13 @@ class WorkerProcess:
         active, child = self._active, self._child
         if active is None or child is None:
             return
-        if time.monotonic() >= active._ends_at:
+        if active._begun and active.most_work < math.inf:
+            active._worked = child.work_of(active)
+        if (
+            time.monotonic() >= active._ends_at
+            or active.out_of_time
+            or (active.may_move and self._queue)
+        ):
             self._died(child)
             return
         for job in self._running:

@@ -443,7 +443,9 @@ class SceneGallery(Gallery):
     """The objects of a scene as a queue, those to decide first; ids are places in the scene."""
 
     def __init__(self, scene: SceneWorkspace) -> None:
-        super().__init__(scene.services, self._sure, self._state, self._marked)
+        super().__init__(
+            scene.services, lambda r: self._rows[r.id].confidence, self._state, self._marked
+        )
         self._scene = scene
         self._rows: dict[int, Row] = {}
         self._known: tuple[Any, list[ObjectRecord]] = None, []
@@ -493,9 +495,6 @@ class SceneGallery(Gallery):
 
     def _key(self, sort: str, names: dict[int, str]) -> Callable[[ObjectRecord], Any] | None:
         return None if sort in ("", "order") else super()._key(sort, names)
-
-    def _sure(self, record: ObjectRecord) -> float:
-        return self._rows[record.id].confidence
 
     def _state(self, record: ObjectRecord) -> tuple[str, str]:
         work = self._scene.work(record.name)

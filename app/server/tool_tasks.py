@@ -282,14 +282,6 @@ def _connected(given: _Input) -> list[RegionOffer]:
     return given.offer(more, part)
 
 
-def _same_shape(given: _Input) -> list[RegionOffer]:
-    return _beside_parts(given, same_shape(given.encoded, given.mask))
-
-
-def _mirror(given: _Input) -> list[RegionOffer]:
-    return _beside_parts(given, [mirrored(given.encoded, given.mask)])
-
-
 def _beside_parts(given: _Input, masks: list[Bool]) -> list[RegionOffer]:
     """Offer new parts of masks that are similar to the selected one."""
     out: list[RegionOffer] = []
@@ -405,8 +397,8 @@ TOOLS: dict[str, Callable[[_Input], Offer]] = {
     PROPOSE: _propose,
     NEXT_MASK: _next_mask,
     "connected": _connected,
-    "same shape": _same_shape,
-    "mirror": _mirror,
+    "same shape": lambda given: _beside_parts(given, same_shape(given.encoded, given.mask)),
+    "mirror": lambda given: _beside_parts(given, [mirrored(given.encoded, given.mask)]),
     "grow": _grow,
     "shrink": _shrink,
     "split": _split,

@@ -281,7 +281,8 @@ class Validation:
         report = self.report
         if report is None:
             return (f"the joints were not validated: {self.problem}",) if self.problem else ()
-        return problems_of(report)
+        joints = (j for j in report.joints if j.severity != Severity.OK)
+        return tuple(f"{j.joint or j.child}: {j.message}" for j in joints)
 
     def fix(self, joint: str, kind: str) -> Fix:
         """Return the fix of that kind for a joint.
@@ -337,13 +338,6 @@ def required_problem(
                 title = joint_title(document, joint.child)
                 return f"The project requires this check. {title}: {finding.message}"
     return ""
-
-
-def problems_of(report: ValidationReport) -> tuple[str, ...]:
-    """Return a line for each joint that isn't free of warnings and errors."""
-    return tuple(
-        f"{j.joint or j.child}: {j.message}" for j in report.joints if j.severity != Severity.OK
-    )
 
 
 def collisions_of(report: ValidationReport) -> list[JointCollision]:

@@ -32,7 +32,7 @@ import time
 import traceback
 from collections.abc import Callable, Container
 from functools import partial
-from multiprocessing.connection import Connection
+from multiprocessing.connection import Connection, wait
 from typing import Any
 
 from app.server.ending import ignore_end_signals, signals_blocked
@@ -336,7 +336,7 @@ class Forked:
     def poll(self) -> int | None:
         """Return the exit code if it has ended."""
         with self._lock:
-            while self._reader >= 0 and _readable(self._reader):
+            while self._reader >= 0 and wait([self._reader], 0):
                 self._read()
             return self.returncode
 
@@ -362,12 +362,6 @@ class Forked:
             while self._pid and self._reader >= 0:
                 self._read()
         return self.returncode
-
-
-def _readable(descriptor: int) -> bool:
-    with selectors.PollSelector() as selector:
-        selector.register(descriptor, selectors.EVENT_READ)
-        return bool(selector.select(0))
 
 
 # The template's own side.

@@ -176,16 +176,21 @@ class Lanes:
 
 
 READ_SECONDS = 600.0
-"""Longest reading of a file; scans of 50 million points take one minute."""
+"""Longest reading of a file by the clock; scans of 50 million points take one minute."""
 QUICK_SECONDS, SMALL_BYTES = 2.0, 20_000_000
 """Time and size of a file that is read beside those that take long; most take below a second."""
+FIRST_WORK, MOST_WORK = (10.0, 0.2), (300.0, 2.0)
+"""Seconds of a processor for reading a file, and more for each MB: those after which it begins
+anew behind others that wait, and those after which it ends. A choice: most files need .1 s a MB."""
 MOST_TURNS = 40
 READ_CANCELLED = "Reading it was cancelled"
 
 
 def too_slow(name: str) -> str:
     """Timeout message for reading the file ``name``."""
-    return f"Reading {name} took more than {READ_SECONDS / 60:g} minutes: simplify the file"
+    base, each = MOST_WORK
+    most = f"{base:g} s and {each:g} s a MB of a processor, or {READ_SECONDS / 60:g} minutes"
+    return f"Reading {name} took more than {most}: join its meshes, thin it, or cut it into pieces"
 
 
 class Workers:
@@ -194,7 +199,7 @@ class Workers:
     Attributes:
         template: all are forked from it, where the system can; else None.
         readers: read files, scenes and crops, which may take long or end them, so nobody's clicks
-            wait for them.
+            wait for them: the first all, the second small ones, the third what took too long.
         lanes: answer clicks on open objects.
         geometry: of the first lane; also cuts the parts of a scene.
         segmentation: of the first lane.
@@ -206,14 +211,15 @@ class Workers:
     def __init__(self) -> None:
         self.template = WorkerTemplate(own_threads()) if WorkerTemplate.possible() else None
         kept: dict[str, Any] = {"template": self.template, "most_kept": KEPT_BYTES}
+        kept["initializer"] = in_background
+        self.saving = WorkerProcess("saving", arguments=(HEAVY,), **kept)
         self.readers = tuple(
-            WorkerProcess(name, initializer=in_background, arguments=(READING,), **kept)
-            for name in ("reading", "reading 2")
+            WorkerProcess(name, lazy=name == "reading 3", arguments=(READING,), **kept)
+            for name in ("reading", "reading 2", "reading 3")
         )
         self.lanes = Lanes(self.template)
         self.geometry, self.segmentation = self.lanes.first.geometry, self.lanes.first.segmentation
         self.prediction = WorkerProcess("prediction", template=self.template)
-        self.saving = WorkerProcess("saving", initializer=in_background, arguments=(HEAVY,), **kept)
         self.closing = False
         self._waiting: list[tuple[str, Job[Any]]] = []
 
@@ -232,8 +238,9 @@ class Workers:
     ) -> Job[T]:
         """Have ``function(*args)`` read something; people take turns.
 
-        While the first reader is busy, what isn't a large file goes to the second one, for
-        :data:`QUICK_SECONDS` each: what takes longer begins again at the first one.
+        While the first reader is busy, what isn't a large file goes to the second one. Who works
+        too long, :data:`QUICK_SECONDS` there and :data:`FIRST_WORK` at the first one, makes room
+        for those that wait, and begins again behind: at the first one, or then at the third.
 
         Args:
             args: a :class:`Path` comes first where it is read.
@@ -242,14 +249,15 @@ class Workers:
         self._waiting = [(name, job) for name, job in self._waiting if not job.done]
         before = sum(name == who for name, _ in self._waiting)
         settings = {"priority": MOST_TURNS - min(before, MOST_TURNS - 1), **settings}
-        slow, quick = self.readers
+        slow, quick, late = self.readers
         path = args[0] if isinstance(args[0], Path) else ""
-        large = os.path.isfile(path) and os.path.getsize(path) > SMALL_BYTES
-        if large or not slow.busy:
-            job = slow.submit(function, *args, most_seconds=most_seconds, **settings)
-        else:
-            job = quick.submit(function, *args, most_seconds=QUICK_SECONDS, **settings)
-            job.moved = lambda job: slow.adopt(job, most_seconds)
+        size = os.path.getsize(path) if os.path.isfile(path) else 0
+        first, most = (base + each * size / 1e6 for base, each in (FIRST_WORK, MOST_WORK))
+        reader = slow if size > SMALL_BYTES or not slow.busy else quick
+        job = reader.submit(function, *args, most_seconds=most_seconds, **settings)
+        job.most_work, job.moves = most, [(first, late.adopt)]
+        if reader is quick:
+            job.moves = [(QUICK_SECONDS, slow.adopt), *job.moves]
         self._waiting.append((who, job))
         return job
 

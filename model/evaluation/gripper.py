@@ -217,7 +217,7 @@ class _Run:
             if not self._step(self._link(self._q) @ link_from_tool @ away):
                 return self._result("unstable")
         tool = self._link(self._q) @ link_from_tool
-        if np.linalg.norm(self._tips - tool[:3, 3]) > 0.012:
+        if np.linalg.norm(self.data.xpos[self._bench._hand] - tool[:3, 3]) > 0.012:
             return self._result("blocked")
         if self._pinch:
             shut = max(self._affordance.width / 2 - SQUEEZE, 0.0)
@@ -241,7 +241,7 @@ class _Run:
                 return self._result("penetration" if self.deepest > DEEP else "")
         if self.deepest > DEEP:
             return self._result("penetration")
-        return self._result("stuck" if self._touching() else "slipped")
+        return self._result("stuck" if self.data.ncon and self._contacts().any() else "slipped")
 
     def _result(self, why: Why) -> Try:
         moved = self._bench.opened(self._affordance.joint)
@@ -255,10 +255,6 @@ class _Run:
     @property
     def _q(self) -> float:
         return float(self.data.qpos[self.joint.qposadr[0]])
-
-    @property
-    def _tips(self) -> Array:
-        return self.data.xpos[self._bench._hand]
 
     def _lever(self, point: Array) -> float:
         axis = self.model.jnt_axis[self.joint.id]
@@ -326,9 +322,6 @@ class _Run:
             depth = -self.data.contact.dist[self._contacts()]
             if len(depth):
                 self.deepest = max(self.deepest, float(depth.max()))
-
-    def _touching(self) -> bool:
-        return bool(self.data.ncon and self._contacts().any())
 
 
 def _matrix(rotation: Array, shift: Array) -> Array:

@@ -21,7 +21,6 @@ import numpy.typing as npt
 from scipy.optimize import linear_sum_assignment
 
 from model.core.articulated_object import Part
-from model.core.geometry import Mesh
 from model.geometry.sampling import sample_surface
 from model.kinematics.surface import Surface, surface_of
 
@@ -136,12 +135,8 @@ def _area(surface: Surface) -> float:
 
 
 def _points(part: Part, count: int, rng: np.random.Generator) -> FloatArray:
-    if part.mesh is not None and _has_area(part.mesh):
+    if part.mesh is not None and part.mesh.face_areas.sum() > 0:
         return sample_surface(part.mesh, count, rng)[0].points.astype(np.float64)
     points = part.cloud.points if part.cloud is not None else part.mesh.vertices  # type: ignore[union-attr]
     chosen = rng.permutation(len(points))[:count]
     return points[chosen].astype(np.float64)
-
-
-def _has_area(mesh: Mesh) -> bool:
-    return bool(len(mesh.faces)) and float(mesh.face_areas.sum()) > 0

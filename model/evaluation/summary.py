@@ -121,10 +121,6 @@ def _driven(score: ObjectScore) -> tuple[float, float]:
     return (0.0, 0.0) if run is None else (float(run.joints - run.broken), float(run.joints))
 
 
-def _in_engine(score: ObjectScore, engine: str) -> bool | None:
-    return None if score.execution is None else score.execution.engines.get(engine)
-
-
 _PAPER, _S2O, _OURS = "ArtiWorld (CVPR 2026)", "S2O (Iliash et al., 2024)", "ArtiWorld's evaluator"
 _MOTIONS = (
     ("m", "M", "the motion is right (turning or sliding)"),
@@ -189,7 +185,7 @@ METRICS: tuple[Metric, ...] = (
     *(
         Metric(f"executable_{engine}", f"executable in {title} %", "%", True,
                f"the same in {title} alone", _OURS,
-               _over_objects(lambda o, engine=engine: _in_engine(o, engine)))
+               _over_objects(lambda o, name=engine: o.execution and o.execution.engines.get(name)))
         for engine, title in (("mujoco", "MuJoCo"), ("sapien", "SAPIEN"))
     ),
     Metric("joints_executable", "joints executable %", "%", True, "share of predicted moving "

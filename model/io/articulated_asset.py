@@ -25,6 +25,7 @@ from model.core.tree import KinematicTree
 from model.io.assets.reader import PROVENANCE, URDF, declared_links, load_object, reading_notes
 from model.io.export.manifest import declared_category
 from model.io.file_names import part_name_in, part_of_file_name
+from model.io.formats.loaded import size_of
 from model.io.formats.mtl import MaterialFiles
 from model.io.merging import group_inertial, rigid_groups
 from model.io.model_files import read_model
@@ -92,7 +93,7 @@ def open_model(
     model = model or read_model(path, max_bytes, given)
     for visual in model.visuals:
         if visual.file is not None and visual.file.is_file():
-            _check_size(visual.file, max_bytes)
+            size_of(visual.file, max_bytes)
     files = MaterialFiles(package_root(path, given))
     if path.name == URDF and (path.parent / PROVENANCE).is_file():
         obj = load_object(path.parent, progress)
@@ -120,13 +121,6 @@ def open_model(
         }
     files_read = (path, *meshes, *model.files, *files.paths)
     return _opened(obj, names_of, collision, target_from_file, notes, files_read)
-
-
-def _check_size(path: Path, most: int) -> None:
-    size = path.stat().st_size
-    if size > most:
-        said = f"{size / 2**30:.1f} GiB is over the limit of {most / 2**30:.1f} GiB"
-        raise InputFileError(path, said, "thin or cut the mesh first")
 
 
 def _loaded(

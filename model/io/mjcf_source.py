@@ -54,11 +54,6 @@ LEAST = 5e-4
 _NAME = re.compile(rf"(?:.*/)?affordance_({'|'.join(AFFORDANCE_KINDS)})_(\d+)_")
 
 
-def is_affordance(name: str | None) -> bool:
-    """True if a site of this name is an affordance."""
-    return bool(name and _NAME.match(name))
-
-
 def write_sites(body: ET.Element, affordances: Sequence[Affordance]) -> None:
     """Add those of one link to its body, best first."""
     for rank, affordance in enumerate(affordances, 1):
@@ -472,7 +467,7 @@ def _prune(top: Element, allowed: tuple[str, ...]) -> None:
 
     def keeps(parent: Element, child: Element) -> bool:
         if child.tag == "site":
-            return allowed == WORLD and is_affordance(child.get("name"))
+            return allowed == WORLD and bool(_NAME.match(child.get("name") or ""))
         return child.tag in allowed or (parent.tag == "material" and child.tag == "layer")
 
     for parent in list(top.iter()):

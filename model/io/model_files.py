@@ -81,14 +81,9 @@ def safe_link(stem: str) -> str:
     return re.sub(r"[^A-Za-z0-9_.-]+", "_", stem).strip("_.") or "part"
 
 
-def has_part_files(folder: Path, suffixes: tuple[str, ...]) -> bool:
-    """True if the folder has ``link_*`` meshes."""
-    return bool(_files(folder, suffixes, "link_"))
-
-
 def is_part_folder(folder: Path, suffixes: tuple[str, ...]) -> bool:
     """True if the folder is one object in parts."""
-    return (folder / OBJECT_JSON).is_file() or has_part_files(folder, suffixes)
+    return (folder / OBJECT_JSON).is_file() or bool(_files(folder, suffixes, "link_"))
 
 
 def find_manifest(folder: Path, suffixes: tuple[str, ...]) -> Manifest:

@@ -104,17 +104,13 @@ def text(value: Any, what: str) -> str:
     """
     if not isinstance(value, str) or not value.strip():
         raise SceneObjectError(f"{what} is {shown(value)}; a text is needed")
-    return _writable(value).strip()
+    # XML can't hold some characters: the written scene has the names, too.
+    return _UNWRITABLE.sub("\ufffd", " ".join(value.splitlines()).replace("\t", " ")).strip()
 
 
 def maybe_text(value: Any) -> str | None:
     """A text, or None for anything else."""
     return text(value, "") if isinstance(value, str) and value.strip() else None
-
-
-def _writable(value: str) -> str:
-    """Remove characters that XML can't hold: the written scene has the names, too."""
-    return _UNWRITABLE.sub("\ufffd", " ".join(value.splitlines()).replace("\t", " "))
 
 
 class JsonReader:
@@ -174,15 +170,10 @@ def collect(
             problems.append(
                 SceneProblem(made.id, f"the id is there twice; this one is now {fresh!r}", False)
             )
-            made = with_id(made, fresh)
+            made = replace(made, id=fresh)
         taken.add(made.id)
         objects.append(made)
     return tuple(objects), tuple(problems)
-
-
-def with_id(obj: SceneObject, id: str) -> SceneObject:
-    """The same object under another id."""
-    return replace(obj, id=id)
 
 
 def _label(place: Place, entry: Any, name_of: Callable[[Any], str | None]) -> str:

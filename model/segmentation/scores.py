@@ -171,11 +171,6 @@ class Penalties:
         far, large = (0.0, LARGE) if of_mesh else (cls.far, 0.0)
         return cls(far=far, large=large, large_beside=LARGE, detail=1.0)
 
-    @classmethod
-    def for_room(cls) -> Penalties:
-        """Penalties for rooms, whose objects are many regions: a click for each is normal."""
-        return cls(streak=0.0, demand_near=1.0)
-
     def of_first(
         self,
         superpoints: Superpoints,

@@ -341,7 +341,8 @@ def solver_of(
             describe=describe,
             regions=regions,
             sources=(RoomBoxes(superpoints, encoding.room, regions),),
-            penalties=Penalties.for_room(),
+            # A room's objects are many regions: a click for each is normal.
+            penalties=Penalties(streak=0.0, demand_near=1.0),
         )
     nodes = encoding.nodes
     grid = BoxGrid(superpoints)

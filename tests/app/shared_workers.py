@@ -38,9 +38,9 @@ class SharedWorker:
         self._jobs.add(job)
         return job
 
-    def adopt(self, job: Job[Any], most_seconds: float | None) -> None:
+    def adopt(self, job: Job[Any]) -> None:
         self._jobs.add(job)
-        self._worker.adopt(job, most_seconds)
+        self._worker.adopt(job)
 
     @property
     def name(self) -> str:

@@ -14,6 +14,9 @@ import pytest
 from app.cli.benchmarks import faults
 from app.cli.benchmarks.shapes import FaultSample, damaged, fault_samples
 from app.cli.main import main
+from app.server import network
+from app.server.api import project
+from app.server.api.project import check_url
 from model.core.errors import InputFileError
 from model.io.geometry_files import SUFFIXES
 from model.io.open_asset import open_asset
@@ -115,3 +118,31 @@ def test_the_worst_files_are_refused_or_opened(tmp_path: Path) -> None:
                 open_asset(path)
         else:
             assert open_asset(path).element_count == {"nodes": 200_000, "map": 1}[path.stem]
+
+
+def test_a_person_is_answered_beside_strangers_who_are_slow(monkeypatch) -> None:
+    monkeypatch.setattr(faults, "STRANGERS", 40)
+    monkeypatch.setattr(network, "MAX_SOCKETS", 20)
+    alone, beside = faults.ask_beside(4)
+    assert alone["with"] == "nobody else" and beside["with"] == "40 strangers"
+    for row in (alone, beside):
+        assert row["requests"] >= 1 and not row["refused"]
+        assert 0 < row["p50 ms"] <= row["p95 ms"] <= row["longest ms"]
+
+
+def test_a_sound_webhook_gets_its_message_beside_poisoned_ones() -> None:
+    raised: list[object] = []
+
+    def note(url: str, allowed: Any) -> Any:
+        try:
+            return check_url(url, allowed)
+        except ZeroDivisionError as error:
+            raised.append(error)
+            raise
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(project, "check_url", note)
+        alone, beside = faults.deliver_beside()
+    assert alone["with"] == "0 poisoned webhooks" and beside["with"] == "20 poisoned webhooks"
+    assert 0 <= alone["sent after s"] < faults.LOST > beside["sent after s"] >= 0
+    assert raised

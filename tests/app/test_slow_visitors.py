@@ -16,12 +16,14 @@ import trimesh
 
 from app.server import network, workers
 from app.server.api import guard
+from app.server.job import OutOfTimeError
 from app.server.login import GUESSES
 from app.server.network import Places
 from app.server.server import Server
 from app.server.workers import Workers
 from model.core.errors import ConfigurationError
 from sessions import accounts
+from tests.app import job_functions as functions
 from tests.app.api_server import Browser, team_server
 from tests.builders import wait_until
 
@@ -168,6 +170,32 @@ def test_a_small_file_comes_before_anothers_slow_ones(
         job.cancel()
 
 
+def test_who_works_long_begins_again_behind_those_that_wait(
+    readers: Workers, tmp_path: Path, monkeypatch
+) -> None:
+    monkeypatch.setattr(workers, "SMALL_BYTES", 100)
+    monkeypatch.setattr(workers, "FIRST_WORK", (0.3, 0.01))
+    wait_until(lambda: not any(r.busy for r in readers.readers), "nobody reads", 60)
+    worst = readers.read(functions.held_at_first, tmp_path / "worst", 5, who="ann")
+    wait_until((tmp_path / "worst").exists, "it has begun", 60)
+    (tmp_path / "large").write_bytes(b"x" * 101)
+    large = [readers.read(os.fspath, tmp_path / "large", who="bob") for _ in range(3)]
+    assert all(job.result(30) for job in large)
+    assert worst.result(60) == 5, "it began again"
+
+
+def test_reading_without_others_goes_on_until_its_last_budget(
+    readers: Workers, tmp_path: Path, monkeypatch
+) -> None:
+    monkeypatch.setattr(workers, "FIRST_WORK", (0.1, 0.0))
+    monkeypatch.setattr(workers, "MOST_WORK", (0.8, 100.0))
+    (tmp_path / "large").write_bytes(b"x" * 60_000)
+    readers.read(time.sleep, 1.0).result(60)
+    with pytest.raises(OutOfTimeError, match=r"sleep took more than 0\.8 s"):
+        readers.read(time.sleep, 3600).result(60)
+    assert readers.read(functions.append, tmp_path / "large", "read", 3.0).result(60)
+
+
 def test_a_large_file_leaves_the_second_reader_free(
     readers: Workers, tmp_path: Path, monkeypatch
 ) -> None:
@@ -175,6 +203,7 @@ def test_a_large_file_leaves_the_second_reader_free(
     large = tmp_path / "large"
     large.write_bytes(b"x" * 101)
     held = readers.reading.submit(time.sleep, 3600)
+    wait_until(lambda: held.state == "running", "it is held", 60)
     job = readers.read(os.fspath, large)
     assert readers.read(os.fspath, tmp_path / "small").result(120)
     assert job.state == "queued"

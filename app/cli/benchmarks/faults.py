@@ -42,6 +42,7 @@ from app.cli.output import Result, console, print_records
 from app.cli.serve import start_server
 from app.client import ApiError, Client
 from app.server.accepting import accept
+from app.server.api.project import WebhookSender
 from app.server.app_state import AppState
 from app.server.config import ServeConfig
 from app.server.ending import unfinished
@@ -57,7 +58,8 @@ from model.io.open_asset import open_asset
 from model.io.write import write_cloud
 from model.scenes.registry import read_scene
 from model.scenes.unpacking import unpack
-from sessions.commands import NamePart
+from sessions.commands import NamePart, Reject
+from sessions.live import LiveSession
 from sessions.release_files import check_release, write_release
 from sessions.releases import Release, accepted_assets
 from sessions.store import Store
@@ -317,6 +319,34 @@ def _asked(client: Client, seconds: float) -> dict[str, Any]:
     return {"requests": len(taken), "refused": refused, **waiting_times(taken)}
 
 
+POISONED = 20
+"""Webhooks whose sending raises."""
+_POISON = "192.0.2.1"
+
+
+def deliver_beside() -> list[dict[str, Any]]:
+    """Measure the time until a sound webhook is sent to, without and beside poisoned ones."""
+    rows = []
+    for count in (0, POISONED):
+        with (
+            tempfile.TemporaryDirectory(prefix="artiworld-webhooks-") as folder,
+            closing(Store(Path(folder))) as store,
+            socket.create_server(("127.0.0.1", 0)) as receiver,
+        ):
+            mia = store.people.accounts.add("mia", "manager", secrets.token_hex())
+            for address in (*(_POISON,) * count, f"127.0.0.1:{receiver.getsockname()[1]}"):
+                store.people.webhooks.add(mia, f"http://{address}/", ["object.rejected"], "mia")
+            live = LiveSession(store, store.open_object(Path(folder, "a.ply"), None, "a").id)
+            live.do(Reject("axis"), "mia")
+            receiver.settimeout(LOST)
+            begun, allowed = time.perf_counter(), lambda address: 1 / (str(address) != _POISON) > 0
+            with closing(WebhookSender(store.people.webhooks, allowed)):
+                receiver.accept()[0].close()
+                taken = round(time.perf_counter() - begun, 2)
+        rows.append({"with": f"{count} poisoned webhooks", "sent after s": taken})
+    return rows
+
+
 KINDS = ("uploaded", "sorted", "named", "accepted", "released")
 MOST_DECISIONS = 3 * len(KINDS)
 """Before a kill; so many kinds are an object."""
@@ -461,6 +491,7 @@ def faults_bench(options: FaultsBench, progress: Progress) -> Result:
     if options.clients:
         report["clients"] = click_beside(options.clients, options.seed, progress)
         report["strangers"] = ask_beside(options.clients)
+        report["webhooks"] = deliver_beside()
     kills = report.get("kills", {})
     lost = any(row["lost"] for row in report.get("clients", ()))
     report["failed"] = bool(bad or lost or kills.get("lost") or kills.get("left over"))
@@ -522,3 +553,4 @@ def _print(report: dict[str, Any]) -> None:
     if "clients" in report:
         print_records("Clicks of six people", report["clients"])
         print_records("Requests of a person", report["strangers"])
+        print_records("A message to a sound webhook", report["webhooks"])

@@ -13,6 +13,7 @@ import threading
 import time
 import urllib.request
 from collections import Counter
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +37,7 @@ from app.client import ApiError, Client
 from app.server.config import ServeConfig
 from app.server.network import free_port
 from model.core.geometry import Mesh
+from model.core.memory import processor_seconds
 from model.core.progress import Progress
 from model.io.write import write_cloud, write_mesh
 from sessions.store import Store
@@ -104,7 +106,7 @@ def _measure(scene: Path, root: Path, objects: int, opening: str) -> dict[str, A
     ``loop_held_ms`` the longest time that one callback blocked the event loop; ``pick_ms``
     processor time to find the object under a click; memory in MiB, of the server and its workers.
     """
-    start, used = time.perf_counter(), _cpu(os.getpid())
+    start, used = time.perf_counter(), processor_seconds(os.getpid())
     config = ServeConfig(
         workspace=root / "workspace", port=0, user="bench", scene=scene, assets=(root / "assets",)
     )
@@ -121,8 +123,8 @@ def _measure(scene: Path, root: Path, objects: int, opening: str) -> dict[str, A
         figures: dict[str, Any] = {"opening": opening, "objects": objects}
         figures["first_ms"] = 1000 * (time.perf_counter() - start)
         worker = server.app_state.workers.geometry.pid
-        of_worker = 0.0 if worker is None else _cpu(worker)
-        figures["first_cpu_ms"] = 1000 * (_cpu(os.getpid()) - used + of_worker)
+        of_worker = 0.0 if worker is None else processor_seconds(worker)
+        figures["first_cpu_ms"] = 1000 * (processor_seconds(os.getpid()) - used + of_worker)
         wait_for(
             lambda: len({i for node in picture.nodes for i in node.ids}) == objects,
             "the whole scene",
@@ -137,12 +139,6 @@ def _measure(scene: Path, root: Path, objects: int, opening: str) -> dict[str, A
         return figures
     finally:
         server.close()
-
-
-def _cpu(pid: int) -> float:
-    """Processor seconds of a process so far."""
-    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def _pick(app: Any) -> float:
@@ -297,20 +293,10 @@ def _answers(url: str) -> bool:
 
 def _memory(pid: int) -> float:
     """Megabytes of a process with all that it started, shared pages counted once."""
-    parents: dict[int, int] = {}
-    for entry in filter(str.isdigit, os.listdir("/proc")):
-        try:
-            fields = Path(f"/proc/{entry}/stat").read_text().rpartition(")")[2].split()
-            parents[int(entry)] = int(fields[1])
-        except OSError:
-            continue  # it has just ended
-    mine, total = {pid}, 0.0
-    while more := {p for p, parent in parents.items() if parent in mine} - mine:
-        mine |= more
-    for each in mine:
-        try:
-            lines = Path(f"/proc/{each}/smaps_rollup").read_text().splitlines()
-        except OSError:
-            continue
-        total += sum(int(line.split()[1]) for line in lines if line.startswith("Pss:")) / 1024
+    total, at = 0.0, Path(f"/proc/{pid}")
+    with suppress(OSError):  # it has just ended
+        lines = (at / "smaps_rollup").read_text().splitlines()
+        total = sum(int(line.split()[1]) for line in lines if line.startswith("Pss:")) / 1024
+        started = (each for file in at.glob("task/*/children") for each in file.read_text().split())
+        total += sum(_memory(int(each)) for each in started)
     return total

@@ -257,7 +257,8 @@ def _predicting(
     """Predict a chest of drawers; the baseline writes as many tokens one by one."""
     dtype = torch.bfloat16 if device == "cuda" else torch.float32
     model = make_full_model(ulip2, qwen3, dtype=dtype)
-    model.encoder.config = replace(config.encoder, **_cloud_sizes(config.training))
+    sizes = {n: getattr(config.training, n) for n in ("points", "groups", "neighbours")}
+    model.encoder.config = replace(config.encoder, **sizes)
     model.save(folder)
     del model
     gc.collect()
@@ -288,10 +289,6 @@ def _predicting(
         "peak GB": peak(),
         "loading s": _rounded(loading),
     }
-
-
-def _cloud_sizes(training: FullConfig) -> dict[str, int]:
-    return {name: getattr(training, name) for name in ("points", "groups", "neighbours")}
 
 
 def _point_sam(config: NetworksConfig, device: str) -> dict[str, Any]:

@@ -174,7 +174,9 @@ class JointEditor:
         self._free.on_click(lambda e: tab.act(lambda: self._limits(e.target.value)))
         self._gizmo.on_click(lambda _: tab.act(motion.toggle_handles))
         self._copy.on_click(lambda _: tab.act(self.copy_to_equal))
-        self._reset.on_click(lambda _: tab.act(self._reset_joint))
+        self._reset.on_click(
+            lambda _: tab.act(lambda: tab.do(cmd.ResetJoint(self._need_joint().child)))
+        )
 
     # --- what the user does
 
@@ -322,9 +324,6 @@ class JointEditor:
         doc = self._tab.selection.need_object().document
         if self._locked.value != (joint.child in doc.locked):
             self._tab.do(cmd.LockJoint(joint.child, self._locked.value))
-
-    def _reset_joint(self) -> None:
-        self._tab.do(cmd.ResetJoint(self._need_joint().child))
 
     # --- drawing
 

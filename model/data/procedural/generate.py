@@ -23,7 +23,6 @@ from model.core.errors import ConfigurationError, InputFileError
 from model.core.geometry import Mesh, affine, rotation_from_rpy
 from model.core.joint import Joint
 from model.core.progress import Progress, no_progress
-from model.core.tree import KinematicTree
 from model.data.procedural.composite import random_composite
 from model.data.procedural.corruption import FAULTS, corrupted
 from model.data.procedural.families import FAMILIES, Family
@@ -162,10 +161,6 @@ def _by_piece(
     return [(str(kind), mesh.take_faces(kinds == kind)) for kind in dict.fromkeys(kinds.tolist())]
 
 
-def _moving_links(tree: KinematicTree) -> list[str]:
-    return [link for link in tree.order if link.startswith("link_")]
-
-
 def _numbers(values: npt.ArrayLike) -> str:
     return " ".join(f"{float(v) + 0.0:.9g}" for v in np.asarray(values))
 
@@ -251,7 +246,7 @@ def _joint_data(joint: Joint | None, rotates: bool) -> dict[str, object]:
 def _mobility(made: ProceduralObject, tree_ids: Mapping[str, int]) -> list[dict[str, object]]:
     tree, out = made.object.tree, []
     names = {p.link: p.name or "part" for p in made.object.parts}
-    for link in _moving_links(tree):
+    for link in (name for name in tree.order if name.startswith("link_")):
         joint = tree.joint_of.get(link)
         kind = _kind(made, link)
         parent = -1

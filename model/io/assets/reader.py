@@ -269,7 +269,8 @@ def reload_check(
     except (OSError, ValueError) as error:
         return [f"{folder / TREE}: {error}"]
     problems = [f"{TREE}: {p}" for p in tree_json_problems(tree, obj.tree)]
-    problems += _file_problems(folder, kept)
+    missing = (name for name in kept.get("files", {}) if not (folder / name).is_file())
+    problems += [f"{name} is missing" for name in missing]
     problems += _area_problems(obj, kept)
     rng = np.random.default_rng(seed)
     settings = [random_q(obj, rng) for _ in range(configurations)]
@@ -277,10 +278,6 @@ def reload_check(
     if mujoco and find_spec("mujoco") is not None:
         problems += mujoco_problems(folder / URDF, obj, settings)
     return problems
-
-
-def _file_problems(folder: Path, kept: dict[str, Any]) -> list[str]:
-    return [f"{name} is missing" for name in kept.get("files", {}) if not (folder / name).is_file()]
 
 
 def _area_problems(obj: ArticulatedObject, kept: dict[str, Any]) -> list[str]:

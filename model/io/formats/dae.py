@@ -13,7 +13,14 @@ import numpy as np
 from model.core.errors import InputFileError
 from model.core.geometry import Material, affine
 from model.core.packages import require
-from model.io.formats.loaded import DEFAULT_MAX_BYTES, Loaded, check_indices, join, read_bytes
+from model.io.formats.loaded import (
+    DEFAULT_MAX_BYTES,
+    Loaded,
+    check_count,
+    check_indices,
+    join,
+    read_bytes,
+)
 
 _WORLD_FROM_UP = {
     "X_UP": [[0, -1, 0], [1, 0, 0], [0, 0, 1]],
@@ -42,12 +49,13 @@ def read_dae(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
         vertex = absurd[1][:40].decode()
         raise InputFileError(path, f"a face uses vertex {vertex}", "the file is damaged")
     pieces: list[tuple[str, Loaded]] = []
-    textured, lines = False, 0
+    textured, lines, values = False, 0, 0
     try:
         passed_over = [collada.common.DaeUnsupportedError, collada.common.DaeBrokenRefError]
         file = collada.Collada(io.BytesIO(data), ignore=passed_over)
         up = affine(_WORLD_FROM_UP[str(file.assetInfo.upaxis or "Y_UP")])
         up[:3, :3] *= float(file.assetInfo.unitmeter or 1.0)
+        check_count(path, nodes=_count(file.scene, {}))
         for bound in file.scene.objects("geometry") if file.scene is not None else ():
             for primitive in bound.primitives():
                 triangles = (
@@ -61,11 +69,12 @@ def read_dae(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
                 faces = np.asarray(triangles.vertex_index, np.int64).reshape(-1, 3)
                 vertices = np.asarray(triangles.vertex, np.float64)
                 check_indices(path, faces, len(vertices))
+                values += faces.size + len(vertices)
+                check_count(path, values=values)
                 diffuse = getattr(getattr(primitive.material, "effect", None), "diffuse", None)
                 textured |= diffuse is not None and not isinstance(diffuse, tuple)
-                material = _material(diffuse)
                 own = np.zeros(len(faces), np.int32)
-                made = Loaded(vertices, faces, face_material=own, materials=(material,))
+                made = Loaded(vertices, faces, face_material=own, materials=(_material(diffuse),))
                 name = str(getattr(bound.original, "name", "") or bound.original.id)
                 pieces.append((name, made.moved(up)))
     except InputFileError:
@@ -86,6 +95,15 @@ def read_dae(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
         remarks.append(f"not read: {len(file.controllers)} skins and morphs")
     names = tuple((name, len(p.faces)) for name, p in pieces if len(p.faces))
     return replace(whole, pieces=names, warnings=(*whole.warnings, *remarks))
+
+
+def _count(node: Any, known: dict[int, int]) -> int:
+    """Nodes at and below one with those that instances repeat; ``known`` has those of others."""
+    repeated = getattr(node, "node", node)
+    if id(repeated) not in known:
+        below = getattr(repeated, "children", getattr(repeated, "nodes", ()))
+        known[id(repeated)] = 1 + sum(_count(child, known) for child in below)
+    return known[id(repeated)]
 
 
 def _material(diffuse: Any) -> Material:

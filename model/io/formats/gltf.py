@@ -13,10 +13,11 @@ import numpy as np
 
 from model.core.errors import InputFileError
 from model.core.textures import left_out, to_srgb
-from model.io.formats.gltf_data import MAX_VALUES, Array, GltfBuffers, GltfMaterials, Json, as_dict
+from model.io.formats.gltf_data import Array, GltfBuffers, GltfMaterials, Json, as_dict
 from model.io.formats.loaded import (
     DEFAULT_MAX_BYTES,
     Loaded,
+    check_count,
     check_indices,
     join,
     read_bytes,
@@ -35,7 +36,6 @@ _READ = {
 """Extensions that are read, or that change no shape."""
 _LOOKS = "KHR_materials_"
 """Begins the names of extensions that change no shape."""
-_MAX_NODES = 200_000
 
 
 def read_gltf(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
@@ -150,7 +150,7 @@ class Gltf:
         self._buffers = GltfBuffers(path, tree, binary, max_bytes)
         self._materials = GltfMaterials(self._buffers)
         self._meshes: dict[tuple[int, tuple[float, ...], int | None], list[Loaded]] = {}
-        self._passed_over = 0
+        self._passed_over = self._copies = 0
 
     def scene(self) -> Loaded:
         """All meshes of the scene in the root's frame."""
@@ -196,8 +196,7 @@ class Gltf:
                 own, places = self.meshes_of(node, world)
                 size = sum(p.faces.size + len(p.vertices) for p in own)
                 corners += size * len(places)
-                if corners > MAX_VALUES:
-                    raise InputFileError(self.path, "its nodes repeat too many triangles")
+                check_count(self.path, values=corners)
                 name = node.get("name") or self.tree["meshes"][node["mesh"]].get("name")
                 for place in places:
                     pieces = [piece.moved(place) for piece in own]
@@ -228,9 +227,7 @@ class Gltf:
     def check_tree(self) -> None:
         """Refuse nodes with two parents: their content could be repeated exponentially."""
         nodes = self.tree.get("nodes") or []
-        if len(nodes) > _MAX_NODES:
-            what = f"has {len(nodes):,} nodes"
-            raise InputFileError(self.path, what, f"{_MAX_NODES:,} are the most; join its meshes")
+        check_count(self.path, nodes=len(nodes))
         seen: set[int] = set()
         for node in nodes:
             for child in node.get("children") or ():
@@ -253,8 +250,8 @@ class Gltf:
         if not given:
             return [world]
         count = max(map(len, given.values()))
-        if count > _MAX_NODES:
-            raise InputFileError(self.path, f"has {count} copies of one mesh", "cut the scene")
+        self._copies += count
+        check_count(self.path, nodes=self._copies)
         rows = {key: value.tolist() for key, value in given.items()}
         return [
             world @ node_matrix({key.lower(): value[k] for key, value in rows.items()})
@@ -311,8 +308,7 @@ class Gltf:
                     continue
                 found.append(piece)
                 corners += piece.faces.size + len(piece.vertices)
-                if corners > MAX_VALUES:
-                    raise InputFileError(self.path, "its meshes repeat too many triangles")
+                check_count(self.path, values=corners)
             self._meshes[key] = found
         return self._meshes[key]
 

@@ -17,14 +17,13 @@ from PIL import Image, ImageStat
 from model.core.errors import InputFileError
 from model.core.geometry import Material
 from model.core.textures import ImageFile, SurfaceMaps, TextureError, decode, image_file, to_srgb
-from model.io.formats.loaded import ReferenceRefused, read_bytes, resolve
+from model.io.formats.loaded import ReferenceRefused, check_count, read_bytes, resolve
 
 Array = npt.NDArray[Any]
 Json = dict[str, Any]
 
 _COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
-MAX_VALUES = 60_000_000
 
 
 class GltfBuffers:
@@ -114,8 +113,7 @@ class GltfBuffers:
             offset = int(a.get("byteOffset") or 0)
             out = self._strided(a["bufferView"], offset, count, dtype, width)
         else:
-            if count > MAX_VALUES:
-                raise InputFileError(self.path, f"accessor {index} counts {count} values")
+            check_count(self.path, values=count)
             out = np.zeros((count, width), dtype)
         if sparse := a.get("sparse"):
             out = self._sparse(out, sparse, dtype, width)

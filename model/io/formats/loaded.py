@@ -22,14 +22,12 @@ from model.core.errors import InputFileError
 from model.core.geometry import Material
 
 DEFAULT_MAX_BYTES = 4 << 30
+MOST_NODES, MOST_VALUES = 200_000, 60_000_000
+"""Nodes (of USD: prims) of a file, and corners and points of its meshes, with all repetitions."""
 WHITE = (255, 255, 255, 255)
 GREY = (200, 200, 200, 255)
 
 Array = npt.NDArray[Any]
-
-
-def _no_faces() -> Array:
-    return np.zeros((0, 3), np.int64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +52,7 @@ class Loaded:
     """
 
     vertices: Array
-    faces: Array = field(default_factory=_no_faces)
+    faces: Array = field(default_factory=lambda: np.zeros((0, 3), np.int64))
     normals: Array | None = None
     colors: Array | None = None
     uv: Array | None = None
@@ -162,11 +160,11 @@ def with_plain_colors(loaded: Loaded) -> Loaded:
     return replace(loaded, colors=colors, materials=materials)
 
 
-def size_of(path: Path) -> int:
+def size_of(path: Path, most: float = np.inf) -> int:
     """Bytes of a regular file that holds some.
 
     Raises:
-        InputFileError: where it is missing, empty, a pipe or a device.
+        InputFileError: where it is missing, empty, a pipe or a device, or has more than ``most``.
     """
     try:
         info = path.stat()
@@ -179,7 +177,22 @@ def size_of(path: Path) -> int:
         raise InputFileError(path, "is not a regular file", "give a mesh or point cloud file")
     if info.st_size == 0:
         raise InputFileError(path, "the file is empty", "export or download it again")
+    if info.st_size > most:
+        what = f"{info.st_size / 2**30:.1f} GiB is over the limit of {most / 2**30:.1f} GiB"
+        raise InputFileError(path, what, "thin or cut it first")
     return info.st_size
+
+
+def check_count(path: Path, *, nodes: int = 0, values: int = 0) -> None:
+    """Refuse a file for what it would give: nodes, or corners and points, with all repetitions.
+
+    Raises:
+        InputFileError: above :data:`MOST_NODES` or :data:`MOST_VALUES`.
+    """
+    if nodes > MOST_NODES or values > MOST_VALUES:
+        most = f"{MOST_NODES:,} nodes" if nodes else f"{MOST_VALUES:,} corners and points"
+        what = f"has more than {most}, with those that it repeats"
+        raise InputFileError(path, what, "cut it, or join its meshes")
 
 
 def read_bytes(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> bytes:
@@ -194,13 +207,7 @@ def open_file(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> BinaryIO:
     Raises:
         InputFileError: where it is missing, empty, too large, a pipe or a device, or unreadable.
     """
-    size = size_of(path)
-    if size > max_bytes:
-        raise InputFileError(
-            path,
-            f"{size / 2**30:.1f} GiB is over the limit of {max_bytes / 2**30:.1f} GiB",
-            "thin or cut the scan first",
-        )
+    size_of(path, max_bytes)
     try:
         return path.open("rb")
     except OSError as error:

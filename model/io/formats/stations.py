@@ -59,8 +59,7 @@ def read_e57(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
         ConfigurationError: where pye57 isn't installed.
     """
     pye57 = require("pye57", "artiworld[scans]")
-    if size_of(path) > max_bytes:
-        raise InputFileError(path, "is over the limit of bytes", "thin the scan first")
+    size_of(path, max_bytes)
     stations: list[Loaded] = []
     try:
         file = pye57.E57(str(path))

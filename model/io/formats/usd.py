@@ -30,6 +30,7 @@ from model.geometry.topology import same_points
 from model.io.formats.loaded import (
     DEFAULT_MAX_BYTES,
     Loaded,
+    check_count,
     check_indices,
     join,
     size_of,
@@ -41,7 +42,6 @@ FloatArray = npt.NDArray[np.float64]
 
 USD_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 SHAPES = ("Cube", "Sphere", "Cylinder", "Capsule", "Cone")
-MOST_PRIMS = 1_000_000
 OPEN_SECONDS = 30.0
 """For starting pxr, on a busy machine, and a small stage."""
 _BYTES_A_SECOND = 5e6  # a tenth of what it opens
@@ -143,8 +143,7 @@ class UsdStage:
             require(f"pxr.{n}", "artiworld[usd]", "USD")
             for n in ("Usd", "UsdGeom", "UsdPhysics", "UsdShade", "Ar", "Tf")
         )
-        if size_of(path) > max_bytes:
-            raise InputFileError(path, "is over the limit of bytes", "thin or cut its meshes first")
+        size_of(path, max_bytes)
         _check_binary(path)
         try:
             self.stage: Any = self._usd.Stage.Open(str(path))
@@ -158,11 +157,25 @@ class UsdStage:
             raise InputFileError(
                 path, f"has up axis {self.up!r} and {self.unit} metres a unit", "y or z up, above 0"
             )
+        check_count(path, nodes=self._count(self.stage.GetPseudoRoot(), {}))
         self.turn = WORLD_FROM_UP[self.up]
         self.into = self.turn @ np.diag([self.unit, self.unit, self.unit, 1.0])
         self._places = self._geom.XformCache()
         self._remarks: dict[str, None] = {}
         self._made: dict[Any, tuple[Material, str]] = {}
+        self._repeated = 0  # corners and points in instances
+
+    def _count(self, root: Any, known: dict[Any, int]) -> int:
+        """Prims at and below one, with those in instances, which are counted and not opened."""
+        path = root.GetPath()
+        if path not in known:
+            known[path], walk = 0, iter(self._usd.PrimRange(root))
+            for prim in walk:
+                inside = self._count(prim.GetPrototype(), known) if prim.IsInstance() else 0
+                known[path] += 1 + inside
+                if prim.IsA(self._geom.PointInstancer):
+                    walk.PruneChildren()
+        return known[path]
 
     def get(self, prim: Any, name: str) -> Any:
         """An attribute's value, or the default of its schema; None without either."""
@@ -173,10 +186,7 @@ class UsdStage:
         every = self._usd.TraverseInstanceProxies(self._usd.PrimDefaultPredicate)
         root = self.stage.GetPseudoRoot() if below is None else below
         walk = iter(self._usd.PrimRange(root, every))
-        for number, prim in enumerate(walk):
-            if number > MOST_PRIMS:  # instances of instances multiply
-                what = f"has more than {MOST_PRIMS:,} prims"
-                raise InputFileError(self.path, what, "cut the stage")
+        for prim in walk:
             if prim.IsA(self._geom.PointInstancer):
                 walk.PruneChildren()
             image = self._geom.Imageable(prim)
@@ -250,9 +260,13 @@ class UsdStage:
     def shape_of(self, prim: Any) -> Loaded | None:
         """A mesh or a primitive shape in its own frame and unit; None for any other prim."""
         kind = str(prim.GetTypeName())
-        if kind == "Mesh":
-            return self._mesh(prim)
-        return self._primitive(prim, kind) if kind in SHAPES else None
+        if kind not in ("Mesh", *SHAPES):
+            return None
+        made = self._mesh(prim) if kind == "Mesh" else self._primitive(prim, kind)
+        if prim.IsInstanceProxy():
+            self._repeated += made.faces.size + len(made.vertices)
+            check_count(self.path, values=self._repeated)
+        return made
 
     def _mesh(self, prim: Any) -> Loaded:
         mesh = self._geom.Mesh(prim)

@@ -201,11 +201,6 @@ def _points(value: Any, what: str) -> FloatArray:
     return np.array([numbers(v, 3, f"a corner of its {what}") for v in value])[:, [0, 2, 1]]
 
 
-def box_solid(low: FloatArray, size: FloatArray, color: tuple[int, int, int]) -> Loaded:
-    """The axis-parallel box from (3,) ``low`` of (3,) ``size``, in one colour."""
-    return _solid(low + BOX_CORNERS * size, BOX_FACES, color)
-
-
 def _solid(vertices: FloatArray, faces: Any, color: tuple[int, int, int]) -> Loaded:
     colors = np.tile(np.array([*color, 255], np.uint8), (len(vertices), 1))
     return Loaded(vertices, faces, colors=colors)
@@ -454,7 +449,7 @@ def _door(box: FloatArray, floor: Loaded | None) -> Loaded:
     middle = np.array([x, -z, y])
     if floor is not None:
         sizes[_across(floor, middle[:2])] = THICKNESS
-    return box_solid(middle - sizes / 2, sizes, WALL_COLOR)
+    return _solid(middle - sizes / 2 + BOX_CORNERS * sizes, BOX_FACES, WALL_COLOR)
 
 
 def _across(floor: Loaded, spot: FloatArray) -> int:

@@ -84,13 +84,9 @@ class ObjectSet:
             dataset, object_id = self.listed[number - self.samples]
             truth = dataset.load(object_id)
         if path is not None:
-            _write(path, _packed(truth))
+            # A request with the true joints as locked ones.
+            _write(path, encode_request(truth.segmented(), truth.object.tree.joints, 0))
         return truth
-
-
-def _packed(truth: GroundTruth) -> bytes:
-    """A request with the true joints as locked ones."""
-    return encode_request(truth.segmented(), truth.object.tree.joints, 0)
 
 
 def _unpacked(data: bytes) -> GroundTruth:

@@ -7,6 +7,7 @@ import struct
 import subprocess
 import sys
 import time
+import xml.etree.ElementTree as ET
 import zlib
 from pathlib import Path
 
@@ -109,7 +110,7 @@ def test_many_nodes_of_a_gltf_are_read_in_linear_time(tmp_path: Path) -> None:
     few, many = seconds(1000), seconds(8000)
     assert many < 24 * few  # 8 times as many; three times that for other work on the machine
     too_many = gltf(tmp_path / "b.gltf", [{} for _ in range(200_001)])
-    with pytest.raises(InputFileError, match="200,001 nodes"):
+    with pytest.raises(InputFileError, match="more than 200,000 nodes"):
         open_asset(too_many)
 
 
@@ -152,18 +153,18 @@ def test_remarks_without_number_are_counted(tmp_path: Path) -> None:
 
 
 def test_a_mesh_that_names_its_points_many_times_is_refused(tmp_path: Path, monkeypatch) -> None:
-    monkeypatch.setattr("model.io.formats.gltf.MAX_VALUES", 1000)
+    monkeypatch.setattr("model.io.formats.loaded.MOST_VALUES", 1000)
     path = gltf(tmp_path / "a.gltf", [{"mesh": 0}])
     tree = json.loads(path.read_text())
     tree["meshes"][0]["primitives"] *= 400
     path.write_text(json.dumps(tree))
-    with pytest.raises(InputFileError, match="repeat too many triangles"):
+    with pytest.raises(InputFileError, match="more than 1,000 corners and points"):
         open_asset(path)
 
 
-def test_instances_of_instances_end(tmp_path: Path, monkeypatch) -> None:
+def instances_of_usd(path: Path) -> None:
+    """Two to the 24th cubes, in instances of instances."""
     pytest.importorskip("pxr")
-    monkeypatch.setattr("model.io.formats.usd.MOST_PRIMS", 3000)
     levels = "".join(
         f'def Xform "l{i}" {{\n'
         + "".join(
@@ -173,10 +174,74 @@ def test_instances_of_instances_end(tmp_path: Path, monkeypatch) -> None:
         + "}\n"
         for i in range(24)
     )
-    (tmp_path / "a.usda").write_text(
+    path.write_text(
         f'#usda 1.0\n(\nupAxis = "Z"\n)\n{levels}def Xform "l24" {{\ndef Cube "c" {{}}\n}}\n'
     )
-    with pytest.raises(InputFileError, match="more than 3,000 prims"):
+
+
+def instances_of_dae(path: Path) -> None:
+    """Two to the 24th triangles."""
+    source, geometry = ET.Element("source", id="p"), ET.Element("geometry", id="g")
+    ET.SubElement(source, "float_array", id="a", count="9").text = "0 0 0 1 0 0 0 1 0"
+    common = ET.SubElement(ET.SubElement(source, "technique_common"), "accessor")
+    common.attrib = {"source": "#a", "count": "3", "stride": "3"}
+    for axis in "XYZ":
+        ET.SubElement(common, "param", name=axis, type="float")
+    mesh = ET.SubElement(geometry, "mesh")
+    mesh.append(source)
+    vertices = ET.SubElement(mesh, "vertices", id="v")
+    ET.SubElement(vertices, "input", semantic="POSITION", source="#p")
+    triangles = ET.SubElement(mesh, "triangles", count="1")
+    ET.SubElement(triangles, "input", semantic="VERTEX", source="#v", offset="0")
+    ET.SubElement(triangles, "p").text = "0 1 2"
+    top = ET.Element("COLLADA", xmlns="http://www.collada.org/2005/11/COLLADASchema")
+    top.attrib["version"] = "1.4.1"
+    ET.SubElement(top, "library_geometries").append(geometry)
+    library = ET.SubElement(top, "library_nodes")
+    ET.SubElement(ET.SubElement(library, "node", id="n0"), "instance_geometry", url="#g")
+    for i in range(24):
+        node = ET.SubElement(library, "node", id=f"n{i + 1}")
+        for _ in range(2):
+            ET.SubElement(node, "instance_node", url=f"#n{i}")
+    scene = ET.SubElement(ET.SubElement(top, "library_visual_scenes"), "visual_scene", id="s")
+    ET.SubElement(ET.SubElement(scene, "node"), "instance_node", url="#n24")
+    ET.SubElement(ET.SubElement(top, "scene"), "instance_visual_scene", url="#s")
+    ET.ElementTree(top).write(path)
+
+
+def instances_of_gltf(path: Path) -> None:
+    """A node with ten triangles, and one with 199,995."""
+    at = [{"EXT_mesh_gpu_instancing": {"attributes": {"TRANSLATION": n}}} for n in (1, 2)]
+    gltf(path, [{"children": [1, 2]}, *({"mesh": 0, "extensions": each} for each in at)])
+    tree = json.loads(path.read_text())
+    for count in (10, 199_995):
+        tree["accessors"].append({"componentType": 5126, "count": count, "type": "VEC3"})
+    path.write_text(json.dumps(tree))
+
+
+@pytest.mark.parametrize(
+    ("name", "write"),
+    [("a.usda", instances_of_usd), ("a.dae", instances_of_dae), ("a.gltf", instances_of_gltf)],
+)
+def test_instances_are_counted_before_they_are_made(tmp_path: Path, name: str, write) -> None:
+    write(tmp_path / name)
+    began = time.process_time()
+    with pytest.raises(InputFileError, match="more than 200,000 nodes, with those that it repeats"):
+        open_asset(tmp_path / name)
+    assert time.process_time() - began < 20
+
+
+def test_instances_of_a_large_mesh_are_counted(tmp_path: Path, monkeypatch) -> None:
+    pytest.importorskip("pxr")
+    rows = "".join(
+        f'def Xform "i{i}" (\ninstanceable = true\nreferences = </p>\n) {{}}\n' for i in range(5)
+    )
+    (tmp_path / "a.usda").write_text(
+        f'#usda 1.0\n(\nupAxis = "Z"\n)\nclass "p" {{\ndef Sphere "c" {{}}\n}}\n{rows}'
+    )
+    assert open_asset(tmp_path / "a.usda").element_count == 5 * 1280
+    monkeypatch.setattr("model.io.formats.loaded.MOST_VALUES", 4 * 4500)
+    with pytest.raises(InputFileError, match="more than 18,000 corners and points"):
         open_asset(tmp_path / "a.usda")
 
 
