@@ -313,50 +313,77 @@ def scene(taking: Taking) -> None:
 
 
 FILM_SIZE = (1120, 640)
-FILM_CLICKS = "-.42 -.23 .51  -.03 -.24 .25  .02 -.24 .46  -.06 -.24 .67  .42 -.23 .46"
-"""One place on each of the cabinet's doors and drawers."""
 
 
 def demo(taking: Taking) -> None:
-    """The moving picture: clicks, parts, joints that open and shut, on the bundled cabinet."""
+    """The moving picture: the raw scan of a stove, from its file to the accepted asset."""
     if not taking.wanted("demo"):
         return
-    tab = taking.open(size=FILM_SIZE, reflections=False)  # each of many frames is drawn faster
-    look(tab, (-0.95, -2.3, 1.3), (0.02, -0.15, 0.36))
+    scan = Path(tempfile.mkdtemp()) / "stove.ply"
+    scanned = raw_scan(scan, seed=3, scale=1.0)
+    tab = taking.open(scan, size=FILM_SIZE, reflections=False)  # many frames: each is drawn faster
     film = Film(tab.page)
-    caption = "1. Click on each part that moves"
+    wait_until(lambda: tab.selection.step == "Prepare", "a tilted scan is noticed", LONG)
+    tab.camera_at_rest()
+    film.take("1. Open a raw scan; Enter levels it and leaves the table out", 1500)
+    tab.key("Enter")
+    wait_until(lambda: tab.selection.step == "Annotate", "it is levelled", LONG)
+    tab.ready()
+    look(tab, (-1.0, -2.05, 1.3), (0.0, -0.05, 0.45))
+    free_of_notes(tab)
+    caption = "2. Pick a name and click: the part is cut out"
     film.take(caption, 900)
-    names = read_prompts(EXAMPLES / "cabinet.prompts.json").names
-    for part, place in enumerate(np.array(FILM_CLICKS.split(), float).reshape(-1, 3), start=1):
-        tab.key(str(part))
-        wait_until(lambda part=part: tab.selection.part == part, "the key chooses the part")
-        film.take(caption, 300, tab.pixel(place))
-        tab.prompt(place)
-        tab.app.tab.do(cmd.NamePart(part, names[part]))
+    frame = np.asarray(tab.document.frame.object_from_read) @ scanned
+    for key, place in (("Shift+1", DOOR), ("Shift+2", DRAWER), ("Shift+3", KNOB)):
+        tab.key(key)
+        there = frame[:3, :3] @ place + frame[:3, 3]
+        film.take(caption, 500, tab.pixel(there))
+        tab.prompt(there)
         free_of_notes(tab)
-        film.take(caption, 500, tab.pixel(place), pressed=True)
-    tab.app.tab.do(cmd.SetCategory("StorageFurniture"))
-    caption = "2. Predict the joints (P)"
+        film.take(caption, 500, tab.pixel(there), pressed=True)
+    tab.key("z")
+    wait_until(lambda: tab.app.pointing.tools.finds, "similar parts", LONG)
+    caption = "3. Same shape (Z) finds the other knobs; Enter takes them"
     film.take(caption, 900)
+    tab.key("Enter")
+    wait_until(lambda: len(tab.document.parts) == 9, "all six knobs")
+    tab.settled()
+    free_of_notes(tab)
+    film.take(caption, 900)
+    film_joints(tab, film)
+    path = taking.save_film(film, "demo")
+    print(f"{path} {path.stat().st_size // 1024} kB", flush=True)
+
+
+def film_joints(tab: Tab, film: Film) -> None:
+    """From the parts to the accepted asset."""
     tab.key("p")
     wait_until(lambda: tab.document.tree is not None, "joints", LONG)
     wait_until(lambda: tab.selection.step == "Joints", "the joints are shown")
     wait_until(lambda: not tab.object.busy, "the sweeps are done", LONG)
     free_of_notes(tab)
-    film.take(caption, 1200)
-    chosen = tab.selection.joint
-    others = [joint for joint in tab.document.tree.joints if joint.moves and joint != chosen]
+    caption = "4. Predict the joints (P); they move at once"
+    film.take(caption, 900)
+    moving = [joint for joint in tab.document.tree.joints if joint.moves]
     for share in 0.45 * (1 - np.cos(np.linspace(0, 2 * np.pi, 17))):
 
         def pose(share: float = float(share)) -> None:
-            for joint in others:
-                tab.app.motion.set_q(joint.name, share * (joint.upper or 0.0))
+            for joint in moving:
+                tab.app.motion.set_q(joint.name, share * (joint.upper or 1.0))
 
         tab.app.tab.act(pose)
-        tab.set_slider("Pose [°]", round(float(share * np.degrees(chosen.upper)), 1))
-        film.take("3. The joints move at once: correct, review, export", 120)
-    path = taking.save_film(film, "demo")
-    print(f"{path} {path.stat().st_size // 1024} kB", flush=True)
+        tab.drawn()
+        film.take(caption, 120)
+    tab.step("Review")
+    wait_until(lambda: tab.object.validation.report, "a verdict", LONG)
+    free_of_notes(tab)
+    caption = "5. Look at the checks, accept (Y), export"
+    film.take(caption, 1200)
+    tab.wait_seen()
+    tab.key("y")
+    wait_until(lambda: tab.document.review.state == "accepted", "it is accepted", LONG)
+    tab.drawn()
+    film.take(caption, 2000)
 
 
 def project(taking: Taking) -> None:
