@@ -109,8 +109,7 @@ def _dressed(path: Path, triangles: Any, files: MaterialFiles, warnings: list[st
         r, g, b = (int(np.clip(np.rint(255 * float(c)), 0, 255)) for c in diffuse[:3])
         material = Material("dae", (r, g, b, 255))
     elif hasattr(diffuse, "sampler"):
-        image = unquote(diffuse.sampler.surface.image.path)
-        texture = files.texture(image, path, warnings)
+        texture = files.texture(unquote(diffuse.sampler.surface.image.path), path, warnings)
         material = material if texture is None else Material("dae", WHITE, texture)
         _, named = (triangles.inputmap or {}).get(diffuse.texcoord, ("", None))
         sets = [said[3] for said in triangles.original.sources.get("TEXCOORD", ())]
@@ -119,7 +118,7 @@ def _dressed(path: Path, triangles: Any, files: MaterialFiles, warnings: list[st
             at_corners = triangles.texcoord_indexset[at]
             uv = [np.asarray(triangles.texcoordset[at], np.float64)[at_corners][..., :2]]
         elif material.texture is not None:
-            warnings.append(f"coordinates of the texture {image!r} are missing")
+            warnings.append("coordinates of the texture of a piece are missing")
             material = unpictured(material)
     points, faces, uv = along_seams(points, faces, uv)
     return Loaded(

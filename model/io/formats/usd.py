@@ -55,12 +55,12 @@ _INPUTS = {
     "metallic": "metallic metallic_constant metalness base_metalness",
     "roughness": "roughness reflection_roughness_constant specular_roughness",
     "normal": "normal normalmap_texture",
-    "emissiveColor": "emissiveColor emission_color emissive_color",
+    "emissiveColor": "emissiveColor",
     "occlusion": "occlusion ao_texture",
     "metallic and roughness": "ORM_texture metallic_texture reflectionroughness_texture",
 }
 """Names that a surface's inputs have: those of UsdPreviewSurface, then of MDL and MaterialX."""
-_TINTS = ("diffuse_tint", "base", "base_weight")
+_FACTORS = ("diffuse_tint", "base", "base_weight")
 _MOVES = {"texture_scale": [(1, 1)], "texture_translate": [(0, 0)], "texture_rotate": [0]}
 """MDL's inputs that move a texture, and what leaves it in its place."""
 _COORDINATES, _MOST_MOVES = "st texcoord in", 8
@@ -160,8 +160,7 @@ def _read(stage: UsdStage) -> Loaded:
 def beside(said: str, paths: Iterable[Any], top: Any) -> list[str]:
     """A remark that names the prims that hold what of ``paths`` isn't below ``top``, with its
     number; else nothing."""
-    away = (path for path in paths if not path.HasPrefix(top))
-    depths = ((path, path.GetCommonPrefix(top).pathElementCount) for path in away)
+    depths = ((p, p.GetCommonPrefix(top).pathElementCount) for p in paths if not p.HasPrefix(top))
     found = Counter(str(path.GetPrefixes()[depth].name) for path, depth in depths)
     return [f"{said}: " + ", ".join(f"{name} ({n})" for name, n in found.items())] * bool(found)
 
@@ -432,9 +431,11 @@ class UsdStage:
         color, opacity = inputs["diffuseColor"], inputs["opacity"]
         if self._value(node, "enable_opacity"):
             opacity = self._value(node, "opacity_constant")
-        given = {k for k, v in inputs.items() if self._file(v) is not None} - {"diffuseColor"}
-        if maps := given - ({"opacity"} if opacity == color else set()):
-            self._remarks[left_out(f"{key} map" for key in maps)] = None
+        read = {"diffuseColor", "opacity" if opacity == color else ""}
+        lost = [f"{k} map" for k, v in inputs.items() if k not in read and self._file(v)]
+        light = inputs["emissiveColor"]
+        if lost := lost + ["emission"] * bool(np.ndim(light) == 1 and np.any(light)):
+            self._remarks[left_out(lost)] = None
         look, plain = _Look(Material(name)), color
         if self._file(color) is not None:
             look, plain = self._textured(look, node, color, opacity == color)
@@ -442,10 +443,11 @@ class UsdStage:
             shown, plain = str(self._input(color, "varname geomprop") or ""), None
         if plain is None and not shown:
             shown = "displayColor"
-            if color is not None or shader.GetIdAttr().Get() != "UsdPreviewSurface":
+            unread = color is not None or shader.GetIdAttr().Get() != "UsdPreviewSurface"
+            if unread and not self._file(color):
                 self._remarks[f"material {name!r}: its colour isn't read"] = None
         rgb = np.array(_GREY if plain is None else plain[:3], np.float64)
-        for tint in (self._value(node, key) for key in _TINTS):
+        for tint in (self._value(node, key) for key in _FACTORS):
             if np.asarray(tint).dtype.kind == "f" and np.shape(tint) in ((), (3,)):
                 rgb *= np.asarray(tint)
         shares = (opacity, inputs["metallic"], inputs["roughness"])
@@ -500,9 +502,8 @@ class UsdStage:
     def _picture(self, said: Any) -> Image.Image | None:
         """An image of the stage's folder, or of a package there, read once; None, with a remark,
         where it lies elsewhere or can't be read."""
-        at, name = said.resolvedPath or said.path, Path(said.path.replace("\\", "/")).name
-        if not said.resolvedPath:  # exporters write paths of their own machine
-            at = str(self.path.parent / name)
+        name = Path(said.path.replace("\\", "/")).name  # exporters write paths of their own machine
+        at = said.resolvedPath or str(self.path.parent / name)
         if at in self._images:
             return self._images[at]
         try:

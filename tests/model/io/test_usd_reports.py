@@ -479,6 +479,10 @@ MADE: dict[str, tuple[Made, Callable[[Asset], None]]] = {
         ),
         lambda a: _is(colors_of(a, "door"), {(255, 0, 0, 102): 12}),
     ),
+    "light": (
+        Made(panel=BOUND, beside=looks(f"color3f inputs:emissiveColor = {R}")),
+        told("left out of its materials: emission"),
+    ),
     "unknown node": (
         Made(
             panel=BOUND,
@@ -705,6 +709,69 @@ def _is(found: object, expected: object) -> None:
     assert found == expected
 
 
+ROWS = {  # what a stage says: the inputs that are read without a remark, and those with one
+    "colours of a mesh, of any interpolation, inherited": (
+        "constant uniform indexed vertex face-varying inherited opacity",
+        "misfit",
+    ),
+    "UsdPreviewSurface: colour, opacity, texture, UsdTransform2d; GeomSubsets": (
+        "subsets interface bound_above glass texture_right_side_up texture_by_corners "
+        "texture_moved two_sets_of_coordinates texture_times_colour",
+        "texture_outside no_coordinates unknown_node",
+    ),
+    "other maps, emission": ("", "light texture_of_MDL,_tinted"),
+    "MDL: colour, tint and texture of OmniPBR and its like": (
+        "look_of_MDL",
+        "texture_of_another_machine,_moved missing_texture_of_MDL unread_look_of_MDL",
+    ),
+    "MaterialX: colour and texture of standard surface and OpenPBR": (
+        "look_of_MaterialX texture_of_MaterialX",
+        "",
+    ),
+    "values over time: the earliest": ("", "animation"),
+    "instancers, curves, points, other shapes, empty meshes, holes": (
+        "",
+        "shapes_of_other_kinds prototypes empty_mesh hole",
+    ),
+    "surroundings: shapes beside the prim that holds all joined bodies, grounds": (
+        "",
+        "ground_within ground_outside beside_the_default_prim",
+    ),
+    "revolute and prismatic joints, also with one limit or none": (
+        "known a_turn_and_more no_limits",
+        "lower_alone slide_with_upper_alone switched_off mirrored_in_x",
+    ),
+    "joints without a type (D6): with one free axis; others are fixed": (
+        "free_about_one",
+        "free_about_two free_along_one,_as_one_limit_is_missing free_in_two_beside_a_hinge",
+    ),
+    "damping, friction, effort and velocity of joints": (
+        "drive_in_centimetres_and_grams linear_drive",
+        "drive_by_acceleration stiffness",
+    ),
+    "mimics of PhysX, Newton and MuJoCo": ("newton's_mimic", "mujoco's_mimic"),
+    "masses, densities of bodies, shapes and materials, centres, inertia": (
+        "density density_in_centimetres density_of_a_material mass_before_density "
+        "mass_of_a_shape density_of_a_shape_before_its_body's mass centre_and_mass",
+        "inertia_without_a_body's",
+    ),
+    "flags that switch bodies, colliders and joints off": ("off_body", "switched_off"),
+    "missing files, schemas and values of physics that no reader knows": (
+        "",
+        "lost_payload schema",
+    ),
+}
+
+
+def test_the_document_has_a_row_for_each_input() -> None:
+    text = (Path(__file__).parents[3] / "docs/formats.md").read_text()
+    inputs = [name for row in ROWS.values() for names in row for name in names.split()]
+    assert {name.replace("_", " ") for name in inputs} == set(MADE)
+    for what, (read, told) in ROWS.items():
+        state = "read; what isn't is told" if read and told else "read" if read else "told"
+        assert f"\n| {what} | {state} |\n" in text
+
+
 DOORS = "".join(
     f"""def Xform "door_{side}" (prepend apiSchemas = ["PhysicsRigidBodyAPI"]) {{
 {box((low, -0.32, 0), (low + 0.4, -0.3, 1))}
@@ -811,7 +878,10 @@ def test_variants_are_read_or_told(name: str, tmp_path: Path) -> None:
     folder.mkdir()
     _picture(folder)
     (folder / "a.usda").write_text(made.text())
-    check(open_asset(folder / "a.usda"))
+    asset, key = open_asset(folder / "a.usda"), name.replace(" ", "_")
+    check(asset)
+    rows = [row for row in ROWS.values() if key in f"{row[0]} {row[1]}".split()]
+    assert all(bool(asset.warnings) == (key in told.split()) for _, told in rows)
 
 
 def report(file: str) -> Asset:
