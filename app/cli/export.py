@@ -21,6 +21,7 @@ from app.cli.options import PhysicsOptions
 from app.cli.output import Result, check_output
 from app.server.export_tasks import ExportTask, export_one
 from model.core.errors import ArtiworldError, ConfigurationError, InputFileError
+from model.core.files import free_name
 from model.core.joint import JointDynamics
 from model.core.pool import robust_map
 from model.core.progress import Progress
@@ -98,10 +99,7 @@ def asset_names(assets: Sequence[Path]) -> list[str]:
             base = asset.resolve().name
         else:
             base = asset.parent.resolve().name if asset.name in ASSET_FILES else asset.stem
-        name, number = base, 2
-        while name in out:
-            name, number = f"{base}_{number}", number + 1
-        out.append(name)
+        out.append(free_name(base, out))
     return out
 
 

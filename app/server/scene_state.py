@@ -8,7 +8,6 @@ import threading
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from itertools import chain, count
 from pathlib import Path
 from typing import Any, Literal
 
@@ -24,6 +23,7 @@ from app.server.scene_saving_tasks import Decided, MovingCopy, ReportRow, save_s
 from app.server.scene_tasks import DrawnParts, OpenedScene, SceneItem, Shape, placed
 from model.core.asset import Source
 from model.core.errors import CommandError, InputFileError
+from model.core.files import free_name
 from model.scenes.asset_parts import asset_digest
 from model.scenes.jobs import ACCEPTED, PREDICTED, REJECTED, TODO
 from sessions import commands as cmd
@@ -135,8 +135,7 @@ def names_for(items: Iterable[SceneItem], works: Iterable[Work]) -> list[str]:
     taken, out = {work.record.name for work in works}, []
     for item in items:
         stem = "object" if item.copy is None else item.copy.name.rpartition("-")[0]
-        new = chain([stem], (f"{stem}_{n}" for n in count(2)))
-        out.append(next(name for name in new if name not in taken))
+        out.append(free_name(stem, taken))
         taken.add(out[-1])
     return out
 

@@ -95,14 +95,11 @@ def part_ious(
 
 
 def match_parts(
-    truth: Sequence[SampledPart],
-    predicted: Sequence[SampledPart],
-    *,
-    threshold: float = THRESHOLD,
+    truth: Sequence[SampledPart], predicted: Sequence[SampledPart]
 ) -> tuple[PartMatch, ...]:
-    """Match pairs with an IoU of at least ``threshold``, in the order of the true parts."""
+    """Match pairs with an IoU of at least :data:`THRESHOLD`, in the order of the true parts."""
     iou = part_ious(truth, predicted)
-    kept = np.where(iou >= threshold, iou, 0.0)
+    kept = np.where(iou >= THRESHOLD, iou, 0.0)
     rows, columns = linear_sum_assignment(-kept)
     return tuple(
         PartMatch(truth[i].link, predicted[j].link, float(iou[i, j]))

@@ -46,14 +46,11 @@ class Metric:
     terms: Terms
 
 
-def _over_joints(
-    value: Callable[[JointScore], float | bool | None],
-    among: Callable[[JointScore], bool] = lambda _: True,
-) -> Terms:
+def _over_joints(value: Callable[[JointScore], float | bool | None]) -> Terms:
     """Mean of ``value`` over the true joints that have one."""
 
     def terms(score: ObjectScore) -> tuple[float, float]:
-        kept = [float(v) for j in score.joints if among(j) and (v := value(j)) is not None]
+        kept = [float(v) for j in score.joints if (v := value(j)) is not None]
         return sum(kept), float(len(kept))
 
     return terms

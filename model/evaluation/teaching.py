@@ -22,7 +22,7 @@ from model.data.registry import DatasetOptions, open_dataset, select
 from model.evaluation.joint_metrics import JointScore, ObjectScore, UsableLimits, score_object
 from model.evaluation.summary import calibrate
 from model.prediction.arti4urdf.predictor import learned_hybrid
-from model.prediction.arti4urdf.structure import Structure, read_structure
+from model.prediction.arti4urdf.structure import read_structure
 from model.prediction.experience import Experience, ObjectExample, example_of
 from model.prediction.experience import kind_of as example_kind
 
@@ -121,12 +121,10 @@ def _examples(data: DatasetOptions, object_id: str) -> tuple[ObjectExample, ...]
         return None
 
 
-def accepted_example(
-    obj: ArticulatedObject, source: str, structure: Structure | None = None
-) -> ObjectExample:
+def accepted_example(obj: ArticulatedObject, source: str) -> ObjectExample:
     """The example of an accepted object, which knows what is predicted without experience."""
     segmented = SegmentedObject(obj.name, obj.parts, obj.category)
-    structure = structure or read_structure(segmented)
+    structure = read_structure(segmented)
     found, _ = learned_hybrid(None).predict_with_evidence(segmented, structure=structure)
     score = score_object(obj, found.tree)
     wrong = {j.child for j in score.joints if not j.usable} | {child for child, _ in score.extra}

@@ -31,19 +31,17 @@ class DisplayAsset:
     element: npt.NDArray[np.int32]
 
 
-def display_asset(
-    asset: Asset, max_faces: int = 150_000, max_points: int = 150_000
-) -> DisplayAsset:
-    """Reduce an asset to a size that a browser draws smoothly; deterministic."""
+def display_asset(asset: Asset, most: int = 150_000) -> DisplayAsset:
+    """Reduce an asset to ``most`` faces or points, as a browser draws smoothly; deterministic."""
     if asset.mesh is not None:
         mesh = asset.mesh
-        if len(mesh.faces) <= max_faces:
+        if len(mesh.faces) <= most:
             return DisplayAsset(mesh, None, np.arange(len(mesh.faces), dtype=np.int32))
-        simple, element = decimate(mesh, max_faces)
+        simple, element = decimate(mesh, most)
         return DisplayAsset(simple, None, element)
     cloud = asset.cloud
     assert cloud is not None
-    element = thin(cloud.points, max_points)
+    element = thin(cloud.points, most)
     return DisplayAsset(None, cloud.take(element) if len(element) < len(cloud) else cloud, element)
 
 

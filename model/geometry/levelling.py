@@ -180,13 +180,9 @@ class Candidate:
     height: float | None
 
 
-def candidates_of(
-    points: npt.NDArray[np.floating],
-    normals: Array | None = None,
-    progress: Progress = no_progress,
-) -> list[Candidate]:
-    """The directions that may be up; arguments and errors as of :func:`find_up`."""
-    return _described(*sampled(np.asarray(points, np.float64), normals), progress)
+def candidates_of(points: npt.NDArray[np.floating]) -> list[Candidate]:
+    """The directions that may be up; errors as of :func:`find_up`."""
+    return _described(*sampled(np.asarray(points, np.float64), None), no_progress)
 
 
 def _described(sample: Array, facing: Array, progress: Progress) -> list[Candidate]:

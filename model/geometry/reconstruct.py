@@ -16,7 +16,6 @@ import numpy.typing as npt
 
 from model.core.errors import GeometryError
 from model.core.geometry import Material, Mesh, PointCloud
-from model.core.progress import Progress, no_progress
 from model.geometry.display import WHITE, thin
 from model.geometry.sampling import estimate_normals
 
@@ -36,9 +35,7 @@ lie 1.3 to 3.1 thousandths of the object's diagonal from the truth instead of 1.
 36 objects, by simulated depth cameras and drifting ones)."""
 
 
-def mesh_from_cloud(
-    cloud: PointCloud, *, max_points: int = MAX_POINTS, progress: Progress = no_progress
-) -> Mesh:
+def mesh_from_cloud(cloud: PointCloud) -> Mesh:
     """Reconstruct a surface with the cloud's colours.
 
     Screened Poisson reconstruction (Kazhdan and Hoppe, 2013), trimmed to the points; ball pivoting
@@ -47,36 +44,29 @@ def mesh_from_cloud(
 
     Args:
         cloud: normals are estimated where it has none.
-        max_points: larger clouds are thinned first, which bounds the time.
-        progress: called between the steps.
 
     Raises:
         GeometryError: for fewer than 4 points, and for points on one line.
     """
     if len(cloud) < 4:
         raise GeometryError(f"a surface needs 4 points or more, this cloud has {len(cloud)}")
-    progress(0.0, "thinning")
-    small = cloud.take(thin(cloud.points, max_points))
+    small = cloud.take(thin(cloud.points, MAX_POINTS))
     spread = np.linalg.svd(_centred(small.points), compute_uv=False)
     if spread[0] == 0 or spread[1] < 1e-6 * spread[0]:
         raise GeometryError("all points are on one line, which spans no surface")
-    progress(0.1, "normals")
     if small.normals is None:
         small = estimate_normals(small)
     spacing = spacing_of(small.points)
     found = None
     if spread[2] > 1e-4 * spread[0]:
         if len(small) >= _FEW:
-            progress(0.3, "Poisson reconstruction")
             found = poisson(small, spacing)
         elif len(small) < _VERY_FEW:
             found = _hull(small.points)
         if found is None:
-            progress(0.6, "ball pivoting")
             found = _ball_pivoting(small, spacing)
     if found is None:
         found = _flat(small.points)
-    progress(0.9, "colours")
     return _colored(*found, small)
 
 

@@ -309,8 +309,9 @@ def load_geometry(path: Path, max_bytes: int, files: MaterialFiles | None = None
     reader = _READERS.get(path.suffix.lower())
     if reader is None:
         raise unknown_type(path, SUFFIXES)
-    if reader is read_obj and files is not None:
-        return read_obj(path, max_bytes, files=files)
+    for textured in (read_obj, read_dae):
+        if reader is textured and files is not None:
+            return textured(path, max_bytes, files=files)
     return reader(path, max_bytes)
 
 

@@ -216,12 +216,7 @@ def _read_folder(
 
 @one_reading()
 def read_part_files(
-    path: str | Path,
-    *,
-    up_axis: UpAxis | None = None,
-    unit_scale: float = 1.0,
-    max_bytes: int = DEFAULT_MAX_BYTES,
-    progress: Progress = no_progress,
+    path: str | Path, *, up_axis: UpAxis | None = None, unit_scale: float = 1.0
 ) -> SegmentedObject:
     """Read a folder of part meshes or part clouds, all in one object frame, or any other source
     that tells its parts: a URDF, an MJCF, a glTF or OBJ file whose meshes are called after parts,
@@ -234,12 +229,11 @@ def read_part_files(
         InputFileError: where a part can't be used, or a file tells no parts.
     """
     with unzipped(Path(path)) as place:
-        return _part_files(place, up_axis, unit_scale, max_bytes, progress)
+        return _part_files(place, up_axis, unit_scale)
 
 
-def _part_files(
-    path: Path, up_axis: UpAxis | None, unit_scale: float, max_bytes: int, progress: Progress
-) -> SegmentedObject:
+def _part_files(path: Path, up_axis: UpAxis | None, unit_scale: float) -> SegmentedObject:
+    max_bytes, progress = DEFAULT_MAX_BYTES, no_progress
     if path.is_file() or (path.is_dir() and model_of(path) is not None):
         return _read_declared_parts(path, up_axis, unit_scale, max_bytes, progress)
     manifest = find_manifest(path, FOLDER_SUFFIXES)

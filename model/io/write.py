@@ -20,7 +20,7 @@ import numpy.typing as npt
 from PIL import Image
 
 from model.core.errors import ConfigurationError, GeometryError
-from model.core.files import written_to
+from model.core.files import free_name, written_to
 from model.core.geometry import Material, Mesh, PointCloud
 from model.core.textures import ImageFile, SurfaceMaps, encode, from_linear, to_linear
 from model.geometry.sampling import corner_normals, vertex_colors
@@ -417,11 +417,8 @@ def _material_names(materials: tuple[Material, ...]) -> list[str]:
     """Names without white space, each once."""
     out: list[str] = []
     for m in materials:
-        stem = name = "_".join(m.name.replace("#", "_").split()) or "material"
-        number = 2
-        while name in out:
-            name, number = f"{stem}_{number}", number + 1
-        out.append(name)
+        name = "_".join(m.name.replace("#", "_").split()) or "material"
+        out.append(free_name(name, out))
     return out
 
 

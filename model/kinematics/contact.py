@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from model.core.articulated_object import Part
 from model.core.errors import GeometryError
-from model.kinematics.surface import POINTS, Surface, surface_of
+from model.kinematics.surface import Surface, surface_of
 
 TOLERANCE = 0.01
 """Largest gap that counts as touching, in the diagonal of all parts: scans and CAD leave gaps."""
@@ -105,22 +105,19 @@ def contact_tolerance(parts: Iterable[Part]) -> float:
     return max(TOLERANCE * diagonal, RESOLUTIONS * max(s.resolution for s in surfaces))
 
 
-def contact_between(
-    a: Part, b: Part, tolerance: float | None = None, *, points: int = POINTS
-) -> Contact:
+def contact_between(a: Part, b: Part, tolerance: float | None = None) -> Contact:
     """Compute the contact of two parts.
 
     Args:
         tolerance: metres; by default :func:`contact_tolerance` of the two. Pass that of the whole
             object for small parts.
-        points: samples per part.
 
     Raises:
         GeometryError: for a part without geometry.
     """
     if tolerance is None:
         tolerance = contact_tolerance((a, b))
-    first, second = surface_of(a, points), surface_of(b, points)
+    first, second = surface_of(a), surface_of(b)
     for part, surface in ((a, first), (b, second)):
         if surface is None:
             raise GeometryError(f"part {part.link!r} has no face and no point")
@@ -128,13 +125,11 @@ def contact_between(
     return _contact(first, second, tolerance, exact=True)
 
 
-def contacts(
-    parts: Sequence[Part], tolerance: float | None = None, *, points: int = POINTS
-) -> tuple[Contact, ...]:
+def contacts(parts: Sequence[Part], tolerance: float | None = None) -> tuple[Contact, ...]:
     """Compute the contacts of all pairs of parts that touch, in the order of the parts."""
     if tolerance is None:
         tolerance = contact_tolerance(parts)
-    surfaces = [s for p in parts if (s := surface_of(p, points)) is not None]
+    surfaces = [s for p in parts if (s := surface_of(p)) is not None]
     found = (_contact(a, b, tolerance, exact=False) for a, b in combinations(surfaces, 2))
     return tuple(c for c in found if c.touches)
 

@@ -144,8 +144,6 @@ def find_affordances(
     obj: ArticulatedObject,
     collision: Mapping[str, Sequence[Shape]],
     *,
-    most: int = 3,
-    seed: int = 0,
     remarks: list[str] | None = None,
 ) -> tuple[Affordance, ...]:
     """Places for each joint that moves on its own, best first; none where no hand fits.
@@ -155,38 +153,34 @@ def find_affordances(
     Args:
         collision: link → shapes, object frame: what a gripper meets. Links without any count by
             their meshes or clouds; where no link has one, nothing is looked for.
-        most: of a joint.
-        seed: random seed of the samples.
         remarks: gets one for each search that failed.
     """
     said = [] if remarks is None else remarks
     found = _FOUND.get(obj)  # formats of one export ask for the same
-    if found is not None and found[0] is collision and found[1] == (most, seed):
-        said += found[3]
-        return found[2]
+    if found is not None and found[0] is collision:
+        said += found[2]
+        return found[1]
     kept = [a for a in obj.affordances if belongs(a, obj.tree)]
     known = {a.joint for a in kept}
     joints = [j for j in obj.tree.joints if _own(j) and j.name not in known] if collision else []
     failed: list[str] = []
-    surface = cache(lambda: _Surface.of(obj, collision, np.random.default_rng(seed)))
+    surface = cache(lambda: _Surface.of(obj, collision, np.random.default_rng(0)))
     for joint in joints:
-        places = partial(_places, obj.tree, surface, joint, most)
+        places = partial(_places, obj.tree, surface, joint)
         kept += attempt(failed, f"{joint.name}: the search for affordances", places, [])
-    _FOUND[obj] = (collision, (most, seed), tuple(kept), failed)
+    _FOUND[obj] = (collision, tuple(kept), failed)
     said += failed
     return tuple(kept)
 
 
 _FOUND: WeakKeyDictionary[
     ArticulatedObject,
-    tuple[Mapping[str, Sequence[Shape]], tuple[int, int], tuple[Affordance, ...], list[str]],
+    tuple[Mapping[str, Sequence[Shape]], tuple[Affordance, ...], list[str]],
 ] = WeakKeyDictionary()
 
 
-def _places(
-    tree: KinematicTree, surface: Callable[[], _Surface], joint: Joint, most: int
-) -> list[Affordance]:
-    return list(_Search(tree, surface(), joint).best(most))
+def _places(tree: KinematicTree, surface: Callable[[], _Surface], joint: Joint) -> list[Affordance]:
+    return list(_Search(tree, surface(), joint).best())
 
 
 def _own(joint: Joint) -> bool:
@@ -330,7 +324,7 @@ class _Search:
         inside = (points > moved.min(axis=0) - room) & (points < moved.max(axis=0) + room)
         return inside.all(axis=1)
 
-    def best(self, most: int) -> Iterator[Affordance]:
+    def best(self, most: int = 3) -> Iterator[Affordance]:
         """The best free candidates that differ from each other."""
         if self.empty or not self.speed > 0:
             return

@@ -135,14 +135,11 @@ HELPER = Inertial(1e-2, np.zeros(3), np.eye(3) * 1e-5)
 FloatArray = npt.NDArray[np.float64]
 
 
-_KNOWN: WeakKeyDictionary[Part, dict[tuple[PartMaterial | None, float], Inertial]] = (
-    WeakKeyDictionary()
-)
+_KNOWN: WeakKeyDictionary[Part, dict[PartMaterial | None, Inertial]] = WeakKeyDictionary()
 
 
 def inertials_of(
     obj: ArticulatedObject,
-    density: float = DENSITY,
     *,
     material_of: Callable[[Part], PartMaterial] | None = None,
     declared: bool = True,
@@ -150,8 +147,8 @@ def inertials_of(
     """Return link → mass properties, but for a root without geometry, which stands still.
 
     Args:
-        density: kg/m³ of the solid hull, without ``material_of``.
-        material_of: material of a part; mass comes from volume and surface then.
+        material_of: material of a part; mass comes from volume and surface then, else from
+            the solid hull.
         declared: whether ``obj.inertials``, which the source declares, are used as they are.
     """
     parts = {p.link: p for p in obj.parts}
@@ -165,10 +162,10 @@ def inertials_of(
         if part is not None and len(points):
             material = None if material_of is None else material_of(part)
             known = _KNOWN.setdefault(part, {})
-            if (material, density) not in known:
+            if material not in known:
                 made = None if material is None else _of_material(part, points, material)
-                known[material, density] = made or hull_inertial(points, density)
-            out[link] = known[material, density]
+                known[material] = made or hull_inertial(points)
+            out[link] = known[material]
         elif link != obj.tree.root:
             center = np.asarray(obj.tree.joint_of[link].origin, dtype=np.float64)
             out[link] = Inertial(HELPER.mass, center, HELPER.tensor)

@@ -7,6 +7,7 @@ import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
 import numpy as np
 
@@ -15,12 +16,16 @@ from model.core.geometry import Material, affine
 from model.core.packages import require
 from model.io.formats.loaded import (
     DEFAULT_MAX_BYTES,
+    WHITE,
     Loaded,
+    along_seams,
     check_count,
     check_indices,
     join,
     read_bytes,
+    unpictured,
 )
+from model.io.formats.mtl import MaterialFiles
 
 _WORLD_FROM_UP = {
     "X_UP": [[0, -1, 0], [1, 0, 0], [0, 0, 1]],
@@ -31,10 +36,17 @@ _ABSURD = re.compile(rb"<(?:\w+:)?p\b[^<>]*>[^<]*?(?<![\w.])(-?\d{10,})(?![\w.])
 """An index of a face that no file of a mesh has."""
 
 
-def read_dae(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
+def read_dae(
+    path: Path, max_bytes: int = DEFAULT_MAX_BYTES, *, files: MaterialFiles | None = None
+) -> Loaded:
     """Read the triangles of a COLLADA file's scene; metres, +z up by the file's own axis and unit.
 
-    Of materials the diffuse colour is kept, textures are not.
+    Of materials the diffuse colour or its texture is kept.
+
+    Args:
+        path: the file.
+        max_bytes: refuse larger files.
+        files: reads the textures; without it they lie in the file's folder.
 
     Raises:
         InputFileError: where it is no such file, damaged, or has no triangles.
@@ -49,7 +61,8 @@ def read_dae(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
         vertex = absurd[1][:40].decode()
         raise InputFileError(path, f"a face uses vertex {vertex}", "the file is damaged")
     pieces: list[tuple[str, Loaded]] = []
-    textured, lines, values = False, 0, 0
+    warnings, lines, values = list[str](), 0, 0
+    files = files or MaterialFiles(path.parent)
     try:
         passed_over = [collada.common.DaeUnsupportedError, collada.common.DaeBrokenRefError]
         file = collada.Collada(io.BytesIO(data), ignore=passed_over)
@@ -66,15 +79,9 @@ def read_dae(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
                     continue
                 if getattr(triangles, "vertex_index", None) is None or triangles.vertex is None:
                     continue
-                faces = np.asarray(triangles.vertex_index, np.int64).reshape(-1, 3)
-                vertices = np.asarray(triangles.vertex, np.float64)
-                check_indices(path, faces, len(vertices))
-                values += faces.size + len(vertices)
+                values += triangles.vertex_index.size + len(triangles.vertex)
                 check_count(path, values=values)
-                diffuse = getattr(getattr(primitive.material, "effect", None), "diffuse", None)
-                textured |= diffuse is not None and not isinstance(diffuse, tuple)
-                own = np.zeros(len(faces), np.int32)
-                made = Loaded(vertices, faces, face_material=own, materials=(_material(diffuse),))
+                made = _dressed(path, triangles, files, warnings)
                 name = str(getattr(bound.original, "name", "") or bound.original.id)
                 pieces.append((name, made.moved(up)))
     except InputFileError:
@@ -86,15 +93,14 @@ def read_dae(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
     if not pieces:
         raise InputFileError(path, "has no triangles in its scene", "export the object again")
     whole = join([p for _, p in pieces])
-    remarks = ["textures of COLLADA files are not read"] if textured else []
     if lines:
-        remarks.append(f"{lines} pieces of lines are left out")
+        warnings.append(f"{lines} pieces of lines are left out")
     if file.errors:
-        remarks.append(f"not read: {len(file.errors)} elements, such as: {file.errors[0]}"[:150])
+        warnings.append(f"not read: {len(file.errors)} elements, such as: {file.errors[0]}"[:150])
     if len(file.controllers):
-        remarks.append(f"not read: {len(file.controllers)} skins and morphs")
+        warnings.append(f"not read: {len(file.controllers)} skins and morphs")
     names = tuple((name, len(p.faces)) for name, p in pieces if len(p.faces))
-    return replace(whole, pieces=names, warnings=(*whole.warnings, *remarks))
+    return replace(whole, pieces=names, warnings=tuple(dict.fromkeys([*whole.warnings, *warnings])))
 
 
 def _count(node: Any, known: dict[int, int]) -> int:
@@ -106,8 +112,33 @@ def _count(node: Any, known: dict[int, int]) -> int:
     return known[id(repeated)]
 
 
-def _material(diffuse: Any) -> Material:
-    if not isinstance(diffuse, tuple) or len(diffuse) < 3:
-        return Material()
-    r, g, b = (int(np.clip(np.rint(255 * float(c)), 0, 255)) for c in diffuse[:3])
-    return Material("dae", (r, g, b, 255))
+def _dressed(path: Path, triangles: Any, files: MaterialFiles, warnings: list[str]) -> Loaded:
+    """Triangles in the file's axes with their colour or texture."""
+    faces = np.asarray(triangles.vertex_index, np.int64).reshape(-1, 3)
+    points, uv = np.asarray(triangles.vertex, np.float64), []
+    check_indices(path, faces, len(points))
+    diffuse: Any = getattr(getattr(triangles.material, "effect", None), "diffuse", None)
+    material = Material()
+    if isinstance(diffuse, tuple):
+        r, g, b = (int(np.clip(np.rint(255 * float(c)), 0, 255)) for c in diffuse[:3])
+        material = Material("dae", (r, g, b, 255))
+    elif hasattr(diffuse, "sampler"):
+        texture = files.texture(unquote(diffuse.sampler.surface.image.path), path, warnings)
+        material = material if texture is None else Material("dae", WHITE, texture)
+        _, named = (triangles.inputmap or {}).get(diffuse.texcoord, ("", None))
+        sets = [said[3] for said in triangles.original.sources.get("TEXCOORD", ())]
+        at = sets.index(named) if named in sets else 0
+        if material.texture is not None and sets:
+            at_corners = triangles.texcoord_indexset[at]
+            uv = [np.asarray(triangles.texcoordset[at], np.float64)[at_corners][..., :2]]
+        elif material.texture is not None:
+            warnings.append("coordinates of the texture of a piece are missing")
+            material = unpictured(material)
+    points, faces, uv = along_seams(points, faces, uv)
+    return Loaded(
+        points,
+        faces,
+        uv=uv[0].astype(np.float32) if uv else None,
+        face_material=np.zeros(len(faces), np.int32),
+        materials=(material,),
+    )

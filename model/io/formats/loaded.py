@@ -20,6 +20,8 @@ import numpy.typing as npt
 
 from model.core.errors import InputFileError
 from model.core.geometry import Material
+from model.core.textures import SurfaceMaps
+from model.geometry.topology import same_points
 
 DEFAULT_MAX_BYTES = 4 << 30
 MOST_NODES, MOST_VALUES = 200_000, 60_000_000
@@ -158,6 +160,29 @@ def with_plain_colors(loaded: Loaded) -> Loaded:
     colors = np.rint(loaded.colors * (factor / 255.0)).astype(np.uint8)
     materials = tuple(replace(m, base_color=WHITE) for m in loaded.materials)
     return replace(loaded, colors=colors, materials=materials)
+
+
+def along_seams(
+    points: Array, faces: Array, values: list[Array]
+) -> tuple[Array, Array, list[Array]]:
+    """Points doubled where (T, 3, K) ``values`` at the corners of (T, 3) ``faces`` differ, their
+    faces, and the values of each point."""
+    if not values:
+        return points, faces, []
+    flat, rows = faces.reshape(-1), [v.reshape(-1, v.shape[2]) for v in values]
+    first, inverse = same_points(np.column_stack([flat, *rows]))
+    return points[flat[first]], inverse.reshape(-1, 3), [v[first] for v in rows]
+
+
+def unpictured(material: Material) -> Material:
+    """``material`` without images, in the mean colour of its texture."""
+    color = np.asarray(material.base_color, np.float64)
+    if material.texture is not None:
+        small = material.texture.convert("RGB").resize((1, 1), resample=4)  # a box: the mean
+        color[:3] *= np.asarray(small, np.float64).reshape(3) / 255
+    r, g, b, a = np.rint(color).astype(int).tolist()
+    plain = SurfaceMaps(emission=material.maps.emission)
+    return replace(material, base_color=(r, g, b, a), texture=None, maps=plain)
 
 
 def size_of(path: Path, most: float = np.inf) -> int:

@@ -143,7 +143,7 @@ class MaterialFiles:
     ) -> Material:
         texture = None
         if "map_kd" in rows:
-            texture = self._texture(_map_file(rows["map_kd"]), path, warnings)
+            texture = self.texture(_map_file(rows["map_kd"]), path, warnings)
         rgb = _floats(rows.get("kd", ""), 3) or (0.8, 0.8, 0.8)
         # Many exporters write a black or a grey Kd beside a texture and mean the texture alone.
         if texture is not None:
@@ -204,7 +204,8 @@ class MaterialFiles:
                 return None
         return None if target is None else self._maps[target]
 
-    def _texture(self, reference: str, path: Path, warnings: list[str]) -> Image.Image | None:
+    def texture(self, reference: str, path: Path, warnings: list[str]) -> Image.Image | None:
+        """The image that the file ``path`` names; None, with a warning, where it can't be used."""
         target = self._existing(reference, path.parent, "texture", warnings)
         if target is None:
             return None
@@ -237,6 +238,10 @@ class OneMaterial(MaterialFiles):
     def read(self, library: str, obj: Path, warnings: list[str]) -> dict[str, Material]:
         """No materials."""
         return {}
+
+    def texture(self, reference: str, path: Path, warnings: list[str]) -> Image.Image | None:
+        """The material's."""
+        return self.material.texture
 
 
 def _map_file(value: str) -> str:

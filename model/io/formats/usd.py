@@ -1,8 +1,8 @@
 """USD meshes and primitive shapes with their looks, read through usd-core.
 
-Units (``metersPerUnit``) and the up axis come from the stage. Of a preview surface the colour and
-its texture are kept, of other looks the colour that is shown. What is invisible or a guide is
-passed over.
+Units (``metersPerUnit``) and the up axis come from the stage. Of what changes over time the
+earliest values count. The colour of a material and its texture are kept: of preview surfaces, and
+by their names of MDL and MaterialX. What is invisible or a guide is passed over.
 """
 
 from __future__ import annotations
@@ -12,29 +12,32 @@ import re
 import subprocess
 import sys
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from PIL import Image
+from scipy.spatial.transform import Rotation
 from trimesh import creation
 
 from model.core.errors import InputFileError
 from model.core.geometry import Material
 from model.core.packages import require
 from model.core.textures import MOST_BYTES, TextureError, decode, left_out, to_srgb
-from model.geometry.topology import same_points
 from model.io.formats.loaded import (
     DEFAULT_MAX_BYTES,
     Loaded,
+    along_seams,
     check_count,
     check_indices,
     join,
     size_of,
     triangulate,
+    unpictured,
 )
 from model.io.robot_xml import counted
 
@@ -45,20 +48,37 @@ SHAPES = ("Cube", "Sphere", "Cylinder", "Capsule", "Cone")
 OPEN_SECONDS = 30.0
 """For starting pxr, on a busy machine, and a small stage."""
 _BYTES_A_SECOND = 5e6  # a tenth of what it opens
-_INPUTS = "diffuseColor opacity metallic roughness normal emissiveColor occlusion".split()
+_INPUTS = {
+    "diffuseColor": "diffuseColor diffuse_texture base_color_texture diffuse_color_constant "
+    "base_color base_color_factor diffuse_reflection_color diffuse_color glass_color",
+    "opacity": "opacity geometry_opacity",
+    "metallic": "metallic metallic_constant metalness base_metalness",
+    "roughness": "roughness reflection_roughness_constant specular_roughness",
+    "normal": "normal normalmap_texture",
+    "emissiveColor": "emissiveColor",
+    "occlusion": "occlusion ao_texture",
+    "metallic and roughness": "ORM_texture metallic_texture reflectionroughness_texture",
+}
+"""Names that a surface's inputs have: those of UsdPreviewSurface, then of MDL and MaterialX."""
+_FACTORS = ("diffuse_tint", "base", "base_weight")
+_MOVES = {"texture_scale": [(1, 1)], "texture_translate": [(0, 0)], "texture_rotate": [0]}
+"""MDL's inputs that move a texture, and what leaves it in its place."""
+_COORDINATES, _MOST_MOVES = "st texcoord in", 8
+_GREY = (0.58, 0.58, 0.58)
 WORLD_FROM_UP = {
     "y": np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]]),
     "z": np.eye(4),
 }
-_SCHEMAS = ("PhysxJoint", "PhysxMimicJoint", "NewtonMimic", "Semantics")
+_SCHEMAS = ("PhysxJoint", "PhysxMimicJoint", "NewtonMimic", "MjcEqualityJoint", "Semantics")
 """Applied schemas that usd-core doesn't know and a reader does, without ``API`` behind."""
 _STATED = re.compile(r"holeIndices|(physics|drive|limit|state|physx\w*|newton|mjc):")
 _READ = re.compile(
     r"physics:(rigidBodyEnabled|collisionEnabled|jointEnabled|excludeFromArticulation|axis|mass|"
-    r"(lower|upper)Limit|coneAngle[01]Limit|local(Pos|Rot)[01]|centerOfMass|diagonalInertia|"
+    r"density|(lower|upper)Limit|coneAngle[01]Limit|local(Pos|Rot)[01]|centerOfMass|diagonalInertia|"
     r"principalAxes|approximation|gravity\w+)|drive:\w+:physics:(damping|maxForce|type)|"
     r"physxJoint:(jointFriction|maxJointVelocity)|newton:mimic(Coef[01]|Enabled)|"
-    r"physxMimicJoint:\w+:(gearing|offset|referenceJointAxis)"
+    r"physxMimicJoint:\w+:(gearing|offset|referenceJointAxis)|mjc:coef[01]|"
+    r"limit:(trans|rot)[XYZ]:physics:(low|high)"
 )
 """Attributes of physics that a reader knows."""
 
@@ -116,23 +136,43 @@ def _check_binary(path: Path) -> None:
 
 
 def _read(stage: UsdStage) -> Loaded:
-    found: list[Loaded] = []
+    prims = list(stage.prims())
+    shapes = [prim for prim in prims if stage.is_shape(prim)]
+    if not shapes:
+        raise InputFileError(stage.path, "there is no mesh on its stage", "export its objects")
+    found = [stage.shape_of(prim).moved(stage.world(prim)) for prim in shapes]
     named: list[tuple[Any, int]] = []
-    for prim in stage.prims():
-        made = stage.shape_of(prim)
-        if made is None:
-            continue
-        found.append(made.moved(stage.world(prim) @ stage.into))
+    for prim, made in zip(shapes, found, strict=True):
         held, count = stage.body_of(prim) or prim, len(made.faces)
         if named and named[-1][0] == held:
             count += named.pop()[1]
         named.append((held, count))
-    if not found:
-        raise InputFileError(stage.path, "there is no mesh on its stage", "export its objects")
     whole = join(found)
     pieces = tuple((str(held.GetName()), count) for held, count in named if count)
-    remarks = stage.unread(stage.prims(), joints=True)
+    remarks = stage.unread(prims, joints=True)
+    top, paths = stage.stage.GetDefaultPrim(), [prim.GetPath() for prim in shapes]
+    if top and any(path.HasPrefix(top.GetPath()) for path in paths):
+        said = f"beside the default prim {str(top.GetName())!r} stands"
+        remarks += beside(said, paths, top.GetPath())
     return replace(whole, pieces=pieces, warnings=(*whole.warnings, *remarks))
+
+
+def beside(said: str, paths: Iterable[Any], top: Any) -> list[str]:
+    """A remark that names the prims that hold what of ``paths`` isn't below ``top``, with its
+    number; else nothing."""
+    depths = ((p, p.GetCommonPrefix(top).pathElementCount) for p in paths if not p.HasPrefix(top))
+    found = Counter(str(path.GetPrefixes()[depth].name) for path, depth in depths)
+    return [f"{said}: " + ", ".join(f"{name} ({n})" for name, n in found.items())] * bool(found)
+
+
+class _Look(NamedTuple):
+    """A material, the primvar that has its colour, that of its texture's coordinates, and scale,
+    turn in degrees and shift of these, one after the other."""
+
+    material: Material
+    shown: str = ""
+    st: str = "st"
+    moves: Sequence[Any] = ()
 
 
 class UsdStage:
@@ -159,10 +199,11 @@ class UsdStage:
             )
         check_count(path, nodes=self._count(self.stage.GetPseudoRoot(), {}))
         self.turn = WORLD_FROM_UP[self.up]
-        self.into = self.turn @ np.diag([self.unit, self.unit, self.unit, 1.0])
-        self._places = self._geom.XformCache()
+        self._time: Any = self._usd.TimeCode.EarliestTime()
+        self._places = self._geom.XformCache(self._time)
         self._remarks: dict[str, None] = {}
-        self._made: dict[Any, tuple[Material, str]] = {}
+        self._made: dict[Any, _Look | None] = {}
+        self._images: dict[str, Image.Image | None] = {}
         self._repeated = 0  # corners and points in instances
 
     def _count(self, root: Any, known: dict[Any, int]) -> int:
@@ -178,8 +219,8 @@ class UsdStage:
         return known[path]
 
     def get(self, prim: Any, name: str) -> Any:
-        """An attribute's value, or the default of its schema; None without either."""
-        return prim.GetAttribute(name).Get()
+        """An attribute's earliest value, or the default of its schema; None without either."""
+        return prim.GetAttribute(name).Get(self._time)
 
     def walk(self, below: Any = None) -> Iterator[tuple[Any, bool]]:
         """Each prim, with instances opened, and True where it can be seen."""
@@ -190,7 +231,7 @@ class UsdStage:
             if prim.IsA(self._geom.PointInstancer):
                 walk.PruneChildren()
             image = self._geom.Imageable(prim)
-            shown = not image or image.ComputeVisibility() != "invisible"
+            shown = not image or image.ComputeVisibility(self._time) != "invisible"
             yield prim, shown and not (image and image.ComputePurpose() in ("guide", "proxy"))
 
     def prims(self, below: Any = None) -> Iterator[Any]:
@@ -208,9 +249,14 @@ class UsdStage:
             prim = prim.GetParent()
         return prim or None
 
+    def is_shape(self, prim: Any) -> bool:
+        """True for the primitive shapes, and for a mesh that isn't empty."""
+        full = bool(self.get(prim, "points") or self.get(prim, "faceVertexCounts"))
+        return prim.GetTypeName() in SHAPES or (full and prim.GetTypeName() == "Mesh")
+
     def is_unread(self, prim: Any) -> bool:
         """True if a prim draws something that isn't read: copies, curves, points, skeletons."""
-        if prim.GetTypeName() in ("Mesh", *SHAPES):
+        if self.is_shape(prim):
             return False
         copies = prim.IsA(self._geom.PointInstancer) or prim.GetTypeName() == "SkelRoot"
         return copies or prim.IsA(self._geom.Gprim)
@@ -218,15 +264,18 @@ class UsdStage:
     def unread(self, prims: Iterable[Any], *, joints: bool = False) -> list[str]:
         """Remarks on shapes, schemas and values that no reader knows, joints where asked, missing
         files, looks."""
-        found = Counter[str]()
+        found, moving = Counter[str](), 0
         for prim in prims:
             known = bool(prim.GetPrimTypeInfo().GetSchemaTypeName()) or not prim.GetTypeName()
             joint = joints and prim.IsA(self._physics.Joint)
             found[str(prim.GetTypeName())] += not known or joint or self.is_unread(prim)
             found.update(self._unknown(prim))
+            moving += sum(a.ValueMightBeTimeVarying() for a in prim.GetAuthoredAttributes())
         lost = (re.search(r"asset @(.+?)@", str(e)) for e in self.stage.GetCompositionErrors())
         missing = dict.fromkeys(os.path.relpath(m[1], self.path.parent) for m in lost if m)
         out = [f"missing: {name!r} and what it holds" for name in missing]
+        if moving:
+            out.append(f"animation isn't read: of {moving} values over time the earliest count")
         return [*out, *counted(found), *self._remarks]
 
     def _unknown(self, prim: Any) -> Iterator[str]:
@@ -241,12 +290,10 @@ class UsdStage:
                 yield f"schema {plain}"
         for attribute in prim.GetAuthoredAttributes():
             name = str(attribute.GetName())
-            if attribute.ValueMightBeTimeVarying():
-                yield "animation"
             stated = _STATED.match(name) and name.partition(":")[0].lower() not in theirs
             if not stated or _READ.fullmatch(name):
                 continue
-            value = attribute.Get()
+            value = attribute.Get(self._time)
             usual = prim.GetPrimDefinition().GetAttributeFallbackValue(name)
             if str(value) != str(usual) and (len(value) if np.ndim(value) else bool(value)):
                 yield name
@@ -257,29 +304,28 @@ class UsdStage:
         out[:3, 3] *= self.unit
         return self.turn @ out @ self.turn.T
 
-    def shape_of(self, prim: Any) -> Loaded | None:
-        """A mesh or a primitive shape in its own frame and unit; None for any other prim."""
+    def shape_of(self, prim: Any) -> Loaded:
+        """A mesh or a primitive shape in its own frame, metres, +z up."""
         kind = str(prim.GetTypeName())
-        if kind not in ("Mesh", *SHAPES):
-            return None
         made = self._mesh(prim) if kind == "Mesh" else self._primitive(prim, kind)
         if prim.IsInstanceProxy():
             self._repeated += made.faces.size + len(made.vertices)
             check_count(self.path, values=self._repeated)
-        return made
+        return made.moved(self.turn @ np.diag([*[self.unit] * 3, 1.0]))
 
     def _mesh(self, prim: Any) -> Loaded:
-        mesh = self._geom.Mesh(prim)
-        points = np.asarray(mesh.GetPointsAttr().Get() or np.zeros((0, 3)), np.float64)
-        sizes = np.asarray(mesh.GetFaceVertexCountsAttr().Get() or (), np.int64)
-        vertices = np.asarray(mesh.GetFaceVertexIndicesAttr().Get() or (), np.int64)
+        points = np.asarray(self.get(prim, "points") or np.zeros((0, 3)), np.float64)
+        sizes, vertices = (
+            np.asarray(self.get(prim, f"faceVertex{name}") or (), np.int64)
+            for name in ("Counts", "Indices")
+        )
         if points.ndim != 2 or not len(points) or (sizes < 0).any() or sizes.sum() != len(vertices):
             raise InputFileError(
                 self.path, f"{prim.GetPath()}: its faces and points don't fit together"
             )
         check_indices(self.path, vertices, len(points), sizes=sizes)
         corners, polygons = triangulate(self.path, vertices, sizes, points)
-        if mesh.GetOrientationAttr().Get() == "leftHanded":
+        if self.get(prim, "orientation") == "leftHanded":
             corners = corners[:, ::-1]
         return self._dressed(prim, points, vertices[corners], corners, polygons)
 
@@ -310,44 +356,57 @@ class UsdStage:
         looks, which = [self._look(prim)], np.zeros(len(faces), np.int32)
         bind = self._shade.MaterialBindingAPI(prim).GetMaterialBindSubsets
         for subset in bind() if prim.IsA(self._geom.Mesh) else ():
-            which[np.isin(polygons, np.asarray(subset.GetIndicesAttr().Get() or ()))] = len(looks)
+            indices = self.get(subset.GetPrim(), "indices") or ()
+            which[np.isin(polygons, np.asarray(indices))] = len(looks)
             looks.append(self._look(subset.GetPrim()))
-        base = np.array([look.base_color for look, _ in looks], np.uint8)[which]
-        shown = next((name for _, name in looks if name == "displayColor"), "")
-        linear = self._primvar(prim, shown, 3, at) if shown else None
-        colors = None
-        if linear is not None:
-            alpha = self._primvar(prim, "displayOpacity", 1, at)
-            alpha = np.ones((*faces.shape, 1)) if alpha is None else alpha
-            colors = to_srgb(np.concatenate([linear, alpha], axis=2).reshape(-1, 4))
-            own = np.array([name == shown for _, name in looks])[which]
-            colors = np.where(own[:, None, None], colors.reshape(-1, 3, 4), base[:, None])
-        named = next((name for look, name in looks if look.texture is not None), "")
-        uv = self._primvar(prim, named, 2, at) if named else None
-        for i, (look, name) in enumerate(looks):
-            if look.texture is not None and (uv is None or name != named):
-                looks[i] = replace(look, texture=None), name
-                said = f"coordinates {name!r} of a texture are missing, or a second set"
-                self._remarks[f"{prim.GetPath()}: {said}"] = None
-        values = [v.reshape(-1, v.shape[2]) for v in (uv, colors) if v is not None]
-        if values:
-            flat = faces.reshape(-1)
-            first, inverse = same_points(np.column_stack([flat, *values]))
-            points, faces = points[flat[first]], inverse.reshape(-1, 3)
-            values = [v[first] for v in values]
+        uv = self._uv(prim, looks, which, at)
+        colors = self._colors(prim, looks, which, at)
+        values = [v for v in (uv, colors) if v is not None]
+        points, faces, values = along_seams(points, faces, values)
         return Loaded(
             points,
             faces,
             colors=None if colors is None else values[-1],
             uv=None if uv is None else values[0].astype(np.float32),
             face_material=which,
-            materials=tuple(look for look, _ in looks),
+            materials=tuple(look.material for look in looks),
         )
+
+    def _uv(self, prim: Any, looks: list[_Look], which: Any, at: Any) -> Any | None:
+        """(T, 3, 2); textures without coordinates give way to their mean colour."""
+        out = None
+        for i, look in enumerate(looks):
+            if look.material.texture is None:
+                continue
+            st = self._primvar(prim, look.st, 2, at)
+            if st is None:
+                looks[i] = look._replace(material=unpictured(look.material))
+                said = f"coordinates {look.st!r} of a texture are missing"
+                self._remarks[f"{prim.GetPath()}: {said}"] = None
+                continue
+            for scale, turn, shift in look.moves:
+                turned = Rotation.from_euler("z", -(turn or 0.0), degrees=True).as_matrix()
+                st = st * (scale or (1, 1)) @ turned[:2, :2] + (shift or (0, 0))
+            out = np.where((which == i)[:, None, None], st, 0.0 if out is None else out)
+        return out
+
+    def _colors(self, prim: Any, looks: list[_Look], which: Any, at: Any) -> Any | None:
+        """(T, 3, 4) sRGB colours of the mesh' own, else of the materials."""
+        shown = next((look.shown for look in looks if look.shown), "")
+        linear = self._primvar(prim, shown, 3, at) if shown else None
+        if linear is None:
+            return None
+        alpha = self._primvar(prim, "displayOpacity", 1, at)
+        alpha = np.ones((*which.shape, 3, 1)) if alpha is None else alpha
+        colors = to_srgb(np.concatenate([linear, alpha], axis=2).reshape(-1, 4))
+        own = np.array([look.shown == shown for look in looks])[which]
+        base = np.array([look.material.base_color for look in looks], np.uint8)[which]
+        return np.where(own[:, None, None], colors.reshape(-1, 3, 4), base[:, None])
 
     def _primvar(self, prim: Any, name: str, width: int, at: Any) -> Any | None:
         """(T, 3, width) at the corners; None where there is none, or it doesn't fit: remarked."""
         primvar = self._geom.PrimvarsAPI(prim).FindPrimvarWithInheritance(name)
-        said = primvar.ComputeFlattened() if primvar else None
+        said = primvar.ComputeFlattened(self._time) if primvar else None
         if said is None or not len(said):
             return None
         values, kind = np.asarray(said, np.float64), str(primvar.GetInterpolation())
@@ -360,72 +419,120 @@ class UsdStage:
             return None
         return values[at[kind]][..., :width]
 
-    def _look(self, prim: Any) -> tuple[Material, str]:
-        """The material that is bound to a prim, and the primvar of its texture's coordinates;
-        "displayColor" where the mesh has its colour."""
-        bound = self._shade.MaterialBindingAPI(prim).ComputeBoundMaterial()[0]
-        surface = bound.ComputeSurfaceSource()[0].GetPrim() if bound else None
-        shown = self._geom.Gprim(prim).GetDisplayColorAttr().Get()
-        if not surface and shown is not None and len(shown) == 1:
-            opacity = self._geom.Gprim(prim).GetDisplayOpacityAttr().Get() or (1.0,)
-            r, g, b, a = to_srgb(np.array([[*shown[0], opacity[0]]]))[0].tolist()
-            return Material(str(prim.GetName()), (r, g, b, a)), ""
-        if not surface:
-            if bound:
-                self._remarks[f"material {str(bound.GetPrim().GetName())!r}: not read"] = None
-            return Material(str(prim.GetName())), "displayColor"
-        if bound.GetPath() in self._made:
-            return self._made[bound.GetPath()]
-        name, texture, shown = str(bound.GetPrim().GetName()), None, "displayColor"
-        said = {key: self._value(surface, key) for key in _INPUTS}
-        color, opacity = said["diffuseColor"], said["opacity"]
-        maps = [k for k, v in said.items() if self._value(v, "file") is not None and v != color]
-        if maps:
-            self._remarks[left_out(f"{k} map" for k in maps)] = None
-        if isinstance(color, self._usd.Prim):
-            file, st = self._value(color, "file"), self._value(color, "varname")
-            if file is not None:
-                texture, st = self._picture(file), self._value(color, "st")
-                if (before := self._value(st, "in")) is not None:
-                    self._remarks[f"material {name!r}: what moves its texture isn't read"] = None
-                    st = before
-                st = self._value(st, "varname") or "st"
-            if texture is not None and opacity != color and texture.mode != "RGB":
-                texture = texture.convert("RGB")
-            if st is None or (texture is None and st != shown):
-                self._remarks[f"material {name!r}: the node of its colour isn't read"] = None
-                texture, st = None, shown
-            shown, color = st, None if texture is None else self._value(color, "scale") or (1,) * 3
-        share = [
-            float(v) if isinstance(v, int | float) and 0 <= v <= 1 else None
-            for v in (said[key] for key in _INPUTS[1:4])
-        ]
-        one = np.array([[*(color or (0.58,) * 3)[:3], 1.0 if share[0] is None else share[0]]])
-        r, g, b, a = to_srgb(one)[0].tolist()
-        made = Material(name, (r, g, b, a), texture, share[1], share[2])
-        shown = shown if color is None or texture is not None else ""
-        self._made[bound.GetPath()] = made, shown
-        return made, shown
+    def _look(self, prim: Any) -> _Look:
+        """The material that is bound to a prim, else the prim's own colour."""
+        bind = self._shade.MaterialBindingAPI(prim).ComputeBoundMaterial
+        bound = bind("preview")[0] or bind("full")[0]
+        key = bound.GetPath() if bound else None
+        if bound and key not in self._made:
+            of, name = bound.ComputeSurfaceSource, str(bound.GetPrim().GetName())
+            surface = of()[0] or of("mdl")[0] or of("mtlx")[0]
+            self._made[key] = self._surface(name, surface) if surface else None
+            if not surface:
+                self._remarks[f"material {name!r}: not read"] = None
+        if (made := self._made.get(key)) is not None:
+            return made
+        name, shown = str(prim.GetName()), self.get(prim, "primvars:displayColor")
+        if shown is None or len(shown) != 1:
+            return _Look(Material(name), "displayColor")
+        opacity = self.get(prim, "primvars:displayOpacity") or (1.0,)
+        return _Look(Material(name, _rgba(shown[0], opacity[0])))
+
+    def _surface(self, name: str, shader: Any) -> _Look:
+        node, shown = shader.GetPrim(), ""
+        inputs = {key: self._input(node, names) for key, names in _INPUTS.items()}
+        color, opacity = inputs["diffuseColor"], inputs["opacity"]
+        if self._value(node, "enable_opacity"):
+            opacity = self._value(node, "opacity_constant")
+        read = {"diffuseColor", "opacity" if opacity == color else ""}
+        lost = [f"{k} map" for k, v in inputs.items() if k not in read and self._file(v)]
+        light = inputs["emissiveColor"]
+        if lost := lost + ["emission"] * bool(np.ndim(light) == 1 and np.any(light)):
+            self._remarks[left_out(lost)] = None
+        look, plain = _Look(Material(name)), color
+        if self._file(color) is not None:
+            look, plain = self._textured(look, node, color, opacity == color)
+        elif np.ndim(color) != 1:
+            shown, plain = str(self._input(color, "varname geomprop") or ""), None
+        if plain is None and not shown:
+            shown = "displayColor"
+            unread = color is not None or shader.GetIdAttr().Get() != "UsdPreviewSurface"
+            if unread and not self._file(color):
+                self._remarks[f"material {name!r}: its colour isn't read"] = None
+        rgb = np.array(_GREY if plain is None else plain[:3], np.float64)
+        for tint in (self._value(node, key) for key in _FACTORS):
+            if np.asarray(tint).dtype.kind == "f" and np.shape(tint) in ((), (3,)):
+                rgb *= np.asarray(tint)
+        shares = (opacity, inputs["metallic"], inputs["roughness"])
+        known = (v if isinstance(v, int | float) and 0 <= v <= 1 else None for v in shares)
+        alpha, metallic, roughness = known
+        base = _rgba(rgb, 1.0 if alpha is None else alpha)
+        made = replace(look.material, base_color=base, metallic=metallic, roughness=roughness)
+        return look._replace(material=made, shown=shown)
+
+    def _textured(self, look: _Look, node: Any, color: Any, alpha: bool) -> tuple[_Look, Any]:
+        """With the texture of ``color``, and the colour that it is multiplied with; a texture that
+        can't be used leaves its fallback, or None."""
+        texture = self._picture(self._file(color))
+        if texture is None:
+            fallback = self._value(color, "fallback")
+            return look, fallback or self._value(node, "diffuse_color_constant")
+        texture = texture if alpha or texture.mode == "RGB" else texture.convert("RGB")
+        material = replace(look.material, texture=texture)
+        moves, at = list[Any](), self._input(color, _COORDINATES)
+        for _ in range(_MOST_MOVES):
+            known = isinstance(at, self._usd.Prim) and self._shade.Shader(at).GetIdAttr().Get()
+            if known != "UsdTransform2d":
+                break
+            names = ("scale", "rotation", "translation")
+            moves.insert(0, [self._value(at, name) for name in names])
+            at = self._input(at, _COORDINATES)
+        left = (self._value(node, key) not in (None, *usual) for key, usual in _MOVES.items())
+        if any(left) or self._input(at, _COORDINATES) is not None:
+            said = f"material {material.name!r}: what moves its texture isn't read"
+            self._remarks[said] = None
+        st = str(self._input(at, "varname geomprop") or "st")
+        return _Look(material, st=st, moves=moves), self._value(color, "scale") or (1.0,) * 3
 
     def _value(self, node: Any, name: str) -> Any:
         """The value of a node's input, wherever it comes from, or the node that gives it."""
         slot = self._shade.Shader(node).GetInput(name) if isinstance(node, self._usd.Prim) else None
         for attribute in self._shade.Utils.GetValueProducingAttributes(slot) if slot else ():
             output = self._shade.Output.IsOutput(attribute)
-            return attribute.GetPrim() if output else attribute.Get()
+            return attribute.GetPrim() if output else attribute.Get(self._time)
         return None
 
-    def _picture(self, said: Any) -> Any | None:
-        """An image of the stage's folder, or of a package there; None, with a remark, where it
-        lies elsewhere or can't be read."""
-        at, name = said.resolvedPath or said.path, Path(said.path).name
+    def _input(self, node: Any, names: str) -> Any:
+        """The first of a node's inputs that says something."""
+        values = (self._value(node, name) for name in names.split())
+        return next((v for v in values if v is not None and getattr(v, "path", "-")), None)
+
+    def _file(self, value: Any) -> Any | None:
+        """The image that an input or its node names."""
+        value = self._value(value, "file") if isinstance(value, self._usd.Prim) else value
+        return value if hasattr(value, "resolvedPath") else None
+
+    def _picture(self, said: Any) -> Image.Image | None:
+        """An image of the stage's folder, or of a package there, read once; None, with a remark,
+        where it lies elsewhere or can't be read."""
+        name = Path(said.path.replace("\\", "/")).name  # exporters write paths of their own machine
+        at = said.resolvedPath or str(self.path.parent / name)
+        if at in self._images:
+            return self._images[at]
         try:
             outer = Path(self._ar.SplitPackageRelativePathOuter(at)[0]).resolve()
             inside = outer.is_relative_to(self.path.parent.resolve()) and outer.is_file()
             found = inside and self._ar.GetResolver().OpenAsset(self._ar.ResolvedPath(at))
             if not found or found.GetSize() > MOST_BYTES:
                 raise TextureError(f"{said.path!r} can't be read in the stage's folder")
-            return decode(bytes(found.GetBuffer()), f"texture {name}")
+            self._images[at] = decode(bytes(found.GetBuffer()), f"texture {name}")
         except TextureError as error:
+            self._images[at] = None
             self._remarks[f"texture not used: {error}"] = None
-            return None
+        return self._images[at]
+
+
+def _rgba(linear: Any, alpha: float) -> tuple[int, int, int, int]:
+    """sRGB in 0..255 of linear light."""
+    r, g, b, a = to_srgb(np.array([[*linear, alpha]], np.float64))[0].tolist()
+    return r, g, b, a

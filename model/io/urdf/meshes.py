@@ -28,6 +28,7 @@ from model.core.textures import (
     to_linear,
 )
 from model.geometry.topology import connected_shells
+from model.io.formats.loaded import unpictured
 from model.io.formats.mtl import MaterialFiles, OneMaterial
 from model.io.geometry_files import Piece, read_geometry_file
 
@@ -119,16 +120,7 @@ def with_material(mesh: Mesh, material: Material) -> Mesh:
     """``mesh`` with ``material`` all over; without texture coordinates in the mean colour of the
     material's texture."""
     if mesh.uv is None and material.pictured:
-        color = np.asarray(material.base_color, np.float64)
-        if material.texture is not None:
-            small = material.texture.convert("RGB").resize((1, 1), resample=4)  # a box: the mean
-            color[:3] *= np.asarray(small, np.float64).reshape(3) / 255
-        material = replace(
-            material,
-            base_color=_bytes(color / 255),
-            texture=None,
-            maps=SurfaceMaps(emission=material.maps.emission),
-        )
+        material = unpictured(material)
     return replace(
         mesh,
         materials=(material,),

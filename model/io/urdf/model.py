@@ -25,6 +25,7 @@ from model.core.articulated_object import (
     belongs,
     inertial_problems,
 )
+from model.core.files import free_name
 from model.core.geometry import rotation_from_rpy
 from model.core.joint import DeclaredDynamics
 from model.core.progress import Progress, no_progress
@@ -259,11 +260,8 @@ def renamed_helpers(
     out: dict[str, str] = {}
     for link in links:
         if link.startswith("link_") and link not in owning:
-            base = new = "helper_" + link.removeprefix("link_").removesuffix("_helper")
-            i = 2
-            while new in links or new in out.values():
-                new, i = f"{base}_{i}", i + 1
-            out[link] = new
+            base = "helper_" + link.removeprefix("link_").removesuffix("_helper")
+            out[link] = new = free_name(base, {*links, *out.values()})
             notes.append(f"link {link!r} has no geometry; it became the helper {new!r}")
     return out
 

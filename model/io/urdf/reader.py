@@ -18,7 +18,6 @@ from model.core.composite_joints import LIFT, Composite, composite_joints, free_
 from model.core.errors import InputFileError, KinematicsError
 from model.core.geometry import Material, rotation_from_rpy
 from model.core.joint import JOINT_KINDS, JOINT_TYPES, Joint, JointType, Mimic
-from model.core.progress import Progress, no_progress
 from model.core.textures import TextureError, open_texture
 from model.core.tree import KinematicTree, tree_problems
 from model.io.formats.loaded import WHITE, ReferenceRefused
@@ -52,23 +51,16 @@ _REMEDIES = {
 }
 
 
-def read_urdf(
-    path: str | Path, *, root: str | Path | None = None, progress: Progress = no_progress
-) -> ArticulatedObject:
+def read_urdf(path: str | Path) -> ArticulatedObject:
     """Read a URDF and its meshes into the object's rest frame (all joints at 0).
-
-    Args:
-        path: the URDF.
-        root: the folder that mesh paths must not leave; by default ``files.package_root``.
-        progress: reports each link.
 
     Raises:
         InputFileError: naming the file and everything that is wrong in it.
     """
-    model = read_urdf_model(path, root=root)
+    model = read_urdf_model(path)
     for note in model.notes:
         _LOG.warning("%s: %s", path, note)
-    return model.load(progress)
+    return model.load()
 
 
 def read_urdf_model(

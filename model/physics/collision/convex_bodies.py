@@ -66,15 +66,13 @@ class Occupancy:
         """(N, 3) centres of the voxels of ``mask``."""
         return self.low + (np.argwhere(mask) + 0.5) * self.size
 
-    def count_inside(
-        self, mask: npt.NDArray[np.bool_], planes: Floats, bounds: Floats, most: int = 4000
-    ) -> float:
-        """Count the voxels of ``mask`` whose centres are inside a convex body.
+    def count_inside(self, mask: npt.NDArray[np.bool_], planes: Floats, bounds: Floats) -> float:
+        """Count the voxels of ``mask`` whose centres are inside a convex body; of many on a coarser
+        lattice.
 
         Args:
             planes: (P, 4) with ``n·x + d <= 0`` inside.
             bounds: (2, 3) of the body.
-            most: voxels of its box above which a coarser lattice is counted.
         """
         first = np.ceil((bounds[0] - self.low) / self.size - 0.5).astype(int)
         last = np.floor((bounds[1] - self.low) / self.size - 0.5).astype(int) + 1
@@ -83,7 +81,7 @@ class Occupancy:
         total = int(np.prod(extent))
         if not total:
             return 0.0
-        step = max(1, int(np.ceil((total / most) ** (1 / 3))))
+        step = max(1, int(np.ceil((total / 4000) ** (1 / 3))))
         # The middle of each coarse cell represents it.
         begin = first + np.minimum((step - 1) // 2, extent - 1)
         part = mask[begin[0] : last[0] : step, begin[1] : last[1] : step, begin[2] : last[2] : step]

@@ -26,7 +26,7 @@ from model.core.errors import InputFileError
 from model.core.geometry import affine
 from model.io.formats.gltf import Gltf, consistent, joined, node_matrix, open_gltf
 from model.io.formats.loaded import Loaded
-from model.io.formats.usd import SHAPES, USD_SUFFIXES, UsdStage, sound_stage
+from model.io.formats.usd import USD_SUFFIXES, UsdStage, sound_stage
 from model.io.geometry_files import turned_up
 from model.io.write import packed
 from model.scenes.readers.lisdf import readable
@@ -263,7 +263,7 @@ class _Stage(UsdStage):
 
     def objects(self) -> list[Any]:
         """Prims that are objects."""
-        shapes = [p for p in self.prims() if p.GetTypeName() in ("Mesh", *SHAPES)]
+        shapes = [p for p in self.prims() if self.is_shape(p)]
         if not shapes:
             raise InputFileError(self.path, "there is no mesh on its stage", "export its objects")
         if len(shapes) > MAX_OBJECTS * 64:
@@ -285,14 +285,14 @@ class _Stage(UsdStage):
     def _below_wrappers(self, solid: set[Any]) -> list[Any]:
         level = [self.stage.GetPseudoRoot()]
         for _ in range(_MAX_PRIM_DEPTH):
-            if len(level) != 1 or level[0].GetTypeName() in ("Mesh", *SHAPES):
+            if len(level) != 1 or self.is_shape(level[0]):
                 break
             below = [
                 c
                 for c in level[0].GetFilteredChildren(self._usd.PrimIsDefined)
                 if c.GetPath() in solid
             ]
-            lone = len(below) == 1 and below[0].GetTypeName() in ("Mesh", *SHAPES)
+            lone = len(below) == 1 and self.is_shape(below[0])
             if not below or (lone and not level[0].IsPseudoRoot()):
                 break
             level = below
@@ -309,10 +309,9 @@ class _Stage(UsdStage):
             back = start @ np.linalg.inv(world)
             out: list[tuple[str | None, Loaded]] = []
             for shape in self.prims(prim):
-                made = self.shape_of(shape)
-                if made is not None:
+                if self.is_shape(shape):
                     move = start if shape == prim else back @ self.world(shape)
-                    out.append((str(shape.GetName()), made.moved(move @ self.into)))
+                    out.append((str(shape.GetName()), self.shape_of(shape).moved(move)))
             return out
 
         return pieces

@@ -26,7 +26,7 @@ def test_large_mesh_keeps_shape_colour_and_correspondence() -> None:
     mesh = Mesh(
         sphere.vertices, sphere.faces.astype(np.int32), vertex_colors=colors.astype(np.uint8)
     )
-    shown = display_asset(Asset("s", mesh=mesh), max_faces=10_000)
+    shown = display_asset(Asset("s", mesh=mesh), most=10_000)
     assert shown.mesh is not None and 5_000 < len(shown.mesh.faces) <= 10_000
     assert len(shown.element) == len(shown.mesh.faces)
     assert shown.mesh.face_areas.sum() == pytest.approx(mesh.face_areas.sum(), rel=0.05)
@@ -35,7 +35,7 @@ def test_large_mesh_keeps_shape_colour_and_correspondence() -> None:
     assert shown.mesh.vertex_colors is not None
     want = (shown.mesh.vertices + 1) * 127
     assert np.abs(shown.mesh.vertex_colors[:, :3] - want).max() < 12
-    again = display_asset(Asset("s", mesh=mesh), max_faces=10_000)
+    again = display_asset(Asset("s", mesh=mesh), most=10_000)
     np.testing.assert_array_equal(again.element, shown.element)
 
 
@@ -44,7 +44,7 @@ def test_decimated_textures_become_vertex_colours(checker: object) -> None:
     vertices, faces = np.asarray(grid.vertices), np.asarray(grid.faces, np.int32)
     uv = (vertices[:, :2] + 0.5).astype(np.float32)
     mesh = Mesh(vertices, faces, materials=(Material("t", (255,) * 4, checker),), uv=uv)  # type: ignore[arg-type]
-    shown = display_asset(Asset("g", mesh=mesh), max_faces=2000).mesh
+    shown = display_asset(Asset("g", mesh=mesh), most=2000).mesh
     assert shown is not None and shown.vertex_colors is not None
     corner = shown.vertex_colors[
         np.argmin(np.linalg.norm(shown.vertices - (-0.25, 0.25, 0), axis=1))

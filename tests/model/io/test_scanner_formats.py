@@ -5,8 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from model.core.errors import ArtiworldError, InputFileError
+from model.geometry.sampling import face_colors
 from model.io.open_asset import open_asset
 
 POINTS = np.array([[0, 0, 0], [1, 0, 0], [0, 2, 0], [0, 0, 3.0]])
@@ -150,3 +152,70 @@ def test_a_panic_of_a_rust_library_is_a_damaged_file(tmp_path: Path, monkeypatch
     )
     with pytest.raises(KeyboardInterrupt):
         open_asset(path)
+
+
+XYZ = "".join(f'<param name="{axis}" type="float"/>' for axis in "XYZ")
+DAE = f"""<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
+<asset><unit meter="1"/><up_axis>Z_UP</up_axis></asset>
+<library_images><image id="i"><init_from>%(image)s</init_from></image></library_images>
+<library_effects><effect id="e"><profile_COMMON>
+<newparam sid="s"><surface type="2D"><init_from>i</init_from></surface></newparam>
+<newparam sid="p"><sampler2D><source>s</source></sampler2D></newparam>
+<technique sid="c"><phong><diffuse><texture texture="p" texcoord="UV"/></diffuse></phong>
+</technique></profile_COMMON></effect></library_effects>
+<library_materials><material id="m"><instance_effect url="#e"/></material></library_materials>
+<library_geometries><geometry id="g"><mesh>
+<source id="v"><float_array id="va" count="12">0 0 0 1 0 0 0 1 0 0 0 1</float_array>
+<technique_common><accessor source="#va" count="4" stride="3">{XYZ}</accessor></technique_common>
+</source><source id="t"><float_array id="ta" count="4">0.25 0.25 0.75 0.75</float_array>
+<technique_common><accessor source="#ta" count="2" stride="2"><param name="S" type="float"/>
+<param name="T" type="float"/></accessor></technique_common></source>
+<vertices id="vs"><input semantic="POSITION" source="#v"/></vertices>
+<triangles material="M" count="4"><input semantic="VERTEX" source="#vs" offset="0"/>%(inputs)s
+<p>%(index)s</p>
+</triangles></mesh></geometry></library_geometries>
+<library_visual_scenes><visual_scene id="w"><node><instance_geometry url="#g"><bind_material>
+<technique_common><instance_material symbol="M" target="#m">
+<bind_vertex_input semantic="UV" input_semantic="TEXCOORD" input_set="7"/></instance_material>
+</technique_common></bind_material></instance_geometry></node></visual_scene>
+</library_visual_scenes><scene><instance_visual_scene url="#w"/></scene></COLLADA>"""
+SETS = tuple(
+    f'<input semantic="TEXCOORD" source="#t" offset="{at}" set="{number}"/>'
+    for at, number in ((1, 3), (2, 7))
+)
+SIDES = [0, 2, 1, 0, 1, 3, 0, 3, 2, 1, 2, 3]
+BLUE, RED, GREY = (0, 0, 255, 255), (255, 0, 0, 255), (200, 200, 200, 255)
+DRESSED = {  # image, inputs, colours of faces, what is told
+    "beside": ("./tex/a%20b.png", SETS, {RED: 3, BLUE: 1}, ""),
+    "one set": ("tex/a b.png", SETS[:1], {RED: 1, BLUE: 3}, ""),
+    "of another machine": ("file:///C:/me/own.png", SETS, {RED: 3, BLUE: 1}, ""),
+    "missing": ("tex/c.png", SETS, {GREY: 4}, "'tex/c.png' is missing"),
+    "without coordinates": ("own.png", (), {(192, 0, 64, 255): 4}, "coordinates of the texture"),
+}
+
+
+@pytest.mark.parametrize("within", ["alone", "urdf"])
+@pytest.mark.parametrize("name", DRESSED)
+def test_textures_of_collada_are_shown(name: str, within: str, tmp_path: Path) -> None:
+    pytest.importorskip("collada")
+    image, inputs, colors, said = DRESSED[name]
+    corners = np.column_stack([SIDES, [0] * 9 + [1] * 3, [1] * 9 + [0] * 3])[:, : len(inputs) + 1]
+    index = " ".join(map(str, corners.ravel()))
+    text = DAE % {"image": image, "inputs": "".join(inputs), "index": index}
+    folder = tmp_path / "meshes"
+    (folder / "tex").mkdir(parents=True)
+    (folder / "a.dae").write_text(text)
+    picture = Image.new("RGB", (8, 8), RED[:3])
+    picture.paste(BLUE[:3], (0, 4, 4, 8))
+    for place in ("tex/a b.png", "own.png"):
+        picture.save(folder / place)
+    path = folder / "a.dae"
+    if within == "urdf":
+        path = tmp_path / "a.urdf"
+        mesh = '<visual><geometry><mesh filename="meshes/a.dae"/></geometry></visual>'
+        path.write_text(f'<robot name="r"><link name="l">{mesh}</link></robot>')
+    asset = open_asset(path)
+    assert asset.mesh is not None
+    found, counts = np.unique(face_colors(asset.mesh), axis=0, return_counts=True)
+    assert dict(zip(map(tuple, found.tolist()), counts.tolist(), strict=True)) == colors
+    assert said in " ".join(asset.warnings) and (said or not asset.warnings)

@@ -131,6 +131,10 @@ def Shader "st" {
     float2 outputs:result
 }
 """
+OTHER = TEXTURE % ("", "")
+for name, new in (('"t"', '"t2"'), ("move", "move2"), ("/st.", "/st2."), ('"st"', '"st2"')):
+    OTHER = OTHER.replace(name, new)
+OTHER = OTHER.replace('"uv"', '"other"')
 PICTURED = "color3f inputs:diffuseColor.connect = </Cabinet/Looks/red/t.outputs:rgb>"
 LEFT_BELOW = "(0.25, 0.25)"  # blue; the picture is red elsewhere
 
@@ -229,12 +233,20 @@ def mimics(multiplier: float, offset: float) -> Callable[[Asset], None]:
     return check
 
 
-def second(schema: str, said: str) -> str:
+def turns_about(axis: tuple[float, ...]) -> Callable[[Asset], None]:
+    def check(asset: Asset) -> None:
+        assert asset.tree is not None
+        np.testing.assert_allclose(asset.tree.joints[0].axis, axis, atol=1e-6)
+
+    return check
+
+
+def second(schema: str, said: str, kind: str = "PhysicsRevoluteJoint") -> str:
     low, high = (-0.4, 0.3, 0), (0.4, 0.32, 1)
     return f"""def Xform "door2" (prepend apiSchemas = ["PhysicsRigidBodyAPI"]) {{
 {box(low, high)}
 }}
-def PhysicsRevoluteJoint "hinge2" (prepend apiSchemas = ["{schema}"]) {{
+def {kind} "hinge2" (prepend apiSchemas = ["{schema}"]) {{
 rel physics:body0 = </Cabinet/base>
 rel physics:body1 = </Cabinet/door2>
 uniform token physics:axis = "Z"
@@ -255,6 +267,7 @@ D6 = ", ".join(
 )
 TURNED = "float limit:rotZ:physics:low = -90\nfloat limit:rotZ:physics:high = 0"
 GROUND = box((-50, -50, -0.01), (50, 50, 0), name="Ground")
+SHELF = box((2, 2, 0), (3, 3, 1), name="shelf")
 MDL = """def Scope "Looks" {
 def Material "red" {
     token outputs:mdl:surface.connect = </Cabinet/Looks/red/s.outputs:out>
@@ -263,6 +276,27 @@ def Material "red" {
         uniform asset info:mdl:sourceAsset = @OmniPBR.mdl@
         %s
         token outputs:out
+    }
+}
+}"""
+MTLX = """def Scope "Looks" {
+def Material "red" {
+    token outputs:mtlx:surface.connect = </Cabinet/Looks/red/s.outputs:out>
+    def Shader "s" {
+        uniform token info:id = "ND_standard_surface_surfaceshader"
+        %s
+        token outputs:out
+    }
+    def Shader "i" {
+        uniform token info:id = "ND_image_color3"
+        asset inputs:file = @tex/a.png@
+        float2 inputs:texcoord.connect = </Cabinet/Looks/red/c.outputs:out>
+        color3f outputs:out
+    }
+    def Shader "c" {
+        uniform token info:id = "ND_geompropvalue_vector2"
+        string inputs:geomprop = "uv"
+        float2 outputs:out
     }
 }
 }"""
@@ -344,6 +378,75 @@ MADE: dict[str, tuple[Made, Callable[[Asset], None]]] = {
         ),
         door_colors(blue=2, red=10),
     ),
+    "texture moved": (
+        Made(
+            panel=uv("[(0.5,-0.5)]", "constant"),
+            beside=looks(
+                PICTURED,
+                more=TEXTURE % ("", "float inputs:rotation = 90\nfloat2 inputs:scale = (0.5, 0.5)"),
+            ),
+        ),
+        both(door_colors(blue=12), lambda a: _is(a.warnings, ())),
+    ),
+    "two sets of coordinates": (
+        Made(
+            panel=uv("[(0.25,0.25)]", "constant")
+            + '\ntexCoord2f[] primvars:other = [(0.75,0.75)] ( interpolation = "constant" )\n'
+            + subset("b", "[3]", "blue"),
+            beside=looks(PICTURED, PICTURED.replace("/t.", "/t2."), TEXTURE % ("", "") + OTHER),
+        ),
+        both(door_colors(red=2, blue=10), lambda a: _is(a.warnings, ())),
+    ),
+    "look of MDL": (
+        Made(
+            panel=BOUND,
+            beside=MDL % "color3f inputs:diffuse_color_constant = (1,1,1)\n"
+            "color3f inputs:diffuse_tint = (1,0,0)\nfloat inputs:opacity_constant = 0.1",
+        ),
+        both(door_colors(red=12), lambda a: _is(a.warnings, ())),
+    ),
+    "texture of MDL, tinted": (
+        Made(
+            panel=uv(f"[{LEFT_BELOW}]", "constant").replace("primvars:uv", "primvars:st"),
+            beside=MDL % "asset inputs:diffuse_texture = @tex/a.png@\n"
+            "color3f inputs:diffuse_tint = (1,1,0)\nasset inputs:ORM_texture = @tex/a.png@",
+        ),
+        both(lambda a: _is(colors_of(a, "door"), {(0, 0, 0, 255): 12}), told("roughness map")),
+    ),
+    "texture of another machine, moved": (
+        Made(
+            panel=uv(f"[{LEFT_BELOW}]", "constant").replace("primvars:uv", "primvars:st"),
+            beside=MDL % "asset inputs:diffuse_texture = @C:/me/tex/own.png@\n"
+            "float2 inputs:texture_scale = (2, 1)",
+        ),
+        both(door_colors(blue=12), told("material 'red': what moves its texture isn't read")),
+    ),
+    "missing texture of MDL": (
+        Made(
+            panel=uv(f"[{LEFT_BELOW}]", "constant"),
+            beside=MDL % "asset inputs:diffuse_texture = @tex/b.png@\n"
+            f"color3f inputs:diffuse_color_constant = {B}\nfloat inputs:opacity_constant = 0.4\n"
+            "bool inputs:enable_opacity = 1",
+        ),
+        both(lambda a: _is(colors_of(a, "door"), {(0, 0, 255, 102): 12}), told("tex/b.png")),
+    ),
+    "unread look of MDL": (
+        Made(panel=BOUND, beside=MDL % "color3f inputs:paint = (1,1,1)"),
+        told("material 'red': its colour isn't read"),
+    ),
+    "look of MaterialX": (
+        Made(
+            panel=BOUND, beside=MTLX % f"float inputs:base = 0.5\ncolor3f inputs:base_color = {R}"
+        ),
+        lambda a: _is(colors_of(a, "door"), {(188, 0, 0, 255): 12}),
+    ),
+    "texture of MaterialX": (
+        Made(
+            panel=uv(f"[{LEFT_BELOW}]", "constant"),
+            beside=MTLX % "color3f inputs:base_color.connect = </Cabinet/Looks/red/i.outputs:out>",
+        ),
+        both(door_colors(blue=12), lambda a: _is(a.warnings, ())),
+    ),
     "texture times colour": (
         Made(
             panel=uv("[(0.75,0.75)]", "constant"),
@@ -376,6 +479,10 @@ MADE: dict[str, tuple[Made, Callable[[Asset], None]]] = {
         ),
         lambda a: _is(colors_of(a, "door"), {(255, 0, 0, 102): 12}),
     ),
+    "light": (
+        Made(panel=BOUND, beside=looks(f"color3f inputs:emissiveColor = {R}")),
+        told("left out of its materials: emission"),
+    ),
     "unknown node": (
         Made(
             panel=BOUND,
@@ -386,7 +493,7 @@ MADE: dict[str, tuple[Made, Callable[[Asset], None]]] = {
                 .replace("UsdUV", "My"),
             ),
         ),
-        told("the node of its colour isn't read"),
+        told("material 'red': its colour isn't read"),
     ),
     # Geometry
     "shapes of other kinds": (
@@ -407,7 +514,6 @@ MADE: dict[str, tuple[Made, Callable[[Asset], None]]] = {
         ),
         told("not read: drive:angular:physics:stiffness (1)"),
     ),
-    "density": (Made(door="float physics:density = 500"), told("physics:density (1)")),
     "hole": (Made(panel="int[] holeIndices = [0]"), told("holeIndices (1)")),
     "schema": (
         Made(
@@ -417,17 +523,21 @@ MADE: dict[str, tuple[Made, Callable[[Asset], None]]] = {
         told("schema FooJointAPI (1)", "mjc:armature (1)"),
     ),
     "animation": (
-        Made(door="double3 xformOp:translate.timeSamples = {0: (0, 0, 0), 1: (0, 1, 0)}"),
-        told("animation (1)"),
-    ),
-    "look of MDL": (
         Made(
-            panel="rel material:binding = </Cabinet/red>",
-            beside='def Material "red" {\n'
-            "token outputs:mdl:surface.connect = </Cabinet/red/s.outputs:out>\n"
-            'def Shader "s" {\ntoken outputs:out\n}\n}',
+            door="double3 xformOp:translate.timeSamples = {3: (0, 0, 0), 7: (0, 1, 0)}\n"
+            'uniform token[] xformOpOrder = ["xformOp:translate"]\n'
+            "float physics:mass.timeSamples = {3: 2, 7: 9}",
+            panel="color3f[] primvars:displayColor.timeSamples = {3: [(1,0,0)], 7: [(0,0,1)]}",
+            limits="float physics:lowerLimit.timeSamples = {1: -30}\n"
+            "float physics:upperLimit.timeSamples = {1: 0}",
         ),
-        told("material 'red': not read"),
+        both(
+            told("of 3 values over time the earliest count"),
+            parts("base", "door"),
+            door_colors(red=12),
+            hung(-np.pi / 6, 0),
+            weighs(2),
+        ),
     ),
     # Joints
     "a turn and more": (
@@ -451,6 +561,25 @@ MADE: dict[str, tuple[Made, Callable[[Asset], None]]] = {
             limits=LOCKED.replace("rotY:physics:high = -1", "rotY:physics:high = 5") + TURNED,
         ),
         told("not read: PhysicsJoint (1)"),
+    ),
+    "free about one": (
+        Made(kind="PhysicsJoint", schemas=D6, axis="", limits=LOCKED + TURNED),
+        both(hung(-np.pi / 2, 0), turns_about((0, 0, 1)), lambda a: _is(a.warnings, ())),
+    ),
+    "free along one, as one limit is missing": (
+        Made(
+            kind="PhysicsJoint",
+            schemas=D6 + ', "PhysicsDriveAPI:transX"',
+            axis="",
+            limits=LOCKED.replace("float limit:transX:physics:high = -1", "")
+            + TURNED.replace("= 0", "= -90"),
+            hinge="float drive:transX:physics:damping = 3",
+        ),
+        both(hung(1, 2, "prismatic"), turns_about((1, 0, 0)), resists(damping=3)),
+    ),
+    "free in two beside a hinge": (
+        Made(beside=second("PhysicsLimitAPI:rotX", LOCKED.replace("rotY", "any"), "PhysicsJoint")),
+        told("'hinge2' of type PhysicsJoint: read as fixed, free along rotY, rotZ"),
     ),
     "switched off": (
         Made(hinge="bool physics:jointEnabled = 0"),
@@ -494,7 +623,47 @@ MADE: dict[str, tuple[Made, Callable[[Asset], None]]] = {
         ),
         mimics(-0.5, np.pi / 2),
     ),
+    "mujoco's mimic": (
+        Made(
+            beside=second(
+                "MjcEqualityJointAPI",
+                "rel mjc:target = </Cabinet/hinge>\ndouble mjc:coef0 = 0.5\n"
+                "double mjc:coef1 = 2\ndouble mjc:coef2 = 3",
+            )
+        ),
+        both(mimics(2, 0.5), told("not read: mjc:coef2 (1)")),
+    ),
+    "drive by acceleration": (
+        Made(
+            schemas='"PhysicsDriveAPI:angular"',
+            hinge='uniform token drive:angular:physics:type = "acceleration"\n'
+            "float drive:angular:physics:damping = 1",
+        ),
+        told("damping by acceleration"),
+    ),
     # Bodies
+    "density": (Made(door="float physics:density = 500"), weighs(8)),
+    "density in centimetres": (
+        Made(unit=0.01, door="float physics:density = 0.0005"),
+        weighs(8, diagonal=(0.66693, 1.0936, 0.42693)),
+    ),
+    "density of a material": (
+        Made(
+            panel="rel material:binding:physics = </Cabinet/wood>",
+            beside='def Material "wood" (prepend apiSchemas = ["PhysicsMaterialAPI"]) {\n'
+            "float physics:density = 700\n}",
+        ),
+        weighs(11.2),
+    ),
+    "mass before density": (
+        Made(door="float physics:density = 500\nfloat physics:mass = 2"),
+        weighs(2),
+    ),
+    "mass of a shape": (Made(panel="float physics:mass = 4"), weighs(4)),
+    "density of a shape before its body's": (
+        Made(door="float physics:density = 500", panel="float physics:density = 1000"),
+        weighs(16),
+    ),
     "mass": (Made(door="float physics:mass = 3500", kilograms=0.001), weighs(3.5)),
     "centre and mass": (
         Made(door="float physics:mass = 2\npoint3f physics:centerOfMass = (0.1, 0, 0.2)"),
@@ -502,7 +671,7 @@ MADE: dict[str, tuple[Made, Callable[[Asset], None]]] = {
     ),
     "inertia without a body's": (
         Made(door="float physics:mass = 12\nfloat3 physics:diagonalInertia = (1, 1, 9)"),
-        told("no body's"),
+        both(told("no body's"), weighs(12, diagonal=(1.0004, 1.6404, 0.6404))),
     ),
     "off body": (
         Made(
@@ -518,7 +687,15 @@ MADE: dict[str, tuple[Made, Callable[[Asset], None]]] = {
     ),
     "ground outside": (
         Made(outside=GROUND),
-        both(parts("base", "door"), told("Ground is 100 x 100 m")),
+        both(parts("base", "door"), told("surroundings left out: Ground (1)")),
+    ),
+    "beside the default prim": (
+        Made(outside=f'def Scope "protos" {{\n{SHELF}\n{box((0, 0, 0), (1, 1, 1), name="b")}\n}}'),
+        both(parts("base", "door"), told("surroundings left out: protos (2)")),
+    ),
+    "empty mesh": (
+        Made(door='def Mesh "e" {}'),
+        both(parts("base", "door"), told("not read: Mesh (1)")),
     ),
     "lost payload": (
         Made(beside='def Xform "x" ( prepend payload = @./far/x.usd@ ) {}'),
@@ -530,6 +707,69 @@ MADE: dict[str, tuple[Made, Callable[[Asset], None]]] = {
 
 def _is(found: object, expected: object) -> None:
     assert found == expected
+
+
+ROWS = {  # what a stage says: the inputs that are read without a remark, and those with one
+    "colours of a mesh, of any interpolation, inherited": (
+        "constant uniform indexed vertex face-varying inherited opacity",
+        "misfit",
+    ),
+    "UsdPreviewSurface: colour, opacity, texture, UsdTransform2d; GeomSubsets": (
+        "subsets interface bound_above glass texture_right_side_up texture_by_corners "
+        "texture_moved two_sets_of_coordinates texture_times_colour",
+        "texture_outside no_coordinates unknown_node",
+    ),
+    "other maps, emission": ("", "light texture_of_MDL,_tinted"),
+    "MDL: colour, tint and texture of OmniPBR and its like": (
+        "look_of_MDL",
+        "texture_of_another_machine,_moved missing_texture_of_MDL unread_look_of_MDL",
+    ),
+    "MaterialX: colour and texture of standard surface and OpenPBR": (
+        "look_of_MaterialX texture_of_MaterialX",
+        "",
+    ),
+    "values over time: the earliest": ("", "animation"),
+    "instancers, curves, points, other shapes, empty meshes, holes": (
+        "",
+        "shapes_of_other_kinds prototypes empty_mesh hole",
+    ),
+    "surroundings: shapes beside the prim that holds all joined bodies, grounds": (
+        "",
+        "ground_within ground_outside beside_the_default_prim",
+    ),
+    "revolute and prismatic joints, also with one limit or none": (
+        "known a_turn_and_more no_limits",
+        "lower_alone slide_with_upper_alone switched_off mirrored_in_x",
+    ),
+    "joints without a type (D6): with one free axis; others are fixed": (
+        "free_about_one",
+        "free_about_two free_along_one,_as_one_limit_is_missing free_in_two_beside_a_hinge",
+    ),
+    "damping, friction, effort and velocity of joints": (
+        "drive_in_centimetres_and_grams linear_drive",
+        "drive_by_acceleration stiffness",
+    ),
+    "mimics of PhysX, Newton and MuJoCo": ("newton's_mimic", "mujoco's_mimic"),
+    "masses, densities of bodies, shapes and materials, centres, inertia": (
+        "density density_in_centimetres density_of_a_material mass_before_density "
+        "mass_of_a_shape density_of_a_shape_before_its_body's mass centre_and_mass",
+        "inertia_without_a_body's",
+    ),
+    "flags that switch bodies, colliders and joints off": ("off_body", "switched_off"),
+    "missing files, schemas and values of physics that no reader knows": (
+        "",
+        "lost_payload schema",
+    ),
+}
+
+
+def test_the_document_has_a_row_for_each_input() -> None:
+    text = (Path(__file__).parents[3] / "docs/formats.md").read_text()
+    inputs = [name for row in ROWS.values() for names in row for name in names.split()]
+    assert {name.replace("_", " ") for name in inputs} == set(MADE)
+    for what, (read, told) in ROWS.items():
+        state = "read; what isn't is told" if read and told else "read" if read else "told"
+        assert f"\n| {what} | {state} |\n" in text
 
 
 DOORS = "".join(
@@ -575,12 +815,31 @@ def Xform "door" (prepend apiSchemas = ["PhysicsRigidBodyAPI"]) {{
 """
 STAGES: dict[str, tuple[str, tuple[str, ...], int, str]] = {  # parts, joints, what is told
     "a body joints name": (static("A"), ("body", "door_left", "door_right"), 2, ""),
-    "joints to the world": (WORLD, ("m", "door_left", "door_right"), 0, "PhysicsRevoluteJoint (2)"),
+    "joints to the world": (WORLD, ("A", "door_left", "door_right"), 2, ""),
+    "joints to the world, of two": (
+        WORLD + static("B").replace("rel physics:body0 = </B/body>\n", ""),
+        ("m", "door_left", "door_right") * 2,
+        0,
+        "PhysicsRevoluteJoint (4)",
+    ),
+    "a loose thing, a table": (
+        f'def Xform "W" {{\n{static("A").replace("/A", "/W/A")}{SHELF}'
+        f'def Xform "cup" (prepend apiSchemas = ["PhysicsRigidBodyAPI"]) {{\n{SHELF}}}\n}}',
+        ("body", "door_left", "door_right"),
+        2,
+        "surroundings left out: shelf (1), cup (1)",
+    ),
+    "beside the default prim": (
+        HEAD.replace("(", '(\n defaultPrim = "A"', 1) + PLAIN + SHELF,
+        ("base", "door", "shelf"),
+        0,
+        "beside the default prim 'A' stands: shelf (1)",
+    ),
     "and a ground": (
         static("A") + GROUND,
         ("body", "door_left", "door_right"),
         2,
-        "Ground is 100 x 100 m",
+        "surroundings left out: Ground (1)",
     ),
     "in an instance": (INSTANCED, ("body", "door_left", "door_right"), 2, ""),
     "two of them": (
@@ -596,7 +855,7 @@ STAGES: dict[str, tuple[str, tuple[str, ...], int, str]] = {  # parts, joints, w
 @pytest.mark.parametrize("name", STAGES)
 def test_bodies_that_stand_and_parts_named_after_bodies(name: str, tmp_path: Path) -> None:
     text, names, joints, said = STAGES[name]
-    (tmp_path / "a.usda").write_text(HEAD + text)
+    (tmp_path / "a.usda").write_text(text if text.startswith("#") else HEAD + text)
     asset = open_asset(tmp_path / "a.usda")
     assert asset.part_names == names
     assert len(asset.tree.joints if asset.tree else ()) == joints
@@ -607,7 +866,7 @@ def _picture(folder: Path) -> None:
     """Blue left below, red elsewhere."""
     image = Image.new("RGB", (8, 8), RED[:3])
     image.paste(BLUE[:3], (0, 4, 4, 8))
-    for place in (folder / "tex" / "a.png", folder.parent / "a.png"):
+    for place in (folder / "tex" / "a.png", folder.parent / "a.png", folder / "own.png"):
         place.parent.mkdir(exist_ok=True)
         image.save(place)
 
@@ -619,7 +878,10 @@ def test_variants_are_read_or_told(name: str, tmp_path: Path) -> None:
     folder.mkdir()
     _picture(folder)
     (folder / "a.usda").write_text(made.text())
-    check(open_asset(folder / "a.usda"))
+    asset, key = open_asset(folder / "a.usda"), name.replace(" ", "_")
+    check(asset)
+    rows = [row for row in ROWS.values() if key in f"{row[0]} {row[1]}".split()]
+    assert all(bool(asset.warnings) == (key in told.split()) for _, told in rows)
 
 
 def report(file: str) -> Asset:
@@ -648,6 +910,11 @@ REPORTED: dict[str, Callable[[Asset], None]] = {
     "usd_missing_reference/cabinet.usda": told("parts/door.usd"),
     "usd_isaac_instanced/over.usda": both(parts("base", "door"), lambda a: _is(a.warnings, ())),
     "usd_isaac_instanced/def_invisible.usda": parts("base", "door"),
+    "usd_isaac_instanced/def_visible.usda": both(
+        parts("base", "door"),
+        lambda a: _is({k: len(v) for k, v in a.shapes.items()}, {"link_0": 1, "link_1": 1}),
+        told("surroundings left out: visuals (2)"),
+    ),
     "usd_static_base/cab.usda": parts("base", "door_left", "door_right", size=(0.6, 0.42, 0.8)),
     "usd_loop_excluded/bars.usda": both(
         told("'j4' closes a loop"),
@@ -661,7 +928,7 @@ REPORTED: dict[str, Callable[[Asset], None]] = {
         parts("base", "door", size=(0.6, 0.42, 0.8)), told("PointInstancer", "BasisCurves")
     ),
     "usd_ground_plane/cab.usda": both(
-        parts("base", "door", size=(0.6, 0.42, 0.8)), told("GroundPlane is 100 x 100 m")
+        parts("base", "door", size=(0.6, 0.42, 0.8)), told("surroundings left out: GroundPlane (1)")
     ),
 }
 
