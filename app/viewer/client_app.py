@@ -290,10 +290,11 @@ class ClientApp:
 
     def _draw(self) -> None:
         """Send what changed since the last time."""
-        self.commands.rejecting.end_elsewhere()
-        self.drawing.leave()  # before a panel shows the next object
-        self._draw_panels()
-        self.guard.drawn()
+        with self.tab.selection.lock:
+            self.commands.rejecting.end_elsewhere()
+            self.drawing.leave()  # before a panel shows the next object
+            self._draw_panels()
+            self.guard.drawn()
 
     def _draw_panels(self) -> None:
         selection = self.tab.selection

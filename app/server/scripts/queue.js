@@ -230,7 +230,7 @@
 
   window.__artiworldQueue = {
     start(texts) { words = texts; settle(); },
-    changed(object) { current = object; soon(again); },
+    changed(object) { current = object; draw(); soon(again); },
     widen: () => root && widen(!view.wide),
     people(names) {
       root.classList.toggle("assigning", names.length > 0);

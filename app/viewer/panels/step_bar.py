@@ -22,6 +22,7 @@ from app.viewer.tab import AT_REST, STEPS, Step, Tab, plain
 from app.viewer.words import annotate as tool_words
 from app.viewer.words import common as words
 from app.viewer.words import keys
+from app.viewer.words import queue as queue_words
 from app.viewer.words.common import TOUR, TOUR_TIP
 from model.core.files import static_assets
 
@@ -72,8 +73,9 @@ class ObjectHeader:
 
     def _lines(self, obj: OpenObject) -> list[str]:
         doc, asset, review = obj.document, obj.asset, obj.document.review
-        state = words.UNREADABLE if obj.problem else words.STATES[review.state]
-        if review.state == "predicted" and doc.joints_file is not None:
+        shown = obj.shown_state
+        state = words.UNREADABLE if obj.problem else queue_words.SHOWN[shown]
+        if shown == "predicted" and doc.joints_file is not None:
             state = words.FROM_FILE
         lines = [f"**{plain(self._name(obj))}** · {state}"]
         if asset is not None:
