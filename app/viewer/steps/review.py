@@ -20,7 +20,6 @@ from app.viewer.picture.motion import Motion
 from app.viewer.tab import Tab, plain
 from app.viewer.words import review as words
 from app.viewer.words.common import EDITED, NONE, STATES
-from app.viewer.words.queue import EXPORT, EXPORT_HINT
 from model.core.errors import ArtiworldError, CommandError
 from model.validation.report import Severity, ValidationReport
 from sessions import commands as cmd
@@ -40,7 +39,6 @@ class ReviewActions:
         go_on: goes to the next object after a decision.
         name_of: an object's name on the screens.
         drawn: whether the open object's picture was sent.
-        export: asks how to export the object.
         ask_place: has the next click be the place of a comment.
     """
 
@@ -49,7 +47,6 @@ class ReviewActions:
     go_on: Callable[[], None]
     name_of: Callable[[ObjectRecord], str]
     drawn: Callable[[], bool]
-    export: Callable[[], None]
     ask_place: Callable[[], None]
 
 
@@ -98,10 +95,6 @@ class ReviewStep:
         self._download = gui.add_button(
             words.DOWNLOAD, icon=viser.Icon.DOWNLOAD, color="gray", visible=False
         )
-        self._export = gui.add_button(
-            EXPORT, icon=viser.Icon.PACKAGE_EXPORT, color="gray", visible=False, hint=EXPORT_HINT
-        )
-        self._export.on_click(lambda _: tab.act(actions.export))
         self._accept.on_click(lambda _: actions.accept())
         tab.on_update(self._complete, lambda: tab.do(cmd.SetCompletion(self._complete.value)))
         self._download.on_click(lambda _: tab.act(self._send))
@@ -308,7 +301,6 @@ class ReviewStep:
         put(self._accept, visible=doc.review.state != "accepted")
         saved = doc.saved if doc.review.state == "accepted" else None
         put(self._download, visible=saved is not None)
-        put(self._export, visible=saved is not None)
         put(self._saved, visible=saved is not None)
         if saved is not None:
             put(self._saved, content=words.saved_in(plain(saved.folder, 200)))

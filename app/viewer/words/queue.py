@@ -65,6 +65,7 @@ PAGE_WORDS: Final[dict[str, str]] = {
     "accept": "Accept those that passed the checks",
     "check": "Check those that nobody has checked",
     "exportThem": "Export…",
+    "exportHint": "Export the selected objects, or all accepted ones",
     "assign": "Assign to",
     "assignHint": "Assign the selected objects",
     "assignTo": "Person",
