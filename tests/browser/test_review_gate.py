@@ -210,7 +210,7 @@ def test_y_shows_what_wants_a_look_before_it_accepts(
 def open_while_drawing(tab: Tab, patch: pytest.MonkeyPatch) -> Callable[[], None]:
     """Have the next object opened in the middle of a drawing, and hold what follows that."""
     app, begun, opened, looked = tab.app, *(threading.Event() for _ in range(3))
-    draw, panels, select = app.queue.draw, app._draw_panels, tab.selection.open
+    draw, drawn, select = app.queue.draw, app.guard.drawn, tab.selection.open
 
     def draw_queue() -> None:
         draw()
@@ -218,13 +218,13 @@ def open_while_drawing(tab: Tab, patch: pytest.MonkeyPatch) -> Callable[[], None
             begun.set()
             opened.wait(1.0)  # which it isn't before the end of this drawing
 
-    def draw_panels() -> None:
-        panels()
+    def all_drawn() -> None:
+        drawn()
         if opened.is_set():
             looked.wait(60.0)
 
     patch.setattr(app.queue, "draw", draw_queue)
-    patch.setattr(app, "_draw_panels", draw_panels)
+    patch.setattr(app.guard, "drawn", all_drawn)
     patch.setattr(tab.selection, "open", lambda obj: (select(obj), opened.set()))
     app.tab.invalidate()
     assert begun.wait(60.0)
