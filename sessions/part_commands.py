@@ -50,15 +50,24 @@ class AddClick(Command, kind="add_click"):
         click: the point.
         answer: the segmenter's result for the prompts with it; None where that is a command of
             its own.
+        name: of the part, where the click makes it; None where it has none yet.
     """
 
     click: Click
     answer: RecordSegmentation | None = None
+    name: str | None = None
+
+    def __post_init__(self) -> None:
+        name_field(self, "name", "the part's name")
 
     def describe(self) -> str:
-        return f"{'add' if self.click.positive else 'negative'} click, part {self.click.part}"
+        named = f" {self.name!r}" if self.name else ""
+        kind = "add" if self.click.positive else "negative"
+        return f"{kind} click, part {self.click.part}{named}"
 
     def edit(self, document: Document, context: Context) -> Document:
+        if self.name and document.part(self.click.part) is None:
+            document = with_part(document, PartInfo(self.click.part, self.name))
         clicked = add_prompt(document, self.click)
         return clicked if self.answer is None else self.answer.edit(clicked, context)
 

@@ -256,10 +256,8 @@ class AppState:
         held, opened = self.on_hold(record), self._open.get(record.id)
         if record.id in self.queue.unreadable:
             return "unreadable", held
-        if opened is not None and "save" in opened.jobs:
-            return "saving", ""
-        if opened is not None and opened.validation.acceptance_waits:
-            return "validating", ""
+        if opened is not None:
+            return opened.shown_state, held
         if held:
             return "on_hold", held
         return ("interrupted" if self.was_interrupted(record) else record.state), ""

@@ -82,6 +82,17 @@ class OpenObject(ObjectContext):
         return self.validation.acceptance_waits or "save" in self.jobs
 
     @property
+    def shown_state(self) -> str:
+        """Its review state, or the one of an acceptance that isn't recorded yet."""
+        if "save" in self.jobs:
+            return "saving"
+        if self.validation.acceptance_waits:
+            return "validating"
+        if self.hold_reason:
+            return "on_hold"
+        return "interrupted" if self.interrupted else self.document.review.state
+
+    @property
     def busy(self) -> dict[str, tuple[float, str]]:
         """Progress (0..1) and message of each running job."""
         return self.jobs.busy

@@ -62,8 +62,9 @@ from model.physics.simulation_values import physics_of
 from model.prediction.geometric.roles import change_joint_type
 from model.prediction.registry import load_predictor
 from model.segmentation.prompts import BASE
+from model.validation.fixes import checked_ranges
 from model.validation.report import ValidationReport
-from model.validation.runner import validate
+from model.validation.runner import scene_of, validate
 from sessions.document import Document
 
 
@@ -226,6 +227,11 @@ def predict(
         chosen = taught or chosen
     found: object = chosen.predict(segmented, locked=locked, seed=seed, progress=progress)
     answer = checked(predictor, segmented, found)
+    if answer.tree is not None:
+        obj = ArticulatedObject(segmented.name, segmented.parts, answer.tree)
+        scene, _ = scene_of(obj)
+        if scene is not None:
+            answer = checked_ranges(answer, scene, {j.child for j in locked})
     return replace(answer, problems=(*answer.problems, *remarks))
 
 

@@ -74,6 +74,7 @@ class _Clicked:
         asset: the asset that was clicked on.
         before: key of the prompts before it.
         who: the person.
+        name: of the part that it makes, or None.
         prompt: its prompt, once that is shown.
         announced: the state with its prompt.
         job: finds its place, and its labels.
@@ -82,6 +83,7 @@ class _Clicked:
     asset: OpenedAsset
     before: str
     who: str
+    name: str | None
     prompt: Future[Click | None] = field(default_factory=Future)
     announced: SessionState | None = None
     job: Job[Any] | None = None
@@ -221,7 +223,12 @@ class Segmenting:
         return worker.submit(task, *known, *args, repeated=True, **how)
 
     def click(
-        self, aim: segmenting_tasks.Aim, part: int, positive: bool, who: str
+        self,
+        aim: segmenting_tasks.Aim,
+        part: int,
+        positive: bool,
+        who: str,
+        name: str | None = None,
     ) -> Future[Click | None]:
         """Answer a click by one job: its prompt shows as soon as its place is known, and is stored
         together with its labels.
@@ -229,12 +236,15 @@ class Segmenting:
         While the segmenter is at work on the object, the other process finds the place, and the
         prompt is stored before its labels are there.
 
+        Args:
+            name: of the part, where the click makes it.
+
         Returns:
             The prompt; None where the ray hits nothing.
         """
         obj, asset, doc = self._obj, self._obj.need_asset(), self._obj.document
         alone = _ANSWERS.isdisjoint(obj.jobs.busy)
-        clicked = _Clicked(asset, doc.key, who)
+        clicked = _Clicked(asset, doc.key, who, name)
         worker = obj.lane.segmentation if alone else obj.lane.geometry
         with self._lock:
             clicked.job = self._submit(
@@ -262,7 +272,9 @@ class Segmenting:
             return  # its worker died, and answers once more
         try:
             if prompt is not None and obj.asset is clicked.asset:
-                clicked.announced = obj.live.announce(cmd.AddClick(prompt), clicked.who)
+                clicked.announced = obj.live.announce(
+                    cmd.AddClick(prompt, name=clicked.name), clicked.who
+                )
                 with self._lock:
                     self._asked = ((clicked.asset.folder, obj.document.key), clicked.job)
                 obj.changed()
@@ -304,7 +316,7 @@ class Segmenting:
         same = announced.past[-1].key == clicked.before and self._obj.asset is clicked.asset
         if answer is not None and same:
             record = self._show_answer(replace(answer, prompts_key=announced.present.key))
-        stored = self._obj.live.complete(announced, cmd.AddClick(click, record))
+        stored = self._obj.live.complete(announced, cmd.AddClick(click, record, clicked.name))
         if record is not None and not stored:
             self._obj.do(record, SEGMENTER)
         elif not stored and self._obj.asset is not None:

@@ -160,6 +160,7 @@ class ClientApp:
             self._name_of,
             self._navigation.remove,
             lambda: tab.do(cmd.Reopen(self.review.comment_text)),
+            lambda: self._exporting.ask([tab.selection.need_object().record.id]),
         )
         self.comments = Comments(tab, self._presses, lambda: self.picture.comments)
         self._folders = {s: gui.add_folder(None, visible=s == "Annotate") for s in STEPS}
@@ -192,7 +193,6 @@ class ClientApp:
                 go_on=self.commands.go_on,
                 name_of=app_state.display_name,
                 drawn=lambda: self.drawing.drawn,
-                export=lambda: self._exporting.ask([tab.selection.need_object().record.id]),
                 ask_place=self._ask_place,
             )
             self.review = ReviewStep(tab, self.motion, self.commands.rejecting, review)
@@ -290,10 +290,11 @@ class ClientApp:
 
     def _draw(self) -> None:
         """Send what changed since the last time."""
-        self.commands.rejecting.end_elsewhere()
-        self.drawing.leave()  # before a panel shows the next object
-        self._draw_panels()
-        self.guard.drawn()
+        with self.tab.selection.lock:
+            self.commands.rejecting.end_elsewhere()
+            self.drawing.leave()  # before a panel shows the next object
+            self._draw_panels()
+            self.guard.drawn()
 
     def _draw_panels(self) -> None:
         selection = self.tab.selection

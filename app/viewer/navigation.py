@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from app.server.app_state import AppState
 from app.server.names import display_text
 from app.server.open_object import OpenObject
-from app.viewer.tab import Tab
+from app.viewer.tab import Step, Tab
 from app.viewer.words import common as words
 from app.viewer.words.queue import ALL_ACCEPTED, EMPTY
 from app.viewer.words.review import about
@@ -102,8 +102,8 @@ class Navigation:
         else:
             self.open(([r.id for r in records if r.state in _WAITING] or ids)[0])
 
-    def open(self, object_id: int | None) -> None:
-        """Show another object, or none."""
+    def open(self, object_id: int | None, *, review: bool = False) -> None:
+        """Show another object, or none; for ``review`` where it has joints."""
         tab = self._tab
         if object_id is None:
             self._leave(tab.selection.object)
@@ -113,10 +113,12 @@ class Navigation:
         self._skipped.discard(object_id)
         self._leave(tab.selection.object)
         obj = self._app_state.object(object_id, who=self._tab.user)
-        tab.selection.open(obj)
+        joints: Step = "Review" if review else "Joints"
+        with tab.selection.lock:  # its step comes with it
+            tab.selection.open(obj)
+            tab.selection.set_step(joints if obj.document.tree is not None else "Annotate")
         self._unwatch = obj.watch(tab.invalidate, tab.notify)
         self._app_state.presence.enter(tab, object_id, tab.account)
-        tab.selection.set_step("Joints" if obj.document.tree is not None else "Annotate")
         self._opened(obj)
         self._remember()
         if obj.problem:
@@ -208,11 +210,8 @@ class Navigation:
     def go_on(self) -> None:
         """Open the next object to decide."""
         following = self._following(lease=True)
-        if following is None:
-            return
-        self.open(following)
-        if not self._is_given and self._tab.selection.need_object().document.tree is not None:
-            self._tab.selection.set_step("Review")
+        if following is not None:
+            self.open(following, review=not self._is_given)
 
     def look_ahead(self) -> None:
         """Read the next object to decide, once the open one has a prompt."""

@@ -218,6 +218,8 @@ class Selection:
         step: the current step.
         hidden: parts that aren't drawn.
         picking: whether the object is open to have another one picked out of it.
+        lock: held while the screen is drawn, and while another object is selected: no screen shows
+            two of them.
     """
 
     def __init__(self, changed: Callable[[], None], nothing_open: str) -> None:
@@ -227,6 +229,7 @@ class Selection:
         self.step: Step = "Annotate"
         self.hidden: frozenset[int] = frozenset()
         self.picking = False
+        self.lock = threading.RLock()
         self._changed = changed
         self._nothing_open = nothing_open
         self._open_listeners: list[Callable[[], None]] = []
@@ -242,11 +245,12 @@ class Selection:
 
     def open(self, obj: OpenObject | None) -> None:
         """Select another object, or none."""
-        for listener in self._open_listeners:
-            listener()
-        self.object, self.child = obj, None
-        if obj is not None:
-            self.part, self.hidden = 1, frozenset()
+        with self.lock:
+            for listener in self._open_listeners:
+                listener()
+            self.object, self.child = obj, None
+            if obj is not None:
+                self.part, self.hidden = 1, frozenset()
         self._changed()
 
     def need_object(self) -> OpenObject:

@@ -9,12 +9,13 @@ Also findings about equal parts that move differently, whose fix is the motion o
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Container, Iterable, Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
+from model.core.articulated_object import Prediction
 from model.core.errors import ArtiworldError
 from model.core.joint import Joint
 from model.kinematics.contact import contact_between
@@ -103,6 +104,8 @@ def like_fix(scene: Scene, own: Joint, other: str) -> list[Fix]:
 FIXABLE = ("collision", "jammed", "detached", "limits")
 LEAST_ANGLE, LEAST_SLIDE = math.radians(3.0), 0.01
 """Smallest range that is offered: radians, and diagonals."""
+MOST = 0.5
+"""Share of a predicted range that is left after it is cut; less says that the axis is wrong."""
 INSET = 0.01
 """Limits end this share of the range before the contact."""
 ALONG_CONTACT = 0.9
@@ -222,6 +225,31 @@ def _contact_edges(
             found.append((count, place, box.axes[:, along]))
     found.sort(key=lambda e: -e[0])
     return [(place, direction) for count, place, direction in found if count]
+
+
+def checked_ranges(prediction: Prediction, scene: Scene, locked: Container[str]) -> Prediction:
+    """Cut predicted limits to what the checks accept, where that is most of the range; the notes
+    say so, or that the checks object.
+
+    Args:
+        prediction: of the tree in ``scene``.
+        locked: child links whose joints stay.
+    """
+    notes = dict(prediction.notes)
+    for joint in scene.obj.tree.joints:
+        if not joint.moves or joint.mimic is not None or joint.child in locked:
+            continue
+        found = examine_motion(scene, joint)
+        if all(f.severity == Severity.OK for f in found):
+            continue
+        was, fix = np.ptp(joint.motion_range), next(iter(_limits(scene, joint)), None)
+        less = 0.0 if fix is None or fix.joint is None else np.ptp(fix.joint.motion_range)
+        if fix is not None and fix.joint is not None and MOST * was <= less < was:
+            scene, text = scene.with_joint(fix.joint), messages.RANGE_CUT
+        else:
+            text = messages.RANGE_REFUSED
+        notes[joint.child] = f"{notes.get(joint.child, '').rstrip('.')}. {text}".lstrip(". ")
+    return replace(prediction, tree=scene.obj.tree, notes=notes)
 
 
 def _limits(scene: Scene, joint: Joint) -> list[Fix]:

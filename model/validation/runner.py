@@ -191,8 +191,7 @@ def validate(
         A report on each moving joint, worst first; on fixed joints only where they have findings.
     """
     start = time.perf_counter()
-    unusable = {p.link: why for p in obj.parts if (why := _unusable(p))}
-    scene = _scene(obj, unusable)
+    scene, unusable = scene_of(obj)
     found: Findings = {j.name: [] for j in obj.tree.joints if j.moves}
     for link, why in unusable.items():
         _assign(obj, found, link, Finding("geometry", Severity.ERROR, why))
@@ -243,17 +242,17 @@ def _check_motion(scene: Scene, found: Findings, seed: int, progress: Progress) 
         found[name].append(finding)
 
 
-def _scene(obj: ArticulatedObject, unusable: dict[str, str]) -> Scene | None:
-    """Surfaces and scale of the object; None where no part is usable."""
+def scene_of(obj: ArticulatedObject) -> tuple[Scene | None, dict[str, str]]:
+    """Surfaces and scale of the object, None where no part is usable; link → why one isn't."""
+    unusable = {p.link: why for p in obj.parts if (why := _unusable(p))}
     usable = _without_geometry(obj, unusable) if unusable else obj
     moving = sum(j.moves for j in obj.tree.joints)
     points, samples = (2048, 25) if moving < MANY else (1024, 13)
     surfaces = surfaces_of(usable, points)
     if not surfaces:
-        return None
-    return Scene(
-        usable, surfaces, diagonal_of(surfaces), sweep_tolerance(surfaces), samples, points
-    )
+        return None, unusable
+    scale = diagonal_of(surfaces), sweep_tolerance(surfaces)
+    return Scene(usable, surfaces, *scale, samples, points), unusable
 
 
 def _without_geometry(obj: ArticulatedObject, unusable: dict[str, str]) -> ArticulatedObject:

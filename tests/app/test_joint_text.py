@@ -20,7 +20,7 @@ from app.viewer.panels.joint_tree import (
 from model.core.articulated_object import ArticulatedObject, Part, Prediction
 from model.core.errors import KinematicsError
 from model.core.geometry import PointCloud
-from model.core.joint import Joint, value_text
+from model.core.joint import Joint, Mimic, value_text
 from model.core.names import display_name
 from model.core.tree import KinematicTree
 from model.validation.messages import interval
@@ -47,6 +47,13 @@ def document(joint: Joint = DOOR) -> Document:
         tree=TREE.with_joint(joint),
         prediction=Prediction(TREE, confidence={"link_1": 0.22}),
     )
+
+
+def test_the_row_of_a_follower_says_whom_it_follows() -> None:
+    follower = Joint("j2", "continuous", "link_0", "link_2", (0, 0, 1), mimic=Mimic("j1", 2.0))
+    tree = KinematicTree(("link_0", "link_1", "link_2"), (DOOR, follower))
+    rows = tree_rows(tree, replace(document(), tree=tree))
+    assert rows[-1].startswith("1 part 2 follows door 1 · continuous")
 
 
 def test_one_rounding_everywhere() -> None:

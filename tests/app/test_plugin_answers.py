@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 
+from app.server import part_tasks
 from app.server.part_tasks import checked
 from model.core.articulated_object import Part, Prediction, SegmentedObject
 from model.core.errors import ConfigurationError
 from model.core.geometry import PointCloud
 from model.core.tree import KinematicTree
+from model.validation import messages
+from model.validation.report import Severity
+from model.validation.runner import validate
+from tests.builders import linked, part
+from tests.model.validation.cabinets import DRAWER, carcass, drawer_part
 
 PARTS = SegmentedObject("box", (Part("link_0", cloud=PointCloud(np.zeros((1, 3), np.float32))),))
 
@@ -25,3 +35,33 @@ def test_a_tree_of_other_links_is_a_problem_and_no_crash() -> None:
     assert checked("theirs", PARTS, good) is good
     found = checked("theirs", PARTS, Prediction(KinematicTree(("link_7",)), ("slow",)))
     assert found.tree is None and len(found.problems) == 3
+
+
+@pytest.mark.parametrize(
+    ("lower", "note", "severity"),
+    [
+        (0.0, "", Severity.OK),
+        (-0.1, messages.RANGE_CUT, Severity.OK),
+        (-0.5, messages.RANGE_REFUSED, Severity.ERROR),  # less than half of it is left
+    ],
+)
+def test_a_predicted_range_has_been_through_the_checks(
+    monkeypatch: pytest.MonkeyPatch, lower: float, note: str, severity: Severity
+) -> None:
+    """A drawer with 3 cm to the back wall is predicted to go in further."""
+    drawer = replace(DRAWER, lower=lower)
+    parts = part("link_0", *carcass(), name="body"), drawer_part()
+    made = linked((drawer,), *parts)
+    answer = Prediction(made.tree, notes={"link_2": "Drawer. Range: from a motion sweep"})
+    predictor = SimpleNamespace(predict=lambda *_, **__: answer)
+    monkeypatch.setattr(part_tasks, "load_predictor", lambda _: predictor)
+    monkeypatch.setattr(part_tasks, "segmented_object", lambda _: SegmentedObject("c", parts))
+    source: Any = None
+    found = part_tasks.predict(source, "theirs", (), 0)
+    assert found.tree is not None and found.notes["link_2"].endswith(note)
+    joint = found.tree.joint_of["link_2"]
+    assert (joint == drawer) == (note != messages.RANGE_CUT) and joint.upper == drawer.upper
+    report = validate(replace(made, tree=found.tree), physics=False, fixes=False)
+    assert report.severity == severity
+    kept = part_tasks.predict(source, "theirs", (drawer,), 0)
+    assert kept == answer, "what a person locked stays"

@@ -75,13 +75,15 @@ class Person:
 
     def _object(self, name: str) -> Any:
         asset = SimpleNamespace(element_kind="point", folder=Path(name))
-        document = SimpleNamespace(segmentation=None, prompts=(), tree=None)
+        document = SimpleNamespace(
+            segmentation=None, prompts=(), tree=None, next_part=4, part={1: 1}.get
+        )
         obj = SimpleNamespace(asset=asset, need_asset=lambda: asset, document=document)
         obj.segmenting = SimpleNamespace(click=lambda *asked: self._clicked(name, *asked))
         return obj
 
-    def _clicked(self, name: str, aim: Any, part: int, positive: bool, who: str) -> Job[Any]:
-        self.done.append((name, aim, part, positive, who))
+    def _clicked(self, name: str, *asked: Any) -> Job[Any]:
+        self.done.append((name, *asked))
         return self.worker.submit(None)
 
     def answer(self, number: int, value: Any) -> None:
@@ -93,15 +95,21 @@ def test_a_click_that_waits_for_the_workers_counts_for_what_was_selected(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     person = Person(monkeypatch, tmp_path)
+    person.tab.selection.choose_part = lambda part: setattr(person.tab.selection, "part", part)
     for part in (1, 2):
         person.tab.selection.part = part
         person.pointing.click(*RAY, True)
+        person.pointing.pick_label("door")
+        # A part of its own, unless an empty one is selected; another one's digit ends it.
+        assert person.tab.selection.part == (4 if part == 1 else 2)
+        assert person.pointing.label == "door"
     person.tab.selection.part = 3
+    assert not person.pointing.label
     person.tab.selection.object = person.second
     for number in (0, 1):
         person.answer(number, Click((0.0, 0.0, 0.0), number + 1, True, 7))
     aim = (*RAY, None)
-    assert person.done == [("first", aim, part, True, "ann") for part in (1, 2)]
+    assert person.done == [("first", aim, part, True, "ann", None) for part in (1, 2)]
     assert not person.tab.asked  # the clicks count, wherever the person is by now
     person.tab.selection.object = person.first
     person.pointing.click(*RAY, True)

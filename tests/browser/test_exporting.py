@@ -30,7 +30,7 @@ def test_an_accepted_object_is_downloaded_and_packaged(
     saved = write_asset(load_object(cupboard), cupboard.with_name("asset"), provenance={})
     tab.app.tab.do(cmd.Accept("", (), ""))
     tab.app.tab.do(cmd.Saved(str(saved.folder)))
-    tab.step("Review")
+    tab.step("Joints")  # the header has it in every step
     check_the_download(tab)
     check_the_package(tab)
 
@@ -38,7 +38,8 @@ def test_an_accepted_object_is_downloaded_and_packaged(
 def check_the_download(tab: Tab) -> None:
     """A zip with a URDF that opens, and nothing left on the server."""
     tab.button("Export…").click()
-    tab.field("mjcf").check()
+    tab.field("MJCF").check()
+    assert tab.field("ROS 2 package").is_visible()
     tab.field("Read back and compare").uncheck()
     with tab.page.expect_download() as coming:
         tab.button("Export").click()
@@ -56,7 +57,7 @@ def check_the_package(tab: Tab) -> None:
     """A SimReady package asks for author and license, and is then written and checked."""
     page = tab.page
     tab.button("Export…").click()
-    tab.field("urdf").uncheck()
+    tab.field("URDF").uncheck()
     tab.field("SimReady package (USD)").check()
     tab.field("Read back and compare").uncheck()
     tab.field("Author").fill("A. Author")

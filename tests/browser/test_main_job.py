@@ -47,11 +47,11 @@ def test_parts_are_named_with_one_click_each(start: Any, open_tab: Any, cabinet:
     tab.prompt(points["door"])
     tab.button("door").click()
     wait_until(lambda: tab.document.part_names == {1: "door"}, "part 1 is a door")
-    tab.button("● door").wait_for()
+    tab.page.locator('.aw-names [aria-pressed="true"]', has_text="door").wait_for()
     for key, place in (("2", "drawer"), ("3", "base")):
         tab.key(key)
         wait_until(lambda key=key: tab.selection.part == int(key), "the key chooses the part")
-        tab.page.get_by_text("Click a moving part", exact=False).wait_for()
+        tab.page.get_by_text("Pick a name", exact=False).wait_for()
         tab.prompt(points[place])
     predict(tab)
     before = tab.document.prediction
@@ -91,19 +91,30 @@ def test_parts_are_named_with_one_click_each(start: Any, open_tab: Any, cabinet:
 
 
 def test_names_and_category_have_keys(start: Any, open_tab: Any, cabinet: Any) -> None:
-    """Shift and a number says them, where they are clicked and where their joints are looked at;
-    the category is a guess by the file's name until it is taken, and a list changes it."""
+    """Shift and a number picks the name of the part that the next click makes, or says it where its
+    joint is looked at; the category is a guess by the file's name until it is taken, and a list
+    changes it."""
     path, points = cabinet
     tab = open_tab(start(path))
     tab.button("StorageFurniture?").wait_for()
     assert tab.document.category is None, "a guess is said by nobody"
-    tab.prompt(points["door"])
     tab.key("Shift+Digit1")
-    wait_until(lambda: tab.document.part_names == {1: "door"}, "part 1 is a door")
-    tab.page.get_by_text("Part 1: door").wait_for()
+    tab.page.get_by_text("New door: click on it").wait_for()
+    tab.prompt(points["door"])
+    tab.page.get_by_text("New door: click on it").wait_for(state="hidden")
+    assert tab.document.part_names == {1: "door"}, "made and named by one click"
+    tab.key("Control+z")
+    wait_until(lambda: tab.document.part(1) is None, "and taken back by one undo")
+    tab.key("Control+Shift+z")
+    wait_until(lambda: tab.document.part_names == {1: "door"}, "a door again")
+    tab.button("door").click()  # the next one
+    wait_until(lambda: tab.app.pointing.label == "door", "another door is picked")
+    assert tab.selection.part == 2
+    tab.key("Escape")
+    wait_until(lambda: not tab.app.pointing.label, "Escape ends that")
     tab.key("2")
     wait_until(lambda: tab.selection.part == 2, "key 2 chooses part 2")
-    tab.page.get_by_text("Click a moving part", exact=False).wait_for()
+    tab.page.get_by_text("Pick a name", exact=False).wait_for()
     tab.prompt(points["drawer"])
     predict(tab)
     before = tab.document.prediction
@@ -121,6 +132,8 @@ def test_names_and_category_have_keys(start: Any, open_tab: Any, cabinet: Any) -
     tab.choose("Category", "Table")
     wait_until(lambda: tab.document.category == "Table", "another category in one step")
     # While something is typed the keys are letters.
+    tab.key("2")
+    wait_until(lambda: tab.selection.part == 2, "key 2 chooses part 2")
     tab.choose("Part name", "Other…")
     tab.field("Other name").click()
     tab.key("Shift+Digit3")
@@ -367,7 +380,7 @@ def test_a_file_that_cannot_be_opened_says_so(
         lambda: selection.object is not None and selection.object.problem, "the problem is known"
     )
     page.get_by_text("a_bad.ply").first.wait_for()
-    hint = page.get_by_text("Click a moving part", exact=False)
+    hint = page.get_by_text("Pick a name", exact=False)
     hint.wait_for(state="hidden")
     again = page.get_by_role("button", name="Retry")
     again.wait_for()

@@ -2,7 +2,9 @@
 
 import json
 import re
+import threading
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -174,7 +176,7 @@ def test_y_shows_what_wants_a_look_before_it_accepts(
     tab.wait_node("/moment")
     assert tab.selection.step == "Review" and obj.document.review.state == "predicted"
     joint_button(tab, "Accept anyway").wait_for()
-    check_a_confirmation_ends_when_one_leaves(tab, obj, other)
+    check_a_confirmation_ends_when_one_leaves(tab, obj, other, monkeypatch)
     tab.page.screenshot(path=str(tmp_path / "look.png"))
     # Its asset takes long to write: the person goes on meanwhile, and is told once it is there.
     held = server.app_state.workers.saving.submit(time.sleep, 600.0, priority=9)
@@ -182,7 +184,16 @@ def test_y_shows_what_wants_a_look_before_it_accepts(
     wait_until(lambda: tab.object is other, "the next object")
     assert obj.document.review.state == "predicted" and "save" in obj.jobs
     tab.page.get_by_title("cupboard: saving").wait_for()
+    # Back at it, nothing asks for a decision that was made, and one stays there.
+    tab.key("b")
+    wait_until(lambda: tab.object is obj and tab.app.drawing.drawn, "back at it")
+    tab.step("Review")
+    tab.page.get_by_text("cupboard · saving").wait_for()
+    tab.page.get_by_text("1 saving · 1 to review").wait_for()
+    assert tab.button("Accepting…").is_disabled() and tab.object is obj
     tab.page.screenshot(path=str(tmp_path / "saving.png"))
+    tab.key("n")
+    wait_until(lambda: tab.object is other, "the other one again")
     held.cancel()
     tab.page.get_by_text("cupboard: Saved in", exact=False).wait_for()
     assert obj.document.review.state == "accepted"
@@ -196,21 +207,48 @@ def test_y_shows_what_wants_a_look_before_it_accepts(
     assert other.document.review.state == "predicted"
 
 
-def check_a_confirmation_ends_when_one_leaves(tab: Tab, obj: Any, other: Any) -> None:
-    """It names its object, stands beside the picture, and is asked for anew on the way back."""
+def open_while_drawing(tab: Tab, patch: pytest.MonkeyPatch) -> Callable[[], None]:
+    """Have the next object opened in the middle of a drawing, and hold what follows that."""
+    app, begun, opened, looked = tab.app, *(threading.Event() for _ in range(3))
+    draw, drawn, select = app.queue.draw, app.guard.drawn, tab.selection.open
+
+    def draw_queue() -> None:
+        draw()
+        if not begun.is_set():
+            begun.set()
+            opened.wait(1.0)  # which it isn't before the end of this drawing
+
+    def all_drawn() -> None:
+        drawn()
+        if opened.is_set():
+            looked.wait(60.0)
+
+    patch.setattr(app.queue, "draw", draw_queue)
+    patch.setattr(app.guard, "drawn", all_drawn)
+    patch.setattr(tab.selection, "open", lambda obj: (select(obj), opened.set()))
+    app.tab.invalidate()
+    assert begun.wait(60.0)
+    return looked.set
+
+
+def check_a_confirmation_ends_when_one_leaves(
+    tab: Tab, obj: Any, other: Any, patch: pytest.MonkeyPatch
+) -> None:
+    """It names its object, and is asked for anew on the way back."""
     note = tab.page.locator(".mantine-Notification-root", has_text="cupboard: 1 warning")
     note.wait_for()
-    beside = """(e) => e.getBoundingClientRect().right
-      <= window.__viserMutable.canvas.getBoundingClientRect().left"""
-    wait_until(lambda: note.evaluate(beside), "it came in beside the picture", 60)
     tab.page.evaluate("window.__before = window.__viserSceneTree.getState()['/scan']")
-    tab.key("n")
-    # No panel tells of the next object while the picture shows the one before.
-    behind = tab.page.wait_for_function(
-        "() => document.body.innerText.includes('other · ')"
-        " && {same: window.__viserSceneTree.getState()['/scan'] === window.__before}"
-    )
-    assert behind.json_value() == {"same": False}
+    with patch.context() as within:
+        go_on = open_while_drawing(tab, within)
+        tab.key("n")
+        # No panel tells of the next object while picture or queue show the one before.
+        behind = tab.page.wait_for_function(
+            "() => document.body.innerText.includes('other · ')"
+            " && {same: window.__viserSceneTree.getState()['/scan'] === window.__before,"
+            " listed: document.querySelector('.aw-card [aria-current=true] b').innerText}"
+        )
+        go_on()
+    assert behind.json_value() == {"same": False, "listed": "other"}
     note.wait_for(state="hidden")
     assert tab.object is other and tab.app.review.validation_list.looked_at(obj) is None
     tab.key("b")

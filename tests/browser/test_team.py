@@ -173,7 +173,7 @@ def test_a_manager_sets_instructions_and_labels_which_an_annotator_works_by(
     ann.step("Review")
     ann.says("isn't in the project's labels")
     ann.step("Annotate")
-    ann.key("Shift+Digit2")
+    ann.choose("Part name", "shelf")
     wait_until(lambda: ann.document.part_names.get(1) == "shelf", "the second name of the list")
     ann.step("Review")
     ann.page.get_by_text("isn't in the project's labels").first.wait_for(state="detached")

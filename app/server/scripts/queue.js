@@ -100,11 +100,16 @@
       press(words.check, words.check, "aw-small", () => bulk("check", "", mine()), "check"),
       press(words.accept, words.accept, "aw-small", () => bulk("accept", parts.above.value), "accept"),
       parts.above, make("span", "", {}, "%"),
-      press(words.exportThem, words.exportThem, "aw-small", () => bulk("export")),
       press(words.assign, words.assignHint, "aw-small aw-people", () => bulk("assign", parts.people.value)),
       parts.people);
+    const exporting = press(words.exportThem, words.exportHint, "aw-small aw-export", async () => {
+      const accepted = url({ ids: 1, ...(view.state ? {} : { state: "accepted" }) });
+      const ids = picked.size ? [...picked] : (await (await fetch(accepted)).json()).ids;
+      widen(false);  // viser's dialog would lie below
+      bulk("export", "", ids);
+    }, "export");
     root = make("section", "aw-queue", { "aria-label": words.title },
-      make("div", "aw-tools", {}, search, filter, sort,
+      make("div", "aw-tools", {}, search, filter, sort, exporting,
         press("", words.project, "aw-icon", () => {
           if (view.wide) widen(false);  // viser's dialog would lie below
           send("project", "");
@@ -219,6 +224,7 @@
     parts.check.textContent = words.checkThem.replace("{count}", mine().length);
     parts.accept.disabled = !counted;
     parts.accept.textContent = words.acceptSure.replace("{count}", counted);
+    parts.export.disabled = !picked.size && !answer.states.accepted;
     parts.pickAll.textContent = `${words.pickAll} (${answer.total})`;
   };
 
@@ -230,7 +236,7 @@
 
   window.__artiworldQueue = {
     start(texts) { words = texts; settle(); },
-    changed(object) { current = object; soon(again); },
+    changed(object) { current = object; draw(); soon(again); },
     widen: () => root && widen(!view.wide),
     people(names) {
       root.classList.toggle("assigning", names.length > 0);

@@ -250,6 +250,9 @@ def tree_html(
         else:
             depth[link] = depth[joint.parent] + 1
             kind = f"{joint.type} {range_text(joint)}" if joint.limited else joint.type
+            if joint.mimic is not None:
+                leader = joint_title(doc, tree.by_name[joint.mimic.joint].child)
+                kind = f"{words.follows(leader)} · {kind}"
             title = joint_title(doc, link)
             said = words.tree_line(
                 kind,

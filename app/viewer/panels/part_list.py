@@ -23,8 +23,6 @@ from app.viewer.picture import palette
 from app.viewer.picture.palette import CATEGORIES
 from app.viewer.tab import Tab, percent
 from app.viewer.words import annotate as words
-from app.viewer.words.annotate import quick_names
-from app.viewer.words.common import CHOSEN
 from model.core.motion_lexicon import CATEGORY_ALIASES
 from model.scenes.articulable_finders import read_lexicon
 from model.segmentation.prompts import BASE, Click
@@ -171,8 +169,8 @@ class CategoryGuess:
         return category
 
 
-SHOWN, ROW = 6, 3
-"""Names with a button, and buttons in a row."""
+SHOWN = 6
+"""Names with a button."""
 USUAL: Final[tuple[str, ...]] = ("door", "drawer", "lid", "knob", "button", "wheel")
 """Names of most parts; the list beside them has the rest."""
 
@@ -188,18 +186,16 @@ def names_for(category: str | None) -> tuple[str, ...]:
     return tuple(dict.fromkeys((*parts, *USUAL)))[:SHOWN]
 
 
-class QuickNames:
-    """One click or key names a part."""
+class NameStrip:
+    """Names with a button and a key each."""
 
-    def __init__(self, tab: Tab, named: Callable[[str], None]) -> None:
-        """Put the buttons where the panel is; ``named`` gets the name that was clicked."""
-        self._names = USUAL
-        self._rows = [
-            tab.client.gui.add_button_group(quick_names(k + 1, k + ROW), USUAL[k : k + ROW])
-            for k in range(0, SHOWN, ROW)
-        ]
-        for row in self._rows:
-            row.on_click(lambda e: tab.act(lambda: named(e.target.value.removeprefix(CHOSEN))))
+    def __init__(
+        self, tab: Tab, presses: Presses, action: str, taken: Callable[[str], None]
+    ) -> None:
+        """Put the strip where the panel is; ``taken`` gets the name of an ``action``."""
+        self._names, self._action = USUAL, action
+        self._strip = tab.client.gui.add_html("")
+        presses.on(action, taken)
 
     def name(self, number: int) -> str | None:
         """The name of a digit, None where it has none."""
@@ -214,12 +210,18 @@ class QuickNames:
     ) -> None:
         """Show or hide those of a category, or a project's ``names``; the chosen one is marked."""
         self._names = names[:SHOWN] or names_for(category)
-        for k, row in zip(range(0, SHOWN, ROW), self._rows, strict=True):
-            names = self._names[k : k + ROW]
-            put(row, visible=visible and bool(names))
-            if not names:
-                continue
-            put(row, options=tuple(CHOSEN * (name == chosen) + name for name in names))
+        chips = "".join(
+            button(
+                self._action,
+                name,
+                name,
+                content=f"{escape(name)}<kbd>⇧{number}</kbd>",
+                style="aw-small",
+                pressed=name == chosen,
+            )
+            for number, name in enumerate(self._names, 1)
+        )
+        put(self._strip, content=f'<div class="aw-names">{chips}</div>', visible=visible)
 
 
 PARTS_SHOWN = 200
@@ -236,11 +238,11 @@ class PartList:
         self._tab, self._pointing, self._project = tab, pointing, project
         gui = tab.client.gui
         with gui.add_folder(words.PARTS):
+            self._strip = NameStrip(tab, presses, "label", self.take_name)
             self._rows = gui.add_html("")
             self._name = Choice(
                 tab, words.PART_NAME, palette.PART_NAMES, self._chosen_name, self.rename
             )
-            self._quick = QuickNames(tab, self.rename)
         presses.on("part", lambda part: self._clicked(int(part)))
         presses.on("part add", lambda _: tab.selection.choose_part(self._document().next_part))
         presses.on("part hide", lambda _: self.toggle_hidden())
@@ -261,6 +263,15 @@ class PartList:
             self._tab.do(cmd.AddPart(part, name))
             return
         name_part(self._tab, part, name)
+
+    def take_name(self, name: str) -> None:
+        """Name the selected part where it has no name; else the next click makes one with it."""
+        known = self._document().part(self._tab.selection.part)
+        if known is not None and known.id and known.name is None:
+            self.rename(name)
+            self._tab.say(words.name_set(known.id, name))
+        else:
+            self._pointing.pick_label(name)
 
     def _clicked(self, part: int) -> None:
         if self._pointing.armed == "merge":
@@ -288,9 +299,10 @@ class PartList:
         self._pointing.hover.forget()
         self._tab.invalidate()
 
-    def quick_name(self, number: int) -> str | None:
-        """The name that a digit gives the selected part, None where it gives none."""
-        return self._quick.name(number)
+    def take_number(self, number: int) -> None:
+        """Take the name of a digit, if it has one."""
+        if name := self._strip.name(number):
+            self.take_name(name)
 
     def draw(self, doc: Document, shares: dict[int, float], category: str | None) -> None:
         """Bring the list up to date.
@@ -299,10 +311,10 @@ class PartList:
             shares: of the surface by part, 0..1.
             category: what the object is, or may be.
         """
-        selection = self._tab.selection
+        selection, label = self._tab.selection, self._pointing.label
         rows = []
         for part in parts_listed((p.id for p in doc.parts), selection.part):
-            name = doc.part_names.get(part)
+            name = doc.part_names.get(part) or (part == selection.part and label) or None
             if name in (None, f"link_{part}"):  # as read from a folder of parts: no name at all
                 name = words.UNNAMED if part else words.BASE
             share = percent(shares[part]) if part in shares else ""
@@ -314,7 +326,7 @@ class PartList:
         own = settings.part_names(doc.category)
         self._name.offer(offered(own, palette.PART_NAMES, settings.strict))
         self._name.show(name, not picking)
-        self._quick.show(selection.part != BASE and not picking, category, name, own)
+        self._strip.show(not picking, category, label or name, own)
 
     def _row(self, part: int, name: str, share: str) -> str:
         """A part with its color; the selected one with what can be done to it."""

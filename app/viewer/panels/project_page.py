@@ -22,7 +22,7 @@ from app.viewer.words import common
 from app.viewer.words import project as words
 from app.viewer.words import queue as export_words
 from app.viewer.words.queue import STATE_ORDER
-from model.io.export.registry import exporter_names
+from model.io.export.registry import exporter_names, format_title
 from model.prediction.experience import in_use, record_of
 from sessions.project_settings import Project, labels_from_text, labels_to_text
 from sessions.review import ROLES, NotPermittedError
@@ -76,7 +76,9 @@ class ProjectDialogs(Dialog):
             for kind, label in words.KINDS.items()
         }
         gui.add_markdown(words.EXPORT)
-        formats = {n: gui.add_checkbox(n, n in known.formats) for n in exporter_names()}
+        formats = {
+            n: gui.add_checkbox(format_title(n), n in known.formats) for n in exporter_names()
+        }
         now = next(k for k, v in collisions.items() if v == known.collision)
         collision = gui.add_dropdown(export_words.COLLISION, tuple(collisions), initial_value=now)
         form = gui.add_dropdown(

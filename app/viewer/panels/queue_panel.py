@@ -182,7 +182,8 @@ class QueuePanel:
         if now == self._shown:
             return
         self._shown = now
-        counts = Counter(r.state for r in records)
+        pending = {i: s for i, (s, _) in exceptions.items() if s in words.PENDING}
+        counts = Counter(pending.get(r.id, r.state) for r in records)
         today = datetime.now(UTC).date().isoformat()
         accepted = sum(r.state == "accepted" and r.updated[:10] == today for r in records)
         total = counts.total() - sum(counts[s] for s in words.UNDECIDABLE)

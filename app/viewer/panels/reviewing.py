@@ -28,7 +28,7 @@ from app.viewer.tab import Tab, plain
 from app.viewer.words import queue as queue_words
 from app.viewer.words import review as words
 from model.core.errors import CommandError
-from model.io.export.registry import exporter_names, load_exporter
+from model.io.export.registry import exporter_names, format_title, load_exporter
 from model.io.export.simready import AboutPackage, remember, remembered
 from model.physics.collision.build import CollisionSettings, Method
 from model.physics.simulation_values import PhysicsSettings
@@ -323,7 +323,9 @@ class Exporting(Dialog):
         with self._open(queue_words.title(len(ids))):
             self._formats = {
                 name: gui.add_checkbox(
-                    name, name in settings.formats, hint=load_exporter(name).description
+                    format_title(name),
+                    name in settings.formats,
+                    hint=load_exporter(name).description,
                 )
                 for name in exporter_names()
             }

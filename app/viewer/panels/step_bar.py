@@ -16,12 +16,13 @@ from app.server.names import display_text, joint_title
 from app.server.open_object import OpenObject
 from app.server.tool_tasks import NEXT_MASK, ToolRequest
 from app.viewer.input.pointing import Pointing
-from app.viewer.panels.widgets import Place, Presses, button, icon, put
+from app.viewer.panels.widgets import Place, Presses, button, icon, push_button, put
 from app.viewer.picture.motion import Motion
 from app.viewer.tab import AT_REST, STEPS, Step, Tab, plain
 from app.viewer.words import annotate as tool_words
 from app.viewer.words import common as words
 from app.viewer.words import keys
+from app.viewer.words import queue as queue_words
 from app.viewer.words.common import TOUR, TOUR_TIP
 from model.core.files import static_assets
 
@@ -33,6 +34,7 @@ class ObjectHeader:
         name: gives its name.
         remove: removes an object that can't be read from the queue.
         reopen: allows changes of an accepted object again.
+        export: asks how to export it.
     """
 
     def __init__(
@@ -41,26 +43,23 @@ class ObjectHeader:
         name: Callable[[OpenObject], str],
         remove: Callable[[], None],
         reopen: Callable[[], None],
+        export: Callable[[], None],
     ) -> None:
         self._tab, self._name = tab, name
         gui, selection = tab.client.gui, tab.selection
         self._status = gui.add_markdown("")
-        self._again = gui.add_button(
-            words.RETRY, icon=viser.Icon.REFRESH, color="gray", visible=False
+
+        def hidden(label: str, act: Callable[[], None], icon: Any, **look: Any) -> Any:
+            return push_button(tab, label, act, icon=icon, visible=False, color="gray", **look)
+
+        self._again = hidden(
+            words.RETRY, lambda: selection.need_object().try_again(), viser.Icon.REFRESH
         )
-        self._remove = gui.add_button(
-            words.REMOVE,
-            icon=viser.Icon.X,
-            color="gray",
-            visible=False,
-            hint=words.REMOVE_HINT,
+        self._remove = hidden(words.REMOVE, remove, viser.Icon.X, hint=words.REMOVE_HINT)
+        self._export = hidden(
+            queue_words.EXPORT, export, viser.Icon.PACKAGE_EXPORT, hint=queue_words.EXPORT_HINT
         )
-        self._reopen = gui.add_button(
-            words.REOPEN, icon=viser.Icon.LOCK_OPEN, visible=False, hint=words.REOPEN_HINT
-        )
-        self._again.on_click(lambda _: tab.act(lambda: selection.need_object().try_again()))
-        self._remove.on_click(lambda _: tab.act(remove))
-        self._reopen.on_click(lambda _: tab.act(reopen))
+        self._reopen = hidden(words.REOPEN, reopen, viser.Icon.LOCK_OPEN, hint=words.REOPEN_HINT)
 
     def draw(self, obj: OpenObject) -> None:
         """Bring the header up to date."""
@@ -68,12 +67,15 @@ class ObjectHeader:
         put(self._status, content="\n\n".join(self._lines(obj)))
         put(self._again, visible=broken)
         put(self._remove, visible=broken and not self._tab.in_scene)
-        put(self._reopen, visible=obj.document.review.state == "accepted")
+        accepted = obj.document.review.state == "accepted"
+        put(self._export, visible=accepted and obj.document.saved is not None)
+        put(self._reopen, visible=accepted)
 
     def _lines(self, obj: OpenObject) -> list[str]:
         doc, asset, review = obj.document, obj.asset, obj.document.review
-        state = words.UNREADABLE if obj.problem else words.STATES[review.state]
-        if review.state == "predicted" and doc.joints_file is not None:
+        shown = obj.shown_state
+        state = words.UNREADABLE if obj.problem else queue_words.SHOWN[shown]
+        if shown == "predicted" and doc.joints_file is not None:
             state = words.FROM_FILE
         lines = [f"**{plain(self._name(obj))}** · {state}"]
         if asset is not None:

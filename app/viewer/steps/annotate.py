@@ -20,7 +20,7 @@ from app.viewer.steps.prepare import PrepareStep
 from app.viewer.tab import Tab
 from app.viewer.words import annotate as words
 from app.viewer.words.prepare import PREPARE, SEARCHING
-from model.segmentation.prompts import BASE, Click
+from model.segmentation.prompts import Click
 from sessions import commands as cmd
 from sessions.database import ObjectRecord
 from sessions.document import Document
@@ -117,7 +117,7 @@ class AnnotateStep:
         self._pointing.tools.next_mask(step)
 
     def name_by_key(self, number: int) -> str:
-        """Name the selected part by a digit; 0 takes the suggested category.
+        """Take the name of a digit for a part; 0 takes the suggested category.
 
         Returns:
             The result, for the user.
@@ -125,13 +125,8 @@ class AnnotateStep:
         if number == 0:
             category = self._guess.take_first()
             return words.category_set(category) if category else words.NO_SUGGESTION
-        part, name = self._tab.selection.part, self.parts.quick_name(number)
-        if name is None:
-            return ""
-        if part == BASE:
-            return words.BASE_HAS_NO_NAME
-        self.parts.rename(name)
-        return words.name_set(part, name)
+        self.parts.take_number(number)
+        return ""
 
     def draw(self, obj: OpenObject) -> None:
         """Bring the widgets up to date."""
@@ -147,6 +142,7 @@ class AnnotateStep:
             doc.left_out,
             tuple(shares.items()),
             selection.part,
+            self._pointing.label,
             selection.hidden,
             id(obj.asset),
             selection.picking,

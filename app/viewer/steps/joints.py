@@ -12,7 +12,7 @@ from app.server.open_object import OpenObject
 from app.viewer.input.pointing import Pointing
 from app.viewer.panels.joint_editor import JointEditor
 from app.viewer.panels.joint_tree import JointTree, shown
-from app.viewer.panels.part_list import CategoryGuess, QuickNames, name_part
+from app.viewer.panels.part_list import CategoryGuess, NameStrip, name_part
 from app.viewer.panels.widgets import PredictButtons, Presses, offered, predict, put
 from app.viewer.picture.motion import Motion
 from app.viewer.picture.palette import CATEGORIES, PART_NAMES
@@ -67,7 +67,7 @@ class JointsStep:
             tab, presses, lambda: pointing.armed == "parent", lambda: pointing.arm("parent")
         )
         self._what = gui.add_markdown("")
-        self._quick = QuickNames(tab, self._named)
+        self._strip = NameStrip(tab, presses, "name", self._named)
         self._name = gui.add_dropdown(words.PART_NAME, (NONE, *PART_NAMES), initial_value=NONE)
         self._guess = CategoryGuess(tab, records, self._set_category, project)
         self._category = gui.add_dropdown(words.CATEGORY, (NONE, *CATEGORIES), initial_value=NONE)
@@ -180,7 +180,7 @@ class JointsStep:
         put(self._name, options=(NONE, *names))
         names = offered(settings.categories, CATEGORIES, settings.strict)
         put(self._category, options=(NONE, *names))
-        self._quick.show(bool(unnamed), doc.category or self._guess.first, names=own)
+        self._strip.show(bool(unnamed), doc.category or self._guess.first, names=own)
         put(self._name, visible=bool(unnamed), value=NONE)  # the next one has none yet
         what = words.ASK_CATEGORY
         if unnamed:
@@ -224,7 +224,7 @@ class JointsStep:
         unnamed = [] if doc.prediction_stale else self._unknown(doc)[0]
         if not unnamed:
             return words.ALL_NAMED
-        name = self._quick.name(number)
+        name = self._strip.name(number)
         if name is None:
             return ""
         self._named(name)

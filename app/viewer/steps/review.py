@@ -20,7 +20,6 @@ from app.viewer.picture.motion import Motion
 from app.viewer.tab import Tab, plain
 from app.viewer.words import review as words
 from app.viewer.words.common import EDITED, NONE, STATES
-from app.viewer.words.queue import EXPORT, EXPORT_HINT
 from model.core.errors import ArtiworldError, CommandError
 from model.validation.report import Severity, ValidationReport
 from sessions import commands as cmd
@@ -40,7 +39,6 @@ class ReviewActions:
         go_on: goes to the next object after a decision.
         name_of: an object's name on the screens.
         drawn: whether the open object's picture was sent.
-        export: asks how to export the object.
         ask_place: has the next click be the place of a comment.
     """
 
@@ -49,7 +47,6 @@ class ReviewActions:
     go_on: Callable[[], None]
     name_of: Callable[[ObjectRecord], str]
     drawn: Callable[[], bool]
-    export: Callable[[], None]
     ask_place: Callable[[], None]
 
 
@@ -66,6 +63,7 @@ class ReviewStep:
         self._tab, self._rejecting, self._actions = tab, rejecting, actions
         self._drawn: Any = None
         self._asked: tuple[int, int] | None = None  # the object, and its state at that time
+        tab.selection.on_open(self._leave)
         gui = tab.client.gui
         self.validation_list = ValidationList(tab, motion, actions.drawn)
         self._override = gui.add_text(
@@ -97,10 +95,6 @@ class ReviewStep:
         self._download = gui.add_button(
             words.DOWNLOAD, icon=viser.Icon.DOWNLOAD, color="gray", visible=False
         )
-        self._export = gui.add_button(
-            EXPORT, icon=viser.Icon.PACKAGE_EXPORT, color="gray", visible=False, hint=EXPORT_HINT
-        )
-        self._export.on_click(lambda _: tab.act(actions.export))
         self._accept.on_click(lambda _: actions.accept())
         tab.on_update(self._complete, lambda: tab.do(cmd.SetCompletion(self._complete.value)))
         self._download.on_click(lambda _: tab.act(self._send))
@@ -221,6 +215,10 @@ class ReviewStep:
             self._asked = None
             raise
 
+    def _leave(self) -> None:
+        """Another object is opened: going on is done."""
+        self._asked = None
+
     def _forget_decision(self, obj: OpenObject) -> None:
         """Don't go on after a decision: the one of this tab was refused."""
         if self._asked is not None and self._asked[0] == obj.record.id:
@@ -250,7 +248,7 @@ class ReviewStep:
         doc = obj.document
         self.validation_list.draw(obj, doc)
         self._reject.draw(not self._tab.submits)
-        report = obj.validation.report
+        report, shown = obj.validation.report, obj.shown_state
         now = (
             obj.record.id,
             obj.state.seq,
@@ -259,11 +257,9 @@ class ReviewStep:
             doc.saved,
             doc.complete,
             report,
-            "save" in obj.busy,
+            shown,
             self.validation_list.looked_at(obj) is not None,
-            obj.interrupted,
             obj.hold_reason,
-            obj.validation.acceptance_waits,
         )
         if now == self._drawn:
             return
@@ -272,17 +268,12 @@ class ReviewStep:
                 self._clear()
             self._say_again(obj)
         self._drawn = now
-        saving = "save" in obj.busy
-        pending = words.pending(
-            obj.validation.acceptance_waits,
-            plain(obj.hold_reason, 500),
-            obj.interrupted and not saving,
-        )
-        put(self._summary, content=(f"{pending}\n\n" if pending else "") + summary(doc))
+        pending = words.pending(shown, plain(obj.hold_reason, 500))
+        put(self._summary, content=summary(doc, pending))
         self._draw_buttons(obj, doc, report)
         self._draw_about(doc)
         decided = ("submitted",) if self._tab.submits else DECIDED
-        self._advance(obj, decided=doc.review.state in decided, saving=saving)
+        self._advance(obj, decided=doc.review.state in decided)
 
     def _draw_about(self, doc: Document) -> None:
         """Offer the joints that a comment can be about."""
@@ -303,35 +294,35 @@ class ReviewStep:
             report is not None and self.validation_list.looked_at(obj) is report and not decided
         )
         label = words.accept(bool(doc.edited_joints), warned, broken)
+        label = words.ACCEPTING if obj.being_accepted else label
         put(self._accept, label=words.SUBMIT if self._tab.submits else label)
         put(self._accept, color="yellow" if broken else "green")
-        put(self._accept, disabled=doc.tree is None or "save" in obj.busy)
+        put(self._accept, disabled=doc.tree is None or obj.being_accepted)
         put(self._accept, visible=doc.review.state != "accepted")
         saved = doc.saved if doc.review.state == "accepted" else None
         put(self._download, visible=saved is not None)
-        put(self._export, visible=saved is not None)
         put(self._saved, visible=saved is not None)
         if saved is not None:
             put(self._saved, content=words.saved_in(plain(saved.folder, 200)))
 
-    def _advance(self, obj: OpenObject, *, decided: bool, saving: bool) -> None:
+    def _advance(self, obj: OpenObject, *, decided: bool) -> None:
         """Go to the next object once the decision of this tab is made."""
         id, before = self._asked or (None, 0)
         # Neither the checks nor writing the asset keep the user waiting.
-        done = saving or obj.validation.acceptance_waits
-        if id == obj.record.id and (done or (decided and obj.state.seq > before and not saving)):
+        done = obj.being_accepted or (decided and obj.state.seq > before)
+        if id == obj.record.id and done:
             self._asked = None
             if self._auto_advance.value:
                 self._tab.act(self._actions.go_on)
 
 
-def summary(doc: Document) -> str:
-    """State, reasons, joints and warnings of an object."""
+def summary(doc: Document, pending: str = "") -> str:
+    """State or ``pending`` acceptance, reasons, joints and warnings of an object."""
     review = doc.review
     said = words.state(STATES[review.state], plain(review.by) if review.by else "")
     if review.state == "predicted" and doc.joints_file is not None:
         said = words.from_file(plain(doc.joints_file))
-    lines = [said]
+    lines = [pending or said]
     if review.reason:
         lines.append(words.reason(plain(review.reason.replace("_", " "))))
     if review.comment:

@@ -10,8 +10,7 @@ from app.viewer.words.common import Message, plural
 # --- what to do next
 
 CLICK_A_PART: Final = (
-    "**Click a moving part** (door, drawer, knob). "
-    "**2**, **3**, … select the next part. Shift+click removes."
+    "**Pick a name, then click that part.** Shift+click removes. **1**, **2**, … select a part."
 )
 REFINE: Final = "**Refine:** click to add, Shift+click to remove."
 REFINE_WITH_MASKS: Final = (
@@ -48,11 +47,9 @@ ADD_PART: Final = "Add part"
 DELETE_THIS: Final = "Delete (Delete)"
 PART_NAME: Final = ("Part name", "Other name")
 UNNAMED, BASE = "part", "base"
-BASE_HAS_NO_NAME: Final = "Part 0 is the base: select another part"
 DELETE: Final = "Delete"
 DELETE_ELSEWHERE: Final = "Parts are deleted in the Annotate step"
 DELETE_BASE: Final = "Part 0 is the base and can't be deleted"
-quick_names = Message("Shift+{first}…{last}")
 
 
 def part_hide(hidden: bool) -> str:
@@ -162,6 +159,7 @@ def nothing_under(tool: str) -> tuple[str, str]:
 
 # --- below the picture
 
+hint_label = Message("New {name}: click on it · Esc cancels")
 HINT_MERGE: Final = "Merge: click the part to merge into the selected one · Esc cancels"
 HINT_CUT: Final = (
     "Cut: click the first point (Shift+click: three points) · K: rectangle · Esc cancels"

@@ -147,11 +147,11 @@ def need_object(in_scene: bool) -> str:
 TOUR: Final = "Tour"
 TOUR_TIP: Final = "Tour: from a mesh to moving joints in a minute"
 STEPS: Final[tuple[str, ...]] = (
-    "Click on a door of the cabinet. The part takes shape; Shift+click removes excess.",
-    "Press 2 and click on a drawer, then 3 for the next one. All parts, in the rail of tools at "
-    "the left, proposes them all at once.",
-    "Name the parts at the right (Shift+1 is a door, Shift+2 a drawer) and choose the category. "
-    "Then press P: the joints are predicted.",
+    "Press Shift+1 for a door, and click on one of the cabinet. The part takes shape; Shift+click "
+    "removes excess.",
+    "Shift+2 and a click make a drawer, and so on. All parts, in the rail of tools at the left, "
+    "proposes them all at once.",
+    "Choose the category at the right. Then press P: the joints are predicted.",
     "Space plays the joints. Drag the slider at the right, and correct type, axis or limits.",
     "Open Review: the checks list the joints, worst first. Y accepts the object, X rejects it.",
     "Done. N opens the next object, ? shows all keys, and this tour is in the rail.",

@@ -141,6 +141,9 @@ def tree_line(kind: str, confidence: str, locked: bool, odd_range: bool, collide
     return " · ".join(w for w in words if w)
 
 
+follows = Message("follows {leader}")
+
+
 def edited(file: str, note: str) -> str:
     """A joint was edited; ``note`` says how it was predicted, where it isn't from a ``file``."""
     axis = f"axis in {file}" if file else f"predicted axis{f' ({note})' * bool(note)}"

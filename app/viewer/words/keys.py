@@ -15,7 +15,7 @@ SHEET: Final[tuple[tuple[str, str], ...]] = (
     ("Click", "add to the selected part"),
     ("Shift + click", "remove from it"),
     ("1 … 9, 0", "select a part; 0 is the base"),
-    ("Shift + 1 … 6, 0", "name the part; 0: suggested category"),
+    ("Shift + 1 … 6, 0", "the next click makes a door, …; 0: suggested category"),
     ("Tab, Shift+Tab", "larger, smaller mask (Alt + wheel); next joint or finding"),
     ("Alt + drag", "box (Shift subtracts)"),
     ("L + drag", "lasso (Shift subtracts)"),
@@ -79,7 +79,7 @@ def select_part(part: int) -> str:
     return f"Select {f'part {part}' if part else 'the base'}"
 
 
-name_part = Message("Name part by button {number}")
+name_part = Message("Part name {number}: for the next click")
 tool = Message("Tool: {label}")
 step = Message("Step: {name}")
 

@@ -15,6 +15,8 @@ UPLOAD_HINT: Final = (
 )
 CHECKING: Final = "checking, then accepted"
 SAVING: Final = "saving"
+PENDING: Final = ("saving", "validating")
+"""States of objects that were accepted as far as the person is concerned."""
 INTERRUPTED: Final = "acceptance was interrupted"
 EMPTY: Final = ("The queue is empty", "Add files, or start with: artiworld serve PATH")
 ALL_ACCEPTED: Final = "All other objects are accepted"
@@ -29,7 +31,7 @@ def progress(counts: dict[str, int], today: int, held: int) -> str:
     """Progress of all objects, and numbers accepted today and on hold."""
     total = sum(count for state, count in counts.items() if state not in UNDECIDABLE)
     done = counts.get("accepted", 0)
-    others = [f"{counts[s]} {STATES[s]}" for s in STATE_ORDER[1:] if counts.get(s)]
+    others = [f"{counts[s]} {SHOWN[s]}" for s in (*PENDING, *STATE_ORDER[1:]) if counts.get(s)]
     first = f"**{done}/{total} accepted**" + (f", {today} today" if today else "")
     return " · ".join([first, *([f"**{held} {HELD}** (Shift+Y)"] if held else ()), *others])
 
@@ -63,6 +65,7 @@ PAGE_WORDS: Final[dict[str, str]] = {
     "accept": "Accept those that passed the checks",
     "check": "Check those that nobody has checked",
     "exportThem": "Export…",
+    "exportHint": "Export the selected objects, or all accepted ones",
     "assign": "Assign to",
     "assignHint": "Assign the selected objects",
     "assignTo": "Person",

@@ -27,6 +27,8 @@ NO_JOINTS: Final = "No joints yet. Predict them first (P)."
 PROBLEMS: Final = "**Warnings of the prediction:**"
 STALE: Final = "parts changed since the prediction"
 WAITING: Final = "**Will be accepted when the checks pass.** Esc cancels."
+WRITING: Final = "**Accepting:** its asset is being written."
+ACCEPTING: Final = "Accepting…"
 ALREADY_ACCEPTED: Final = ("Already accepted", "Reopen it to edit it")
 NOT_ACCEPTED_YET: Final = "Not accepted yet"
 ON_HOLD: Final = "On hold"
@@ -79,13 +81,14 @@ def accept(edited: bool, warned: bool, errors: bool) -> str:
 saved_in = Message("Saved in {folder}")
 
 
-def pending(waiting: bool, held: str, interrupted: bool) -> str:
-    """Condition that an acceptance waits for; "" for none."""
-    if waiting:
-        return WAITING
-    if held:
-        return f"**On hold:** {held}"
-    return f"**{INTERRUPTED}.**" if interrupted else ""
+def pending(shown: str, held: str) -> str:
+    """Progress of an acceptance by the state that is shown, and why it is ``held``; "" for none."""
+    return {
+        "saving": WRITING,
+        "validating": WAITING,
+        "on_hold": f"**On hold:** {held}",
+        "interrupted": f"**{INTERRUPTED}.**",
+    }.get(shown, "")
 
 
 def state(state: str, user: str) -> str:

@@ -106,7 +106,7 @@ FORMATS: dict[str, Format] = {
     ),
     "ros": Format(
         f"{_HERE}.urdf:RosExporter",
-        "ROS 2",
+        "ROS 2 package",
         "the same as URDF, as a ROS 2 package",
         ((*_YOURDFPY[:2], "model.io.readback:ros_problems"),),
         _ROBOT,

@@ -73,6 +73,11 @@ def exporter_names() -> tuple[str, ...]:
     return EXPORTERS.names()
 
 
+def format_title(name: str) -> str:
+    """A format's name as people write it: "ROS 2 package" for "ros"."""
+    return FORMATS[name].title if name in FORMATS else name
+
+
 def load_exporter(name: str) -> Exporter:
     """The exporter of a format; see :meth:`~model.core.packages.Registry.load`."""
     return EXPORTERS.load(name)
