@@ -14,8 +14,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from model.core.errors import PromptError
-from model.geometry.levelling import box_yaw
-from model.geometry.like_object import Match
+from model.geometry.like_object import Match, UprightBox, symmetries
 from model.segmentation.arrays import Bool, Float64, Int16
 from model.segmentation.default import DefaultSession
 from model.segmentation.mask_tools import to_elements, to_nodes
@@ -137,7 +136,7 @@ def symmetry_plane(session: DefaultSession, part: Float64) -> tuple[Float64, flo
     some = points[:: max(1, len(points) // _SAMPLE)]
     tree, diagonal = session.encoding.nodes.tree, max(session.asset.diagonal, 1e-9)
     best, answer = _SYMMETRIC * diagonal, None
-    for normal in _side_normals(points):
+    for normal in UprightBox.around(points[:: max(1, len(points) // _SAMPLE)]).turn.T[:2]:
         along = some @ normal
         low, high = np.percentile(along, [0.5, 99.5])
         for shift in np.linspace(-0.04, 0.04, 17):
@@ -153,13 +152,6 @@ def symmetry_plane(session: DefaultSession, part: Float64) -> tuple[Float64, flo
     if answer is None:
         raise PromptError(f"{session.asset.name}: no plane of symmetry with this part on one side")
     return answer
-
-
-def _side_normals(points: Float64) -> list[Float64]:
-    """The two horizontal directions of the smallest upright box around the points."""
-    best = box_yaw(points[:: max(1, len(points) // _SAMPLE), :2], 0.98)
-    c, s = np.cos(best), np.sin(best)
-    return [np.array([c, s, 0.0]), np.array([-s, c, 0.0])]
 
 
 def same_shape(session: DefaultSession, mask: Bool, limit: int = 50) -> list[Bool]:
@@ -234,13 +226,9 @@ def _fit(session: DefaultSession, model: Bool, other: Bool) -> float:
     radius = float(np.sqrt((a**2).sum(1).mean())) + session.encoding.graph.spacing
     tree = KDTree(a)
     best = np.inf
-    for mirror in (1.0, -1.0):
-        for quarter in range(4):
-            c, s = [(1, 0), (0, 1), (-1, 0), (0, -1)][quarter]
-            turned = np.stack(
-                [mirror * (c * b[:, 0] - s * b[:, 1]), s * b[:, 0] + c * b[:, 1], b[:, 2]], axis=1
-            )
-            there, _ = tree.query(turned)
-            back, _ = KDTree(turned).query(a)
-            best = min(best, float(there.mean() + back.mean()) / 2)
+    for turn, _ in symmetries():
+        turned = b @ turn.T
+        there, _ = tree.query(turned)
+        back, _ = KDTree(turned).query(a)
+        best = min(best, float(there.mean() + back.mean()) / 2)
     return best / radius
