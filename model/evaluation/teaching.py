@@ -34,10 +34,11 @@ from model.evaluation.summary import calibrate
 from model.geometry.splitting import split
 from model.prediction.arti4urdf.predictor import learned_hybrid
 from model.prediction.arti4urdf.structure import Structure, read_structure
-from model.prediction.experience import Experience, ObjectExample, example_of
+from model.prediction.experience import Experience, ObjectExample, example_of, part_name
 from model.prediction.experience import kind_of as example_kind
-from model.segmentation.all_parts import propose_parts
+from model.segmentation.all_parts import mask_examples, propose_parts
 from model.segmentation.default import DefaultSegmenter
+from model.segmentation.similar import MaskExample
 
 SPLITS = {"choose": "train:0.5", "table": "test:0.5", "all": "all"}
 """Half → split, see :func:`model.data.registry.select`."""
@@ -113,7 +114,7 @@ def run(config: TeachConfig, progress: Progress = no_progress) -> list[Taught]:
     }
     if not asked:
         raise ConfigurationError(f"no kind has more than {config.examples} objects")
-    read = robust_map(partial(_examples, config.data), list(shown), config.jobs)
+    read = robust_map(partial(_examples, config), list(shown), config.jobs)
     found = sorted((i, both) for i, both in read if both is not None)
     known = {
         names: Experience(tuple(both[k] for _, both in found))
@@ -136,12 +137,15 @@ def _bare(obj: Object) -> Object:
     return replace(obj, parts=parts, category=None)
 
 
-def _examples(data: DatasetOptions, object_id: str) -> tuple[ObjectExample, ...] | None:
+def _examples(config: TeachConfig, object_id: str) -> tuple[ObjectExample, ...] | None:
     """The example of an object with names, and without."""
     try:
         with time_limit(SECONDS):
-            truth = _loaded(data, object_id)
-            return tuple(accepted_example(o, object_id) for o in (truth, _bare(truth)))
+            truth = _loaded(config.data, object_id)
+            named, bare = (accepted_example(o, object_id) for o in (truth, _bare(truth)))
+            if config.parts == "all":
+                named = with_masks(named, truth)
+            return named, replace(bare, masks=named.masks)
     except Exception:  # the boundary of a job
         return None
 
@@ -157,6 +161,14 @@ def accepted_example(
     wrong = {j.child for j in score.joints if not j.usable} | {child for child, _ in score.extra}
     foreseen = {p.link for p in obj.parts} - wrong
     return example_of(obj, source, structure.sampled, foreseen)
+
+
+def with_masks(example: ObjectExample, obj: ArticulatedObject) -> ObjectExample:
+    """An accepted object's example with what *All parts* learns from it."""
+    asset, labels = whole(obj)
+    names = [part_name(p.name) for p in _base_first(obj)]
+    masks = mask_examples(DefaultSegmenter().encode(asset), labels, names)
+    return replace(example, masks=masks)
 
 
 def _base_first(obj: ArticulatedObject) -> list[Part]:
@@ -226,8 +238,9 @@ def _predicted(
         with time_limit(SECONDS):
             truth = _loaded(config.data, object_id)
             others = {names: known[names].without(object_id) for names in known}
-            parts, counts = _parts(truth, config.parts)
+            found = _parts(truth, config.parts, others[True].masks_of(kind))
             for names, taught in itertools.product(*WAYS):
+                parts, counts = found[taught]
                 named = SegmentedObject(object_id, parts, truth.category)
                 predictor = learned_hybrid(others[names] if taught else None)
                 predicted = predictor.predict(named if names else _bare(named))
@@ -246,30 +259,40 @@ def _predicted(
     return rows
 
 
-def _parts(truth: ArticulatedObject, how: Parts) -> tuple[tuple[Part, ...], Counts]:
-    """The parts that are predicted, and how many were found, are right, and are there, the base
-    aside.
+def _parts(
+    truth: ArticulatedObject, how: Parts, masks: Sequence[Sequence[MaskExample]]
+) -> list[tuple[tuple[Part, ...], Counts]]:
+    """The parts that are predicted alone and with examples, and how many were found, are right,
+    and are there, the base aside.
 
     Found ones get links and names of those that they match; what is left is the base.
+
+    Args:
+        masks: of accepted objects of its kind.
     """
     base, *moving = _base_first(truth)
     if how == "truth":
-        return truth.parts, (len(moving), len(moving), len(moving))
+        return [(truth.parts, (len(moving), len(moving), len(moving)))] * 2
     asset, true = whole(truth)
     session = DefaultSegmenter().encode(asset)
     if how == "clicks":
         front = front_of([(k, p.mesh) for k, p in enumerate([base, *moving]) if p.mesh is not None])
-        labels = visible_rounds(session, picture_of(asset, front), true, ROUNDS).labels
+        found = [visible_rounds(session, picture_of(asset, front), true, ROUNDS).labels] * 2
     else:
-        labels = propose_parts(session).labels
-    parts = split(asset, labels)
-    own = [p for p in parts if p.link != "link_0"]
-    matches = match_parts(sampled_parts(moving), sampled_parts(own))
-    links = {"link_0": base.link} | {m.link: m.part for m in matches}
-    names = {p.link: p.name for p in truth.parts}
-    named = [replace(p, link=links.get(p.link, f"extra_{p.link}")) for p in parts]
-    named = tuple(replace(p, name=names.get(p.link)) for p in named)
-    return named, (len(own), len(matches), len(moving))
+        alone = propose_parts(session).labels
+        found = [alone, propose_parts(session, known=masks).labels if masks else alone]
+    there = sampled_parts(moving)
+    out = []
+    for labels in found:
+        parts = split(asset, labels)
+        own = [p for p in parts if p.link != "link_0"]
+        matches = match_parts(there, sampled_parts(own))
+        links = {"link_0": base.link} | {m.link: m.part for m in matches}
+        names = {p.link: p.name for p in truth.parts}
+        named = [replace(p, link=links.get(p.link, f"extra_{p.link}")) for p in parts]
+        named = tuple(replace(p, name=names.get(p.link)) for p in named)
+        out.append((named, (len(own), len(matches), len(moving))))
+    return out
 
 
 def corrections(truth: ArticulatedObject, found: Prediction) -> int:
@@ -320,8 +343,9 @@ def _figures(title: str, rows: Sequence[Taught]) -> Iterator[tuple[str, Any]]:
     yield "kind", title
     yield "objects", len({r.score.object_id for r in rows})
     for said, of in (("found", 2), ("right", 0)):
-        share = sum(r.parts[1] for r in rows) / max(1, sum(r.parts[of] for r in rows))
-        yield f"parts {said} %", f"{100 * share:.0f}"
+        sides = [[r.parts for r in rows if r.examples == e] for e in (False, True)]
+        shares = (sum(p[1] for p in s) / max(1, sum(p[of] for p in s)) for s in sides)
+        yield f"parts {said} %", _beside(f"{100 * share:.0f}" for share in shares)
     for names in (True, False):
         sides = [[r for r in rows if r.names == names and r.examples == e] for e in (False, True)]
         said = "names" if names else "no names"

@@ -24,7 +24,7 @@ from model.core.pool import robust_map
 from model.core.progress import Progress, attempt, no_progress
 from model.evaluation.joint_metrics import ObjectScore, score_object
 from model.evaluation.summary import calibrate
-from model.evaluation.teaching import accepted_example, helps
+from model.evaluation.teaching import accepted_example, helps, with_masks
 from model.io.assets.reader import PROVENANCE, load_object
 from model.prediction.arti4urdf.predictor import learned_hybrid
 from model.prediction.arti4urdf.structure import read_structure
@@ -182,9 +182,10 @@ def learn(
 def _examples(
     assets: Sequence[Path], earlier: Mapping[str, ObjectExample], jobs: int
 ) -> list[ObjectExample]:
-    """The examples of assets with moving parts, by name; those that didn't change aren't read."""
+    """The examples of assets with moving parts, by name; those with masks that didn't change
+    aren't read."""
     kept = {a: earlier.get(a.name) for a in assets}
-    new = [a for a, known in kept.items() if known is None or known.stamp != _stamp(a)]
+    new = [a for a, o in kept.items() if o is None or o.stamp != _stamp(a) or o.masks is None]
     kept |= dict(robust_map(_example, new, jobs))
     found = (o for o in kept.values() if o is not None and any(p.steps for p in o.parts))
     return sorted(found, key=lambda o: o.source)
@@ -241,7 +242,9 @@ def _stamp(asset: Path) -> float:
 
 def _example(asset: Path) -> ObjectExample | None:
     def read() -> ObjectExample:
-        return replace(accepted_example(load_object(asset), asset.name), stamp=_stamp(asset))
+        obj = load_object(asset)
+        example = with_masks(accepted_example(obj, asset.name), obj)
+        return replace(example, stamp=_stamp(asset))
 
     return attempt([], asset.name, read, None)
 
