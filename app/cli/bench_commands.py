@@ -118,6 +118,9 @@ class TeachBench(ProcessesBench):
 
     place: ClassVar[str] = "app.cli.benchmarks.predictions:teach_bench"
     examples: int = option("accepted objects of each kind", "K", 3, parse=positive_count)
+    parts: Literal["truth", "clicks", "all"] = option(
+        "parts of the others: true, by clicks, or by All parts", default="truth"
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

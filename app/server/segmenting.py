@@ -379,6 +379,9 @@ class Segmenting:
         if isinstance(offers, tool_tasks.MaskOffer):
             return self._show_mask(offers, replaces, request.part, who)
         take(offers, who)
+        known = max((offer.known for offer in offers), default=0)
+        if known:
+            self._obj.notify("All parts", f"like {known} accepted objects of its kind")
         return len(offers)
 
     def find(self, request: tool_tasks.ToolRequest) -> tuple[tool_tasks.Offer, int, Take]:
@@ -400,7 +403,8 @@ class Segmenting:
         if request.tool == tool_tasks.NEXT_MASK:
             request = replace(request, turn=self._turn(doc, request, replaces))
         used = {p.id for p in doc.parts} - _never_used(doc)
-        request = replace(request, free_part=_free(used))
+        category = doc.category or request.category
+        request = replace(request, free_part=_free(used), category=category)
         long = request.tool == tool_tasks.PROPOSE
         if long:  # clicks on the same asset come between its steps, so encode it first
             self._encode(asset)
@@ -452,8 +456,9 @@ class Segmenting:
             if part == tool_tasks.NEW_PART:
                 part = _free(used)
                 used.add(part)
+            called = offer.name or name
             regions.append(
-                ToolRegion(part, offer.elements, offer.positive, offer.count, name, like)
+                ToolRegion(part, offer.elements, offer.positive, offer.count, called, like)
             )
         # A new part takes the number of an empty one, but not its name.
         gone = {r.part for r in regions} & empty - {request.part}

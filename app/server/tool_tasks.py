@@ -24,6 +24,7 @@ from model.geometry.like_object import Example, best_match, example_of
 from model.geometry.sampling import sample_surface
 from model.geometry.splitting import split_faces
 from model.io.assets.reader import load_object
+from model.prediction.experience import masks_in_use
 from model.segmentation.all_parts import absorb_small_components, propose_parts
 from model.segmentation.mask_tools import (
     Cut,
@@ -75,6 +76,9 @@ class RegionOffer:
     positive: bool = True
     points: npt.NDArray[np.float32] | None = None
     """(M, 3) places on what is shown before it is taken, metres."""
+    name: str | None = None
+    known: int = 0
+    """Accepted objects that it was compared with."""
 
 
 @dataclass(frozen=True)
@@ -131,6 +135,7 @@ class ToolRequest:
         view: (3,) viewing direction.
         exact: whether a rectangle stays where it was clicked instead of snapping to edges.
         free_part: the lowest unused part id.
+        category: of the object, or the likeliest one, or None.
     """
 
     tool: str
@@ -142,6 +147,7 @@ class ToolRequest:
     view: Point | None = None
     exact: bool = False
     free_part: int = NEW_PART
+    category: str | None = None
 
 
 @dataclass(frozen=True)
@@ -215,14 +221,16 @@ def use_tool(
 
 
 def _propose(given: _Input) -> list[RegionOffer]:
-    labels = propose_parts(given.encoded, progress=given.progress).labels
+    known = masks_in_use(given.workspace, given.request.category)
+    found = propose_parts(given.encoded, progress=given.progress, known=known)
     # Existing parts stay; a proposal counts where most of it is unassigned.
     taken = given.labels > BASE
     out: list[RegionOffer] = []
-    for part in np.unique(labels[labels > BASE]):
-        mask = labels == part
+    for part, name in enumerate(found.names, start=BASE + 1):
+        mask = found.labels == part
         if 2 * np.count_nonzero(mask & ~taken) > np.count_nonzero(mask):
-            out += given.offer(mask & ~taken, NEW_PART)
+            offers = given.offer(mask & ~taken, NEW_PART)
+            out += [replace(o, name=name or None, known=found.known) for o in offers]
     return out
 
 

@@ -151,6 +151,7 @@ class ClientApp:
             show_keys=self._sheet.toggle,
             tour=self._tour.begin,
             isolate=self.views.isolate,
+            category=lambda: self.annotate.likely_category,
         )
 
     def _build_object(self) -> None:

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-import tyro
 from rich.console import Console
 from rich.table import Table
 
@@ -66,7 +65,6 @@ class BenchConfig:
         first: place of the first click.
         competing: also let all parts compete, one to three clicks each, by deepest points and by
             the visible-click protocol.
-        json_path: where to write the report.
     """
 
     data: Path = Path("../shared/data")
@@ -80,7 +78,6 @@ class BenchConfig:
     cap: int = 20
     first: Literal["deepest", "random"] = "deepest"
     competing: bool = True
-    json_path: Path | None = None
 
 
 @dataclass
@@ -215,10 +212,7 @@ def run(config: BenchConfig, progress: Progress = no_progress) -> BenchReport:
                         _proposal(session, item, row)
             row.peak_megabytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
             rows.append(row)
-    report = BenchReport(config, rows)
-    if config.json_path is not None:
-        config.json_path.write_text(report.to_json())
-    return report
+    return BenchReport(config, rows)
 
 
 def bench_objects(
@@ -408,12 +402,3 @@ def _clicks_to(curve: list[float], target: float) -> int:
 
 def _quantile(values: list[float], q: float) -> float:
     return float(np.quantile(values, q)) if values else float("nan")
-
-
-def main() -> None:
-    """``python -m model.evaluation.segmentation --help``."""
-    run(tyro.cli(BenchConfig, description=__doc__)).print_table()
-
-
-if __name__ == "__main__":
-    main()

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -39,6 +39,8 @@ _MIRRORED = 0.03
 """Least advantage of a mirror image: most things look like their own."""
 _FEWER, _WIDER = 8, 2.0
 """Divisor of the points by which starts are compared, and factor of the reach then."""
+TURNED, MIRRORED = 0.1, 0.4
+"""Cost of comparing an object turned, or mirrored: most face one way."""
 _CLOSEST = 0.8
 """Share of the nearest pairs that a round fits: the others lack a counterpart."""
 
@@ -64,9 +66,9 @@ class Example:
     category: str | None = None
 
     @cached_property
-    def frame(self) -> _Frame:
+    def frame(self) -> UprightBox:
         """Its tightest upright box."""
-        return _Frame.around(self.points)
+        return UprightBox.around(self.points)
 
     @cached_property
     def tree(self) -> KDTree:
@@ -99,18 +101,37 @@ class Match:
 
 
 @dataclass(frozen=True, eq=False)
-class _Frame:
+class UprightBox:
+    """The tightest upright box of an object, but for the outermost of its points.
+
+    Attributes:
+        middle: (3,). turn: (3, 3) directions of its sides as columns. sides: (3,) lengths.
+    """
+
     middle: Points
     turn: Points
     sides: Points
 
     @classmethod
-    def around(cls, points: Points) -> _Frame:
+    def around(cls, points: Points) -> UprightBox:
+        """The box of (N, 3) points."""
         yaw = box_yaw(points[:, :2], 0.98)
         c, s = np.cos(yaw), np.sin(yaw)
         turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
         low, high = np.percentile(points @ turn, (0.5, 99.5), axis=0)
         return cls(turn @ (low + high) / 2, turn, np.maximum(high - low, 1e-9))
+
+
+@lru_cache(maxsize=1)
+def symmetries() -> tuple[tuple[Points, float], ...]:
+    """(3, 3) matrices of the ways to turn an object upright, mirrored ones too, and their costs."""
+    quarter = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
+    out = []
+    for flip in (np.eye(3), np.diag([1.0, -1, 1])):
+        for k in range(4):
+            cost = (TURNED if k else 0.0) + (MIRRORED if flip[1, 1] < 0 else 0.0)
+            out.append((np.linalg.matrix_power(quarter, k) @ flip, cost))
+    return tuple(out)
 
 
 def example_of(obj: ArticulatedObject, name: str | None = None, seed: int = 0) -> Example:
@@ -176,7 +197,7 @@ def best_match(examples: Iterable[Example], points: npt.ArrayLike, seed: int = 0
     given = given[np.random.default_rng(seed).permutation(len(given))[:POINTS]]
     if len(given) < _LEAST_POINTS:
         return None
-    frame, tree = _Frame.around(given), KDTree(given)
+    frame, tree = UprightBox.around(given), KDTree(given)
     found = [_rough(start, given, tree) for e in examples for start in _starts(e, frame)]
     found.sort(key=_worth, reverse=True)
     closer = [_closer(match, given, tree) for match in found[:_CLOSER]]
@@ -187,17 +208,13 @@ def _worth(match: Match) -> float:
     return match.fit - _MIRRORED * (np.linalg.det(match.linear) < 0)
 
 
-def _starts(example: Example, frame: _Frame) -> Iterator[Match]:
+def _starts(example: Example, frame: UprightBox) -> Iterator[Match]:
     own = example.frame
-    for quarter in range(4):
-        c, s = ((1, 0), (0, 1), (-1, 0), (0, -1))[quarter]
-        turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
+    for turn, _ in symmetries():
         scale = frame.sides / np.abs(turn @ own.sides)
         mean = float(np.exp(np.log(scale).mean()))
-        if max(mean, 1 / mean) > SCALE or scale.max() > PROPORTIONS * scale.min():
-            continue
-        for mirror in (1.0, -1.0):
-            linear = frame.turn @ np.diag(scale * (mirror, 1, 1)) @ turn @ own.turn.T
+        if max(mean, 1 / mean) <= SCALE and scale.max() <= PROPORTIONS * scale.min():
+            linear = frame.turn @ np.diag(scale) @ turn @ own.turn.T
             yield Match(example, linear, frame.middle - linear @ own.middle, 0.0)
 
 
@@ -223,7 +240,7 @@ def _scored(match: Match, points: Points, tree: KDTree) -> Match:
 
 def _closer(match: Match, points: Points, tree: KDTree) -> Match:
     """Fit scale and offset of each side to the nearest points, in turns."""
-    sides = _Frame.around(points).turn
+    sides = UprightBox.around(points).turn
     best = match = _scored(match, points, tree)
     for _ in range(_ROUNDS):
         moved = match.to_object(match.example.points)

@@ -27,6 +27,7 @@ from model.core.names import category_key
 from model.core.tree import moving_chain
 from model.prediction.geometric.sampled_object import SampledObject
 from model.prediction.geometric.shape import PartShape
+from model.segmentation.similar import MaskExample
 
 Array = npt.NDArray[np.float64]
 Vector = tuple[float, float, float]
@@ -100,12 +101,14 @@ class ObjectExample:
     Attributes:
         source: name of its asset. category: of the object.
         stamp: time at which the asset was written, seconds since 1970.
+        masks: that clicks may mean; None where an early version kept it.
     """
 
     source: str
     category: str | None
     parts: tuple[PartExample, ...]
     stamp: float = 0.0
+    masks: tuple[MaskExample, ...] | None = None
 
 
 @dataclass(frozen=True)
@@ -131,6 +134,12 @@ class Experience:
         kind = kind_of(category)
         used = (o for o in self.objects if kind_of(o.category) not in self.unused)
         return tuple(o for o in used if not kind or kind_of(o.category) in (kind, ""))
+
+    def masks_of(self, category: str | None) -> tuple[tuple[MaskExample, ...], ...]:
+        """The masks of each object of a kind; none where the kind isn't known."""
+        kind = kind_of(category)
+        own = (o.masks for o in self.objects if kind and kind_of(o.category) == kind)
+        return tuple(masks for masks in own if masks)
 
 
 def kind_of(category: str | None) -> str:
@@ -262,6 +271,16 @@ def chosen_by_person(workspace: Path) -> bool:
         return bool(current.get("chosen", earlier))
     except (OSError, ValueError, KeyError, TypeError):
         return False
+
+
+def masks_in_use(workspace: Path, category: str | None) -> tuple[tuple[MaskExample, ...], ...]:
+    """The masks of each accepted object of a kind in the version that a workspace uses.
+
+    Raises:
+        InputFileError: if its file is damaged.
+    """
+    folder = in_use(workspace)
+    return () if folder is None else load_experience(folder / FILE).masks_of(category)
 
 
 @lru_cache(maxsize=4)

@@ -19,6 +19,7 @@ from scipy.special import expit, logit, softmax
 
 from model.core.composite_joints import free_helpers
 from model.core.joint import JOINT_KINDS, Joint, JointType, canonical_axis_sign
+from model.geometry.like_object import symmetries
 from model.prediction.experience import (
     Experience,
     ObjectExample,
@@ -44,8 +45,6 @@ LEAST_HALF = 0.004
 """Half extents (diagonals) below which sizes don't differ."""
 SHARP, TURN = 0.35, 0.1
 """Costs by which one part, or one way to turn an object, is e times as likely as another."""
-TURNED, MIRRORED = 0.1, 0.4
-"""Cost of comparing an object turned, or mirrored: most face one way."""
 RELEVANT = 3.0
 """Cost at which a part counts 1 / e as much as the same one."""
 OBJECT = 0.25
@@ -153,18 +152,6 @@ def _median(values: Array, weights: Array) -> float:
     order = np.argsort(values)
     total = np.cumsum(weights[order])
     return float(values[order][int(np.searchsorted(total, total[-1] / 2))])
-
-
-@lru_cache(maxsize=1)
-def symmetries() -> tuple[tuple[Array, float], ...]:
-    """(3, 3) matrices of the ways to turn an object upright, mirrored ones too, and their costs."""
-    quarter = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
-    out = []
-    for flip in (np.eye(3), np.diag([1.0, -1, 1])):
-        for k in range(4):
-            cost = (TURNED if k else 0.0) + (MIRRORED if flip[1, 1] < 0 else 0.0)
-            out.append((np.linalg.matrix_power(quarter, k) @ flip, cost))
-    return tuple(out)
 
 
 def likeness(known: Sequence[PartExample], parts: Sequence[PartExample]) -> Array:

@@ -2,11 +2,13 @@
 
 A click shows that there is a part; before any click most masks that look like one are ornament, a
 panel or the body. Superpoints spread over the object vote for the masks that a first click on them
-may mean, and each mask is judged once by all its votes.
+may mean, and each mask is scored once by all its votes. Masks of accepted objects of the kind, of
+which it is known whether they are parts, tell more: what lies where, and how large it is.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -14,6 +16,7 @@ import numpy as np
 
 from model.core.files import static_assets
 from model.core.progress import Progress, no_progress
+from model.geometry.like_object import UprightBox
 from model.segmentation.arrays import Bool, Float, Float64, Int, Int16, Int64
 from model.segmentation.default import DefaultSession
 from model.segmentation.graph import components
@@ -22,6 +25,7 @@ from model.segmentation.models import Mlp, load_mlp
 from model.segmentation.object_features import MOVING_FEATURE_NAMES
 from model.segmentation.prompts import BASE, PartSegmentation
 from model.segmentation.scores import shipped_moving_scorers, shipped_scorers
+from model.segmentation.similar import MaskExample, MaskTable, by_examples, telling
 from model.segmentation.solver import PartSolver, overlaps, solver_of
 
 PART_SCORER = "part_masks.npz"
@@ -227,9 +231,96 @@ _BODY = 0.6
 """Share of the room above which the largest part is the base."""
 
 
-def propose_parts(
+_KNOWN = 200
+"""Masks of an accepted object that are kept beside its parts, the likeliest first."""
+
+
+def scored_masks(
     session: DefaultSession, seeds: int = 160, progress: Progress = no_progress
-) -> PartSegmentation:
+) -> tuple[VotedMasks, MaskTable] | None:
+    """The masks that a first click may mean; None of a room.
+
+    Args:
+        seeds: superpoints that vote.
+        progress: called after each of them.
+    """
+    encoding, scorer = session.encoding, shipped_part_scorer()
+    if scorer is None or encoding.room is not None:
+        return None
+    solver = session.solver
+    if solver.moving_parts is None:
+        moving = shipped_moving_scorers()
+        solver = solver_of(encoding, *shipped_scorers(), moving, with_fronts=True)
+    # The part scorer learned from the votes of this first scorer.
+    solver = solver.with_first(shipped_scorers()[0])
+    voted = vote_for_masks(solver, spread(encoding.superpoints.center, seeds), progress)
+    points = encoding.nodes.points.astype(float)
+    box, of_node = UprightBox.around(points), encoding.superpoints.of_node
+    own = (points - box.middle) @ box.turn
+    lowest = np.full((len(encoding.superpoints), 3), np.inf)
+    highest = -lowest
+    np.minimum.at(lowest, of_node, own)
+    np.maximum.at(highest, of_node, own)
+    low = np.stack([lowest[mask].min(0) for mask in voted.masks])
+    high = np.stack([highest[mask].max(0) for mask in voted.masks])
+    place, half = (low + high) / 2 / box.sides, (high - low) / 2 / np.linalg.norm(box.sides)
+    return voted, MaskTable(scorer(voted.features), place, half)
+
+
+def mask_examples(
+    session: DefaultSession, labels: Int, names: Sequence[str]
+) -> tuple[MaskExample, ...]:
+    """The likeliest masks of an object whose parts are known, and those that are its parts.
+
+    Args:
+        labels: (E,) the part of each element, 0 the base. names: of the parts, the base's too.
+    """
+    scored, superpoints = scored_masks(session), session.encoding.superpoints
+    if scored is None:
+        return ()
+    masks, table = scored[0].masks, scored[1]
+    held = np.zeros((len(superpoints), len(names)))
+    np.add.at(held, (superpoints.of_node, labels[first_elements(session)]), 1)
+    inside, whole = masks @ held, masks @ superpoints.size
+    overlap = (inside / np.maximum(whole[:, None] + held.sum(0) - inside, 1e-9))[:, 1:]
+    right = overlap.max(axis=1, initial=0) > _ALIKE
+    kept = right.copy()
+    kept[np.argsort(-table.worth, kind="stable")[:_KNOWN]] = True
+    return tuple(
+        MaskExample(
+            round(float(table.worth[k]), 3),
+            _rounded(table.place[k]),
+            _rounded(table.half[k]),
+            names[1 + int(overlap[k].argmax())] if right[k] else None,
+        )
+        for k in np.flatnonzero(kept)
+    )
+
+
+def _rounded(values: Float64) -> tuple[float, float, float]:
+    x, y, z = (round(float(v), 4) for v in values)
+    return x, y, z
+
+
+@dataclass(frozen=True)
+class ProposedParts(PartSegmentation):
+    """A proposal of all parts.
+
+    Attributes:
+        names: of the parts from 1 on, "" where no accepted object tells one.
+        known: accepted objects that it follows.
+    """
+
+    names: tuple[str, ...] = ()
+    known: int = 0
+
+
+def propose_parts(
+    session: DefaultSession,
+    seeds: int = 160,
+    progress: Progress = no_progress,
+    known: Sequence[Sequence[MaskExample]] = (),
+) -> ProposedParts:
     """A first guess of all parts, to start from.
 
     Superpoints vote for the masks that a first click on them may mean. Of an object, the best parts
@@ -238,28 +329,27 @@ def propose_parts(
     Args:
         seeds: superpoints that vote.
         progress: called after each of them.
+        known: masks of accepted objects of its kind; see :func:`.telling`.
     """
     superpoints = session.encoding.superpoints
-    voters = spread(superpoints.center, seeds)
-    scorer = shipped_part_scorer()
-    if scorer is None or session.encoding.room is not None:
-        chosen = _room_objects(session, voters, progress)
+    scored, followed, named = scored_masks(session, seeds, progress), list[MaskTable](), list[str]()
+    if scored is None:
+        chosen = _room_objects(session, spread(superpoints.center, seeds), progress)
     else:
-        solver = session.solver
-        if solver.moving_parts is None:
-            moving = shipped_moving_scorers()
-            solver = solver_of(session.encoding, *shipped_scorers(), moving, with_fronts=True)
-        # The part scorer learned from the votes of this first scorer.
-        solver = solver.with_first(shipped_scorers()[0])
-        voted = vote_for_masks(solver, voters, progress)
-        rows = exclusive_parts(scorer(voted.features), voted.common, WORTH)
-        chosen = sorted(voted.masks[rows], key=lambda m: -float(superpoints.size[m].sum()))
+        voted, table = scored
+        followed = telling(known)
+        worth, names = by_examples(table, followed)
+        rows = exclusive_parts(worth, voted.common, WORTH)
+        rows.sort(key=lambda row: -float(superpoints.size[voted.masks[row]].sum()))
+        chosen, named = voted.masks[rows], [names[row] for row in rows]
     of_superpoint = np.zeros(len(superpoints), np.int16)
     for part, mask in enumerate(chosen, start=BASE + 1):
         of_superpoint[mask] = part
     labels = session.finisher.without_prompts(of_superpoint)
-    _, labels = np.unique(np.append(labels, BASE), return_inverse=True)  # some have merged
-    return PartSegmentation(labels[:-1].astype(np.int16), "default")
+    kept, labels = np.unique(np.append(labels, BASE), return_inverse=True)  # some have merged
+    names = tuple(named[part - 1] if named else "" for part in kept[kept > BASE].tolist())
+    labels = labels[:-1].astype(np.int16)
+    return ProposedParts(labels, "default", names=names, known=len(followed))
 
 
 def _room_objects(session: DefaultSession, voters: Int64, progress: Progress) -> list[Bool]:

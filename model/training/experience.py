@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from model.core import codec
-from model.core.articulated_object import ArticulatedObject, Prediction, SegmentedObject
+from model.core.articulated_object import SegmentedObject
 from model.core.codec import CodecError
 from model.core.errors import ConfigurationError, InputFileError
 from model.core.files import draft_of, write_json, written_to
@@ -24,7 +24,7 @@ from model.core.pool import robust_map
 from model.core.progress import Progress, attempt, no_progress
 from model.evaluation.joint_metrics import ObjectScore, score_object
 from model.evaluation.summary import calibrate
-from model.evaluation.teaching import accepted_example, helps
+from model.evaluation.teaching import accepted_example, helps, with_masks
 from model.io.assets.reader import PROVENANCE, load_object
 from model.prediction.arti4urdf.predictor import learned_hybrid
 from model.prediction.arti4urdf.structure import read_structure
@@ -107,10 +107,8 @@ class Learned:
     automatic: bool = False
 
 
-@dataclass(frozen=True)
-class _Compared:
-    before: ObjectScore
-    after: ObjectScore
+Both = tuple[ObjectScore, ObjectScore]
+"""Scores of an object without experience, and with it."""
 
 
 def learn(
@@ -150,14 +148,14 @@ def learn(
         before.setdefault(kind_of(example.category), []).append(example)
     changed = [k for k in kinds if k not in results or kinds[k] != before.get(k)]
     checked = {o.source: kind for kind in changed for o in kinds[kind][-MOST_CHECKED:]}
-    rows: dict[str, list[_Compared]] = {kind: [] for kind in changed}
+    rows: dict[str, list[Both]] = {kind: [] for kind in changed}
     todo = [a for a in assets if a.name in checked]
     compared = robust_map(partial(_compare, everything), todo, jobs)
     for count, (asset, row) in enumerate(compared, start=1):
         progress(count / len(todo), asset.name)
         rows[checked[asset.name]] += [row] if row is not None else []
     for kind, pairs in rows.items():
-        sides = [r.before for r in pairs], [r.after for r in pairs]
+        sides = [before for before, _ in pairs], [after for _, after in pairs]
         results[kind] = Kind(*map(_side, sides), used=helps(*sides))
     results = {kind: results[kind] for kind in sorted(kinds)}
     unused = tuple(kind for kind, result in results.items() if not result.used)
@@ -184,9 +182,10 @@ def learn(
 def _examples(
     assets: Sequence[Path], earlier: Mapping[str, ObjectExample], jobs: int
 ) -> list[ObjectExample]:
-    """The examples of assets with moving parts, by name; those that didn't change aren't read."""
+    """The examples of assets with moving parts, by name; those with masks that didn't change
+    aren't read."""
     kept = {a: earlier.get(a.name) for a in assets}
-    new = [a for a, known in kept.items() if known is None or known.stamp != _stamp(a)]
+    new = [a for a, o in kept.items() if o is None or o.stamp != _stamp(a) or o.masks is None]
     kept |= dict(robust_map(_example, new, jobs))
     found = (o for o in kept.values() if o is not None and any(p.steps for p in o.parts))
     return sorted(found, key=lambda o: o.source)
@@ -243,29 +242,30 @@ def _stamp(asset: Path) -> float:
 
 def _example(asset: Path) -> ObjectExample | None:
     def read() -> ObjectExample:
-        return replace(accepted_example(load_object(asset), asset.name), stamp=_stamp(asset))
+        obj = load_object(asset)
+        example = with_masks(accepted_example(obj, asset.name), obj)
+        return replace(example, stamp=_stamp(asset))
 
     return attempt([], asset.name, read, None)
 
 
-def _compare(everything: Experience, asset: Path) -> _Compared | None:
+def _compare(everything: Experience, asset: Path) -> Both | None:
     """Predict an accepted object without experience, and with that of the others."""
 
-    def compared() -> _Compared:
-        accepted = load_object(asset)
-        segmented = SegmentedObject(accepted.name, accepted.parts, accepted.category)
+    def compared() -> Both:
+        obj = load_object(asset)
+        segmented = SegmentedObject(obj.name, obj.parts, obj.category)
         structure = read_structure(segmented)
-        found = (
+        before, after = (
             learned_hybrid(known).predict_with_evidence(segmented, structure=structure)[0]
             for known in (None, everything.without(asset.name))
         )
-        return _Compared(*(_score(accepted, f) for f in found))
+        return (
+            score_object(obj, before.tree, confidence=before.confidence),
+            score_object(obj, after.tree, confidence=after.confidence),
+        )
 
     return attempt([], asset.name, compared, None)
-
-
-def _score(accepted: ArticulatedObject, found: Prediction) -> ObjectScore:
-    return score_object(accepted, found.tree, confidence=found.confidence)
 
 
 def _side(scores: Sequence[ObjectScore]) -> Side:

@@ -34,9 +34,9 @@ def test_a_workspace_learns_goes_back_and_leaves_objects_out(tmp_path: Path) -> 
     assert (record["before"]["usable"], record["after"]["usable"]) == (0, 3)
     folder = in_use(workspace)
     assert folder is not None and folder == workspace / "learned" / "1"
-    assert {o.source for o in load_experience(folder / "experience.json").objects} == set(
-        record["assets"]
-    )
+    known = load_experience(folder / "experience.json").objects
+    assert {o.source for o in known} == set(record["assets"])
+    assert all(o.masks for o in known), "for All parts"
     again = artiworld("train", "--workspace", workspace, "--use", "0")
     assert again.stdout.strip() == "nothing is used" and in_use(workspace) is None
     again = artiworld("train", "--workspace", workspace, "--use", "1")

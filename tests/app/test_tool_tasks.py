@@ -15,6 +15,8 @@ from app.server.segmenting_tasks import StoredRegion, session_of
 from app.server.tool_tasks import NEW_PART, ToolRequest, use_tool
 from model.core.errors import CommandError
 from model.core.progress import Cancelled
+from model.prediction.experience import Experience, ObjectExample, save_experience
+from model.segmentation.all_parts import mask_examples
 from model.segmentation.prompts import Click, Prompts
 
 LID = (0.05, 0.02, 0.365)
@@ -169,6 +171,26 @@ def test_all_parts_leaves_alone_what_is_a_part_already(chest):
         np.sort(np.concatenate([first, *(e for _, _, e in again)])),
         np.sort(np.concatenate([e for _, _, e in guessed])),
     )
+
+
+def test_all_parts_follows_accepted_objects_of_its_kind(chest, tmp_path):
+    """Of which the left knob alone was a part."""
+    opened, _ = chest
+    points = points_of(opened)
+    labels = ((points[:, 1] < -0.21) & (points[:, 0] < 0)).astype(np.int16)
+    masks = mask_examples(session_of(opened.folder, "default"), labels, ["", "left"])
+    accepted = tuple(ObjectExample(k, "Chest", (), masks=masks) for k in "abc")
+    (tmp_path / "learned" / "1").mkdir(parents=True)
+    save_experience(Experience(accepted), tmp_path / "learned" / "1" / "experience.json")
+    (tmp_path / "learned" / "current.json").write_text('{"version": 1}')
+    for category, known, called in (("chest", 3, {"left"}), ("Oven", 0, {None})):
+        request = ToolRequest("propose", 1, category=category)
+        offers = use_tool(opened.folder, tmp_path, "default", (), request)
+        assert isinstance(offers, list) and {o.known for o in offers} == {known}
+        assert {o.name for o in offers} == called
+        for offer in offers if known else ():
+            found = np.asarray(tasks.arrays_of(tmp_path).get(offer.elements))
+            assert labels[found].mean() > 0.9
 
 
 def test_all_parts_says_how_far_it_is_and_can_be_stopped(chest):

@@ -107,7 +107,10 @@ def teach_bench(options: TeachBench, progress: Progress) -> Result:
     tables: dict[str, list[dict[str, Any]]] = {}
     sets = folders_in(options.data) or {options.data.name: data_in(options.data)}
     for (title, data), part in each_with_progress(list(sets.items()), progress):
-        config = TeachConfig(data, options.half, options.examples, options.limit or 0, options.jobs)
+        limit = options.limit or 0
+        config = TeachConfig(
+            data, options.half, options.examples, limit, options.jobs, options.parts
+        )
         tables[title] = teach_table(run_teach(config, part))
 
     def shown() -> None:

@@ -224,7 +224,7 @@ _VIEWS: Final[dict[str, tuple[Any, str]]] = {
 
 @dataclass(frozen=True)
 class RailActions:
-    """Callbacks of the icons that every step has."""
+    """Callbacks of the icons that every step has, and the object's likeliest category."""
 
     undo: Callable[[], None]
     redo: Callable[[], None]
@@ -233,6 +233,7 @@ class RailActions:
     show_keys: Callable[[], None]
     tour: Callable[[], None]
     isolate: Callable[[], None]
+    category: Callable[[], str | None]
 
 
 class ToolRail:
@@ -245,7 +246,7 @@ class ToolRail:
     def __init__(
         self, tab: Tab, presses: Presses, pointing: Pointing, actions: RailActions
     ) -> None:
-        self._tab, self._pointing = tab, pointing
+        self._tab, self._pointing, self._category = tab, pointing, actions.category
         self._place = Place(tab, "tools")
         self.touch = False
         self._view: dict[str, Callable[[], None]] = {
@@ -277,7 +278,8 @@ class ToolRail:
         elif tool == NEXT_MASK:
             pointing.tools.next_mask(1)
         else:
-            pointing.tools.use(ToolRequest(tool, selection.part), label)
+            request = ToolRequest(tool, selection.part, category=self._category())
+            pointing.tools.use(request, label)
 
     def _turn(self, step: int) -> None:
         """Take a larger mask (1) or a smaller one (-1): Alt and the wheel."""

@@ -9,6 +9,7 @@ from model.segmentation import all_parts
 from model.segmentation.all_parts import (
     PART_FEATURE_NAMES,
     PART_SCORER,
+    WORTH,
     exclusive_parts,
     shipped_part_scorer,
     vote_for_masks,
@@ -16,6 +17,7 @@ from model.segmentation.all_parts import (
 from model.segmentation.default import DefaultSession
 from model.segmentation.models import load_mlp
 from model.segmentation.object_features import HISTORY_FEATURES
+from model.segmentation.similar import MaskExample, MaskTable, by_examples, telling
 from model.segmentation.solver import overlaps
 from model.training.segmentation.networks import PartMaskTraining, play_masks, train_part_masks
 from model.training.segmentation.visible_objects import MovingPartTraining
@@ -120,3 +122,34 @@ def test_the_scorer_is_fitted_measured_and_written(tmp_path) -> None:
     scorer = load_mlp(tmp_path / PART_SCORER, PART_FEATURE_NAMES)
     x = np.random.default_rng(0).normal(size=(5, len(PART_FEATURE_NAMES)))
     assert np.isfinite(scorer(x.astype(np.float32))).all()
+
+
+def masks_of(drawers: int, faults: int = 0) -> tuple[MaskExample, ...]:
+    """A chest's masks: drawers that fill its front, each whole and by half, and its sides."""
+    rows = [(-0.5 + (k + 0.5) / drawers, 0.3 / drawers) for k in range(drawers)]
+    whole = [MaskExample(-2.0, (0, -0.5, z), (0.4, 0.01, half), "drawer") for z, half in rows]
+    half = [MaskExample(-1.9, (0.25, -0.5, z), (0.2, 0.01, half)) for z, half in rows]
+    sides = [MaskExample(0.5, (x, 0, 0), (0.01, 0.3, 0.5)) for x in (-0.5, 0.5)]
+    return (*whole[faults:], *(replace(m, part=None) for m in whole[:faults]), *half, *sides)
+
+
+def test_masks_of_accepted_objects_tell_which_are_parts_whatever_their_count_and_turn() -> None:
+    known = telling([masks_of(n) for n in (3, 4, 5)])
+    assert len(known) == 3
+    for turn in (np.eye(3), np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1.0]])):
+        own = MaskTable.of(masks_of(4))
+        own = replace(own, place=own.place @ turn.T, half=own.half @ np.abs(turn).T)
+        worth, names = by_examples(own, known)
+        assert (worth[own.right].min() > WORTH > worth[~own.right].max()).all()
+        assert {names[k] for k in np.flatnonzero(own.right)} == {"drawer"}
+
+
+def test_accepted_objects_that_tell_nothing_about_each_other_are_not_followed() -> None:
+    def elsewhere(turn: int) -> tuple[MaskExample, ...]:
+        right = MaskExample(1.0, (0.4 - 0.4 * turn, 0.0, 0.3), (0.1, 0.1, 0.1 + turn), "lid")
+        return (right, *(replace(right, worth=0.0, part=None, place=(x, 0.0, 0.3)) for x in X))
+
+    X = (0.4, 0.0, -0.4)
+    assert telling([elsewhere(k) for k in range(3)]) == [] == telling([masks_of(3)]) == telling([])
+    own = MaskTable.of(masks_of(3))
+    assert by_examples(own, [])[0] is own.worth

@@ -118,14 +118,14 @@ def test_area_under_curve_of_a_perfect_and_a_blind_score():
     assert area_under_curve(np.array([1.0, 2.0, 3.0, 4.0]), truth) == 0.0
 
 
-def test_bench_on_procedural_objects(tmp_path):
-    few = {"limit": 2, "points": 4000, "parts": 2, "cap": 4, "json_path": tmp_path / "r.json"}
+def test_bench_on_procedural_objects():
+    few = {"limit": 2, "points": 4000, "parts": 2, "cap": 4}
     report = run(BenchConfig(sets=("procedural",), segmenters=("nearest",), **few))
     summary = report.rows[0].summary()
     assert summary["objects"] == 2 and summary["parts"] == 4
     assert 0 < summary["IoU@1"] <= 1 and 1 <= summary["NoC@80"] <= 20
     assert summary["IoU@1 best of 6"] == summary["IoU@1"]  # the baselines have one answer
-    assert json.loads((tmp_path / "r.json").read_text())["rows"][0]["summary"]["parts"] == 4
+    assert json.loads(report.to_json())["rows"][0]["summary"]["parts"] == 4
 
 
 def test_bench_tells_moving_parts_from_bases():

@@ -11,12 +11,12 @@ pytest.importorskip("torch", reason="torch is not installed")
 
 from model.core.articulated_object import ArticulatedObject, SegmentedObject
 from model.core.errors import ConfigurationError, InputFileError
-from model.core.geometry import about, affine
+from model.core.geometry import about, affine, merged
 from model.core.joint import Joint
 from model.core.tree import KinematicTree
 from model.data.procedural.generate import make
 from model.data.registry import DatasetOptions
-from model.evaluation.teaching import TeachConfig, accepted_example, checked, run
+from model.evaluation.teaching import Parts, TeachConfig, accepted_example, checked, run
 from model.io.assets.asset_folder import write_asset
 from model.prediction.arti4urdf.predictor import Arti4UrdfPredictor, learned_hybrid
 from model.prediction.experience import (
@@ -31,10 +31,17 @@ from model.prediction.experience import (
     save_experience,
 )
 from model.prediction.registry import load_predictor
+from model.training import experience
 from model.training.experience import learn, use, versions
 from tests.builders import box, part
 
 X, Y, Z = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What *All parts* learns takes ten seconds an object; tests of the command learn it."""
+    monkeypatch.setattr(experience, "with_masks", lambda example, obj: replace(example, masks=()))
 
 
 def gadget(width: float = 1.0, names: bool = True, steps: int = 1) -> ArticulatedObject:
@@ -218,6 +225,7 @@ def test_bench_teach_shows_what_examples_gain_and_leaves_out_those_that_cost(
     for alone, after in (rows[:2], rows[2:]):
         assert not alone.score.usable and alone.corrections > 0
         assert after.score.usable and after.corrections == 0
+        assert alone.parts == after.parts == (3, 3, 3)
     known = Experience((ObjectExample("gadget_3", "gadget", ()),))
     assert checked(known, rows[:2], True).unused == ()
     swapped = [replace(row, examples=not row.examples) for row in rows[:2]]
@@ -225,6 +233,23 @@ def test_bench_teach_shows_what_examples_gain_and_leaves_out_those_that_cost(
     for right, alike in ((False, ()), (True, ("gadget",))):  # no gain: used where none is right
         same = [replace(rows[right], examples=e) for e in (False, True)]
         assert checked(known, same, True).unused == alike
+
+
+@pytest.mark.parametrize("how", ["clicks", "all"])
+def test_bench_teach_finds_the_parts_itself(how: Parts, tmp_path: Path) -> None:
+    """All parts takes what accepted objects had: the left wing is no part of these."""
+    for k in range(3):
+        obj = gadget(1.0 + 0.05 * k)
+        desk, wing, *others = obj.parts
+        assert desk.mesh is not None and wing.mesh is not None
+        fused = replace(desk, mesh=merged([desk.mesh, wing.mesh]))
+        tree = KinematicTree(("link_0", "link_2", "link_3"), obj.tree.joints[1:])
+        obj = ArticulatedObject("gadget", (fused, *others), tree, "gadget")
+        write_asset(obj, tmp_path / f"gadget_{k}", provenance={})
+    rows = run(TeachConfig(DatasetOptions("urdf", tmp_path), "all", 2, jobs=1, parts=how))
+    alone, after = (2, 2, 2) if how == "clicks" else (3, 2, 2), (2, 2, 2)
+    assert [r.parts for r in rows] == [alone, after, alone, after]
+    assert all(r.score.usable == (r.parts == after and r.examples) for r in rows)
 
 
 def test_what_is_kept_is_read_again_and_damage_is_named(tmp_path: Path) -> None:
