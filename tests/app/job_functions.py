@@ -272,6 +272,6 @@ def end_trace() -> set[str]:
     return _traces.pop().files
 
 
-def keep_every_hundredth() -> None:
-    """Leave holes of 200 MB between what is kept."""
-    _kept.extend([b"x" * 2000 for _ in range(100_000)][::100])
+def keep_every_hundredth(size: int) -> None:
+    """Leave holes of 100,000 times ``size`` bytes between what is kept."""
+    _kept.extend([b"x" * size for _ in range(100_000)][::100])
