@@ -485,5 +485,5 @@ def test_a_worker_that_is_idle_gives_free_memory_back(worker: WorkerProcess) -> 
 
     worker.submit(functions.echo, 1).result(60)
     before = megabytes()
-    worker.submit(functions.keep_every_hundredth, 2000).result(60)
-    wait_until(lambda: megabytes() < before + 60, "the memory between", 30)
+    worker.submit(functions.keep_every_hundredth, 4000).result(60)
+    wait_until(lambda: megabytes() < before + 30, "the memory between", 30)
