@@ -42,8 +42,8 @@ from model.core.progress import Cancelled, die_with_parent, with_threads
 PROGRESS_PERIOD = 0.03
 """Least seconds between two progress messages."""
 
-IDLE_SECONDS = 1.0
-"""Time without a job after which free memory goes back to the system: glibc keeps fragments, which
+TRIM_SECONDS = 1.0
+"""Duration of a job after which free memory goes back to the system: glibc keeps fragments, which
 grow to gigabytes over the objects of a scene."""
 
 
@@ -130,17 +130,18 @@ class _Worker:
     def run(self) -> None:
         threading.Thread(target=self._read, name="pipe reader", daemon=True).start()
         while True:
-            try:
-                self._run(*self._jobs.get(timeout=IDLE_SECONDS))
-            except queue.Empty:
-                _trim_memory()
-                self._run(*self._jobs.get())
+            self._run(*self._jobs.get())
 
     def _run(self, kind: str, number: int, chunks: list[Any]) -> None:
+        start = time.monotonic()
         if kind != "setup":
             self._send("begun", number, None)
         answer = self._answer(number, chunks)
+        del chunks
         self._send("ready" if kind == "setup" and answer[0] == "done" else "answer", number, answer)
+        del answer
+        if time.monotonic() - start > TRIM_SECONDS:
+            _trim_memory()
 
     def _read(self) -> None:
         while True:

@@ -270,8 +270,3 @@ def end_trace() -> set[str]:
     """The files of the trace, which ends."""
     sys.setprofile(None)
     return _traces.pop().files
-
-
-def keep_every_hundredth(size: int) -> None:
-    """Leave holes of 20,000 times ``size`` bytes between what is kept."""
-    _kept.extend([b"x" * size for _ in range(20_000)][::100])

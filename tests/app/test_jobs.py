@@ -476,14 +476,3 @@ def test_what_is_repeated_gives_way_to(by, worker, tmp_path):
     with pytest.raises(Cancelled):
         job.result(60)
     assert newer.result(60) == 2
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="other systems don't tell")
-def test_a_worker_that_is_idle_gives_free_memory_back(worker: WorkerProcess) -> None:
-    def megabytes() -> float:
-        return int(Path(f"/proc/{worker.pid}/statm").read_text().split()[1]) * 4096 / 1e6
-
-    worker.submit(functions.echo, 1).result(60)
-    before = megabytes()
-    worker.submit(functions.keep_every_hundredth, 4000).result(60)
-    wait_until(lambda: megabytes() < before + 30, "the memory between", 30)
