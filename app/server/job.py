@@ -101,11 +101,6 @@ class Job(Generic[T]):
         return min(self._deadline, math.inf if self._kill_at is None else self._kill_at)
 
     @property
-    def out_of_time(self) -> bool:
-        """True once it took longer than it may, or worked longer."""
-        return self._deadline <= time.monotonic() or self._worked >= self.most_work
-
-    @property
     def may_move(self) -> bool:
         """True once it leaves its worker if somebody waits."""
         return bool(self.moves) and self._worked >= self.moves[0][0]

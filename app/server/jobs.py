@@ -372,7 +372,7 @@ class WorkerProcess:
                 self._requeue(other)
         if job is not None and job._kill_at is not None:
             job.end("cancelled")
-        elif job is not None and job.out_of_time:
+        elif job is not None and job._deadline <= time.monotonic():
             most = min(job._most_seconds or math.inf, job.most_work)
             text = f"{job.name} took more than {most:g} s and was ended"
             job.end("failed", error=OutOfTimeError(text))
@@ -424,11 +424,9 @@ class WorkerProcess:
             return
         if active._begun and active.most_work < math.inf:
             active._worked = child.work_of(active)
-        if (
-            time.monotonic() >= active._ends_at
-            or active.out_of_time
-            or (active.may_move and self._queue)
-        ):
+            if active._worked >= active.most_work:
+                active._deadline = 0.0
+        if time.monotonic() >= active._ends_at or (active.may_move and self._queue):
             self._died(child)
             return
         for job in self._running:
