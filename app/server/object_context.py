@@ -5,7 +5,6 @@ and its validation.
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -75,7 +74,6 @@ class ObjectContext(Observable):
         asset: None until it is read.
         jobs: the jobs under way, by their kind.
         lane: the processes that answer clicks on it.
-        kept_until: until then (monotonic clock) a script is taken to work on it.
     """
 
     def __init__(self, record: ObjectRecord, services: Services) -> None:
@@ -84,16 +82,10 @@ class ObjectContext(Observable):
         self.record = record
         self.live: LiveSession = services.hub.session(record.id)
         self.asset: OpenedAsset | None = None
-        self.kept_until = 0.0
         self.lane: Lane = services.workers.lanes.first
         self.jobs = RunningJobs(f"object {record.id}", self.changed, self._record_job)
         self._lock = threading.RLock()
         self._stored: tuple[str, npt.NDArray[np.integer]] | None = None
-
-    @property
-    def clicked(self) -> bool:
-        """True while a tab shows it, or a script works on it."""
-        return self.is_shown or time.monotonic() < self.kept_until
 
     @property
     def state(self) -> SessionState:

@@ -19,9 +19,14 @@ Notice = Callable[[str, str, str], None]
 
 
 class Observable:
-    """Keeps the tabs that show it."""
+    """Keeps the tabs that show it.
+
+    Attributes:
+        kept_until: until then (monotonic clock) a script is taken to work on it.
+    """
 
     def __init__(self) -> None:
+        self.kept_until = 0.0
         self._listeners: list[Listener] = []
         self._notices: list[Notice] = []
         self._showing: list[Listener] = []
@@ -31,6 +36,11 @@ class Observable:
     def is_shown(self) -> bool:
         """True while any tab shows it."""
         return bool(self._showing)
+
+    @property
+    def clicked(self) -> bool:
+        """True while a tab shows it, or a script works on it."""
+        return self.is_shown or time.monotonic() < self.kept_until
 
     def watch(
         self, listener: Listener, notice: Notice, *, shows: bool = True

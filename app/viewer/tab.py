@@ -286,17 +286,6 @@ class Selection:
         self._changed()
 
     @property
-    def worked_on(self) -> int:
-        """The selected part; in the steps after annotating that of the selected joint."""
-        joint = None if self.step == "Annotate" else self.joint
-        if joint is not None:
-            tree = self.need_object().document.tree
-            assert tree is not None
-            digits = moved_part(tree, joint.child).removeprefix("link_")
-            return int(digits) if digits.isdigit() else self.part
-        return self.part
-
-    @property
     def joint(self) -> Joint | None:
         """The selected joint."""
         tree = None if self.object is None else self.object.document.tree
@@ -405,3 +394,14 @@ class Tab:
 def latest_messages(tab: Tab) -> list[tuple[str, str]]:
     """Time and text of the notes that a tab showed, newest first."""
     return list(reversed(tab._notes.log))
+
+
+def worked_on(selection: Selection) -> int:
+    """The selected part; in the steps after annotating that of the selected joint."""
+    joint = None if selection.step == "Annotate" else selection.joint
+    if joint is not None:
+        tree = selection.need_object().document.tree
+        assert tree is not None
+        digits = moved_part(tree, joint.child).removeprefix("link_")
+        return int(digits) if digits.isdigit() else selection.part
+    return selection.part

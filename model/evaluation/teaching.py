@@ -33,7 +33,7 @@ from model.evaluation.segmentation_clicks import front_of, picture_of, visible_r
 from model.evaluation.summary import calibrate
 from model.geometry.splitting import split
 from model.prediction.arti4urdf.predictor import learned_hybrid
-from model.prediction.arti4urdf.structure import Structure, read_structure
+from model.prediction.arti4urdf.structure import read_structure
 from model.prediction.experience import Experience, ObjectExample, example_of, part_name
 from model.prediction.experience import kind_of as example_kind
 from model.segmentation.all_parts import mask_examples, propose_parts

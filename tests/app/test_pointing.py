@@ -99,12 +99,12 @@ def test_a_click_that_waits_for_the_workers_counts_for_what_was_selected(
     for part in (1, 2):
         person.tab.selection.part = part
         person.pointing.click(*RAY, True)
-        person.pointing.pick_label("door")
+        person.pointing.tools.pick_label("door")
         # A part of its own, unless an empty one is selected; another one's digit ends it.
         assert person.tab.selection.part == (4 if part == 1 else 2)
-        assert person.pointing.label == "door"
+        assert person.pointing.tools.label == "door"
     person.tab.selection.part = 3
-    assert not person.pointing.label
+    assert not person.pointing.tools.label
     person.tab.selection.object = person.second
     for number in (0, 1):
         person.answer(number, Click((0.0, 0.0, 0.0), number + 1, True, 7))

@@ -103,7 +103,6 @@ class Pointing:
             joint, "comment" for the place of a comment, "floor", "edge" and "length" for places of
             those; "" for nothing.
         tool: what a drag draws.
-        label: the name that was picked for a new part.
         hover: the preview of a click.
         tools: that change the selected part.
     """
@@ -120,7 +119,6 @@ class Pointing:
         self._measuring = Measuring(tab, picture)
         self._places: list[tuple[Point, int]] = []
         self._shifted = False
-        self._label = "", 0
         self._frame: dict[str, Point] | None = None
         self._sent: dict[str, Any] = {}
         self._actions: PointerActions | None = None
@@ -130,23 +128,6 @@ class Pointing:
     def _tool_begins(self) -> None:
         self.tools.drop()
         self.hover.forget()
-
-    @property
-    def label(self) -> str:
-        """Name of the part that the next click makes, or ""."""
-        (name, part), obj = self._label, self._selection.object
-        waits = obj is not None and self._selection.part == part
-        return name if waits and obj is not None and obj.document.part(part) is None else ""
-
-    def pick_label(self, name: str) -> None:
-        """Have the next click make a part of that name; the same again makes one without."""
-        document, part = self._selection.need_object().document, self._selection.part
-        if not part or document.part(part) is not None:
-            part = document.next_part
-        self._label = ("" if name == self.label else name), part
-        if self.armed:
-            self.disarm()
-        self._selection.choose_part(part)
 
     def _clicking(self) -> bool:
         """True while a click would be a prompt."""
@@ -246,8 +227,8 @@ class Pointing:
             return words.hint_points(left) if self._places else words.HINT_CUT
         if self.armed == "rectangle":
             return words.HINT_OPPOSITE if self._places else words.HINT_CORNER
-        if self.label:
-            return words.hint_label(self.label)
+        if self.tools.label:
+            return words.hint_label(self.tools.label)
         return words.HINT_STROKES.get(self.tool) or self._mask_hint()
 
     def _mask_hint(self) -> str:
@@ -317,10 +298,13 @@ class Pointing:
 
     def _switch(self, tool: Tool, actions: PointerActions) -> None:
         ends = actions.dismiss()
-        ends = ends or bool(self.armed or self.tools.finds or self.label) or self.tool != "click"
+        ends = (
+            ends or bool(self.armed or self.tools.finds or self.tools.label) or self.tool != "click"
+        )
         self.disarm()
         self.tool = tool
-        self._label = self._label if tool != "click" else ("", 0)
+        if tool == "click":
+            self.tools.forget_label()
         if tool == "click" and not ends:  # Escape, with nothing else to leave
             actions.withdraw()
 
@@ -357,7 +341,7 @@ class Pointing:
         if selection.step == "Annotate" and self.armed not in (*_CUTS, "merge"):
             self.hover.forget()
             aim = self._queries.aim(origin, direction)
-            name = self.label if positive else ""
+            name = self.tools.label if positive else ""
             asked = obj.segmenting.click(aim, part, positive, self._tab.user, name or None)
             self._queries.answer(asked, lambda click: self._prompted(click, now))
         else:
@@ -556,6 +540,6 @@ class Pointing:
         if step == "Prepare":
             obj.preparing.remove(ref, prepare_words.by_hand(tool), self._tab.user)
             return
-        if positive and part == self._selection.part and self.label:
-            obj.do(cmd.AddPart(part, self.label), self._tab.user)
+        if positive and part == self._selection.part and self.tools.label:
+            obj.do(cmd.AddPart(part, self.tools.label), self._tab.user)
         obj.do(cmd.AddRegion(part, ref, positive, count, tool), self._tab.user)

@@ -288,6 +288,28 @@ class Tools:
         self._take: Take | None = None
         self.finds: list[RegionOffer] = []
         self._at = 0
+        self._label = "", 0
+
+    @property
+    def label(self) -> str:
+        """Name that was picked for the part that the next click makes, or ""."""
+        (name, part), selection = self._label, self._tab.selection
+        obj = selection.object
+        waits = obj is not None and selection.part == part
+        return name if waits and obj is not None and obj.document.part(part) is None else ""
+
+    def pick_label(self, name: str) -> None:
+        """Have the next click make a part of that name; the same again makes one without."""
+        selection = self._tab.selection
+        document, part = selection.need_object().document, selection.part
+        if not part or document.part(part) is not None:
+            part = document.next_part
+        self._label = ("" if name == self.label else name), part
+        selection.choose_part(part)
+
+    def forget_label(self) -> None:
+        """Have the next click make a part without a name."""
+        self._label = "", 0
 
     @property
     def hint(self) -> str:

@@ -16,7 +16,7 @@ from app.viewer.panels.widgets import Presses
 from app.viewer.picture.object_picture import ObjectPicture
 from app.viewer.picture.scene_nodes import hit_distance
 from app.viewer.picture.stage import toggle_flat
-from app.viewer.tab import Tab
+from app.viewer.tab import Tab, worked_on
 from app.viewer.words import keys as words
 
 _PADS: Final[dict[str, str]] = {
@@ -110,7 +110,7 @@ class Views:
     def isolate(self) -> None:
         """Show the selected part alone (its joint's part in the other steps); again: as before."""
         selection = self._tab.selection
-        obj, part = selection.need_object(), selection.worked_on
+        obj, part = selection.need_object(), worked_on(selection)
         others = frozenset(p.id for p in obj.document.parts if p.id != part)
         if not others or len(others) == len(obj.document.parts):
             self._tab.notify(words.ISOLATE, words.NOTHING_ISOLATED, "gray")

@@ -21,7 +21,7 @@ from app.viewer.input.pointing import Pointing
 from app.viewer.panels.widgets import Choice, Presses, button, icon, offered, put
 from app.viewer.picture import palette
 from app.viewer.picture.palette import CATEGORIES
-from app.viewer.tab import Tab, percent
+from app.viewer.tab import Tab, percent, worked_on
 from app.viewer.words import annotate as words
 from model.core.motion_lexicon import CATEGORY_ALIASES
 from model.scenes.articulable_finders import read_lexicon
@@ -271,7 +271,9 @@ class PartList:
             self.rename(name)
             self._tab.say(words.name_set(known.id, name))
         else:
-            self._pointing.pick_label(name)
+            if self._pointing.armed:
+                self._pointing.disarm()
+            self._pointing.tools.pick_label(name)
 
     def _clicked(self, part: int) -> None:
         if self._pointing.armed == "merge":
@@ -295,7 +297,7 @@ class PartList:
     def toggle_hidden(self) -> None:
         """Hide the selected part (its joint's part in the other steps), or show it again."""
         selection = self._tab.selection
-        selection.hidden = selection.hidden ^ {selection.worked_on}
+        selection.hidden = selection.hidden ^ {worked_on(selection)}
         self._pointing.hover.forget()
         self._tab.invalidate()
 
@@ -311,7 +313,7 @@ class PartList:
             shares: of the surface by part, 0..1.
             category: what the object is, or may be.
         """
-        selection, label = self._tab.selection, self._pointing.label
+        selection, label = self._tab.selection, self._pointing.tools.label
         rows = []
         for part in parts_listed((p.id for p in doc.parts), selection.part):
             name = doc.part_names.get(part) or (part == selection.part and label) or None

@@ -142,7 +142,7 @@ class AnnotateStep:
             doc.left_out,
             tuple(shares.items()),
             selection.part,
-            self._pointing.label,
+            self._pointing.tools.label,
             selection.hidden,
             id(obj.asset),
             selection.picking,
