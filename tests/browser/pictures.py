@@ -379,9 +379,12 @@ def film_joints(tab: Tab, film: Film) -> None:
     free_of_notes(tab)
     caption = "5. Look at the checks, accept (Y), export"
     film.take(caption, 1200)
-    tab.wait_seen()
-    tab.key("y")
-    wait_until(lambda: tab.document.review.state == "accepted", "it is accepted", LONG)
+    while tab.document.review.state != "accepted":  # a warning wants Y again
+        tab.wait_seen()
+        tab.page.locator("canvas").first.focus()
+        tab.key("y")
+        tab.page.wait_for_timeout(3000)
+        wait_until(lambda: not tab.object.busy and not tab.object.being_accepted, "an answer", LONG)
     tab.drawn()
     film.take(caption, 2000)
 
