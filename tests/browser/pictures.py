@@ -333,8 +333,10 @@ def demo(taking: Taking) -> None:
     free_of_notes(tab)
     caption = "2. Pick a name and click: the part is cut out"
     film.take(caption, 900)
+    tab.key("Shift+0")
+    wait_until(lambda: tab.document.category, "the suggested category")
     frame = np.asarray(tab.document.frame.object_from_read) @ scanned
-    for key, place in (("Shift+1", DOOR), ("Shift+2", DRAWER), ("Shift+3", KNOB)):
+    for key, place in (("Shift+1", DOOR), ("Shift+2", DRAWER), ("Shift+4", KNOB)):
         tab.key(key)
         there = frame[:3, :3] @ place + frame[:3, 3]
         film.take(caption, 500, tab.pixel(there))
@@ -386,6 +388,7 @@ def film_joints(tab: Tab, film: Film) -> None:
         tab.page.wait_for_timeout(3000)
         wait_until(lambda: not tab.object.busy and not tab.object.being_accepted, "an answer", LONG)
     tab.drawn()
+    free_of_notes(tab)
     film.take(caption, 2000)
 
 
