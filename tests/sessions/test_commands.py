@@ -23,7 +23,7 @@ FLAT = {"kind": "screw", "pitch": 0.0}
 
 
 NEWER_FIELDS = {
-    "add_click": {"answer": None},
+    "add_click": {"answer": None, "name": None},
     "accept": {"override": "", "decided_at": ""},
     "reject": {"decided_at": "", "joint": "", "place": None, "listed": False},
     "remove_prompt": {"count": 1},
@@ -140,4 +140,4 @@ def test_commands_are_immutable_values():
     for kind, cls in cmd.KINDS.items():
         assert cls.__dataclass_params__.frozen, kind
     assert cmd.SetFrame("z", 1.0) == cmd.SetFrame("z", 1.0)
-    assert [f.name for f in fields(cmd.AddClick)] == ["click", "answer"]
+    assert [f.name for f in fields(cmd.AddClick)] == ["click", "answer", "name"]
