@@ -137,6 +137,8 @@ class OpenObject(ObjectContext):
         if shows and self.asset is not None:
             self._prepare_clicks(self.asset)
             self.likeness.update()
+        elif shows:  # its reading may have stopped meanwhile
+            self.reopen()
         return stop
 
     def left(self) -> None:

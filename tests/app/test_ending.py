@@ -71,7 +71,7 @@ def test_workers_that_are_busy_do_not_delay_the_end(
     code = f"from tests.app.busy_server import serve; serve({str(tmp_path)!r})"
     run = start([sys.executable, "-c", code], started)
     assert run.stdout is not None and "is ready" in run.stdout.readline()
-    assert len(in_group(run.pid)) == 8  # itself, six workers, and what they were forked from
+    assert len(in_group(run.pid)) == 9  # itself, seven workers, and what they were forked from
     ends(run, number)
     assert run.returncode == 0
 

@@ -203,6 +203,22 @@ def test_the_next_object_is_open_before_it_is_shown(begin_app, tmp_path: Path) -
     assert two.lane is one.lane, "which has it encoded"
 
 
+def test_an_object_whose_reading_stops_just_before_it_is_shown_is_read(
+    begin_app, tmp_path: Path
+) -> None:
+    GOOD.export(tmp_path / "one.ply")
+    app_state = begin_app(tmp_path / "one.ply")
+    (record,) = app_state.queue.records()
+    held = app_state.workers.reading.submit(time.sleep, 0.3, priority=99)
+    obj = app_state.object(record.id)
+    obj.left()
+    assert app_state.object(record.id) is obj
+    wait_until(lambda: held.done and not obj.jobs, "its reading has stopped")
+    assert obj.asset is None
+    obj.watch(lambda: None, lambda *_: None)
+    wait_until(lambda: obj.asset, "it is read", 60)
+
+
 def test_a_tilted_scan_that_is_opened_ahead_is_not_encoded_as_it_lies(
     begin_app, tmp_path: Path
 ) -> None:

@@ -108,10 +108,10 @@ def test_names_and_category_have_keys(start: Any, open_tab: Any, cabinet: Any) -
     tab.key("Control+Shift+z")
     wait_until(lambda: tab.document.part_names == {1: "door"}, "a door again")
     tab.button("door").click()  # the next one
-    wait_until(lambda: tab.app.pointing.label == "door", "another door is picked")
+    wait_until(lambda: tab.app.pointing.tools.label == "door", "another door is picked")
     assert tab.selection.part == 2
     tab.key("Escape")
-    wait_until(lambda: not tab.app.pointing.label, "Escape ends that")
+    wait_until(lambda: not tab.app.pointing.tools.label, "Escape ends that")
     tab.key("2")
     wait_until(lambda: tab.selection.part == 2, "key 2 chooses part 2")
     tab.page.get_by_text("Pick a name", exact=False).wait_for()
