@@ -44,9 +44,9 @@ def test_an_interrupt_ends_all_processes(command: str, seconds: float, tmp_path:
     if command == "evaluate":
         words = ["app.cli.main", command, "--data", "procedural", "--family", "Oven", "--n", "50"]
     elif command == "train":
-        skipped = ["edges", "parts", "rooms", "moving", "mending"]
+        skipped = ["edges", "parts", "clouds", "rooms", "moving", "mending"]
         words = ["model.training.segmentation", "--skip", *skipped]
-        words, jobs = [*words, "--out", str(tmp_path)], ["--boxes.workers", "2"]
+        words, jobs = [*words, "--out", str(tmp_path)], ["--proposals.workers", "2"]
     else:
         data = open_dataset(DatasetOptions("procedural", families=("Oven",), n=8))
         for i in data.ids():
