@@ -93,7 +93,7 @@ def test_all_parts_is_asked_for_below_everything_and_encodes_first() -> None:
         return SimpleNamespace(result=lambda seconds: [], add_done_callback=lambda _: None)
 
     jobs = SimpleNamespace(progress=lambda what: None, add=lambda *a: None)
-    empty = {**dict.fromkeys(("tree", "up_axis", "left_out")), "unit_scale": 1.0}
+    empty = {**dict.fromkeys(("tree", "up_axis", "left_out", "category")), "unit_scale": 1.0}
     empty |= dict.fromkeys(("prompts", "parts", "face_cuts"), ())
     obj = SimpleNamespace(
         need_asset=lambda: SimpleNamespace(folder="folder"),
