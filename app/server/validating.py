@@ -203,8 +203,8 @@ class Validation:
         while len(self._reports) > REPORTS_KEPT:
             self._reports.popitem(last=False)
         self._complete = {k: v for k, v in self._complete.items() if k[0] in self._reports}
-        if revision != self._revision(self._obj.document):
-            return
+        if revision != self._revision(self._obj.document) or self.report is None:
+            return  # asking for the report records that the object is checked
         if self._waiting is None:
             self._prepare_draft(revision)
         self._retry_acceptance()

@@ -142,6 +142,8 @@ def test_what_is_offered_for_many_has_been_checked(
     obj.do(cmd.RecordPrediction(turned, labels), "tester")
     if obj.validation.report is None:  # not before somebody looks
         assert app_state.gallery.rows(asked) == {"ids": [], "unchecked": [obj.record.id]}
+    obj.validation.update()
+    wait_until(lambda: app_state.gallery.passed(app_state.queue.records()[0]) is False, "known")
     said: list[str] = []
     app_state.bulk.check([obj.record.id], lambda *note: said.append(note[1]))
     wait_until(lambda: said, "it is checked")

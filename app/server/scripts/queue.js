@@ -7,7 +7,7 @@
   let sure = new Set(), unchecked = [];  // predicted with at least the confidence of the box
   const picked = new Set(), cards = new Map(), pieces = new Map(), asked = new Set();
   let words = null, answer = { total: 0, all: 0, states: {}, today: 0, at: -1 };
-  let current = null, followed = null, serial = 0, timer = 0, root = null, parts = {};
+  let current = null, followed = null, serial = 0, counted = 0, timer = 0, root = null, parts = {};
 
   const make = (name, className = "", attributes = {}, ...children) => {
     const node = document.createElement(name);
@@ -41,7 +41,9 @@
   const count = async () => {
     if (!picked.size) return;
     const all = { search: "", state: "", ids: 1, above: parts.above.value || 0 };
+    const mine = counted += 1;
     const found = await (await fetch(url(all))).json();
+    if (mine !== counted) return;  // answers may overtake one another
     sure = new Set(found.ids);
     unchecked = found.unchecked;
     draw();

@@ -176,7 +176,7 @@ class QueuePanel:
         """Bring the panel up to date; nothing is sent where nothing changed."""
         app_state, current, gallery = self._app_state, self._current(), self._app_state.gallery
         records = gallery.records()
-        shown = tuple((r.id, r.state, r.category) for r in records)
+        shown = tuple((r.id, r.state, r.category, gallery.passed(r)) for r in records)
         exceptions = gallery.exceptions()
         now = shown, exceptions, current, app_state.queue.removed, app_state.bulk.progress
         if now == self._shown:
