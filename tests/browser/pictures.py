@@ -155,11 +155,11 @@ def cabinet(taking: Taking) -> None:
     if not taking.wanted("joints", "review"):
         return
     told = read_prompts(EXAMPLES / "cabinet.prompts.json")
-    tab.app.tab.do(cmd.SetCategory(told.category))
+    tab.object.do(cmd.SetCategory(told.category), "annotator")
     for part, name in told.names.items():
-        tab.app.tab.do(cmd.AddPart(part, name))
+        tab.object.do(cmd.AddPart(part, name), "annotator")
     for click in told.prompts.clicks:
-        tab.app.tab.do(cmd.AddClick(click))
+        tab.object.do(cmd.AddClick(click), "annotator")
     tab.settled()
     tab.button("Predict joints (P)").first.click()
     wait_until(lambda: tab.document.tree is not None, "joints", LONG)

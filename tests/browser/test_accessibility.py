@@ -31,8 +31,8 @@ def test_the_main_views_pass_in_both_themes(start: Any, open_tab: Any, cabinet: 
     tab = open_tab(start(path), color_scheme="light")
     page = tab.page
     tab.prompt(points["door"])
-    tab.app.tab.do(cmd.NamePart(1, "door"))
-    tab.app.tab.do(cmd.SetCategory("StorageFurniture"))
+    tab.object.do(cmd.NamePart(1, "door"), "tester")
+    tab.object.do(cmd.SetCategory("StorageFurniture"), "tester")
     tab.drawn()
     for theme in ("light", "dark"):
         page.emulate_media(color_scheme=theme)

@@ -23,7 +23,7 @@ def test_a_scan_is_completed_where_it_is_checked(start: Any, open_tab: Any, tmp_
     lid = Joint("lid", "revolute", "link_0", "link_1", (1, 0, 0), (0, 0.2, 0.3), 0, 1)
     tree = KinematicTree(("link_0", "link_1"), (lid,))
     labels = tab.document.segmentation.labels
-    tab.app.tab.do(cmd.RecordPrediction(Prediction(tree, backend="test"), labels))
+    tab.object.do(cmd.RecordPrediction(Prediction(tree, backend="test"), labels), "tester")
     tab.step("Review")
     box = tab.page.get_by_label(LABEL)
     assert not box.is_checked() and tab.document.complete is None
@@ -47,6 +47,6 @@ def test_a_scan_is_completed_where_it_is_checked(start: Any, open_tab: Any, tmp_
 
     assert SURFACE in accepted()["completed"]["base"]
     tab.drawn()
-    tab.app.tab.do(cmd.Reopen(""))
-    tab.app.tab.do(cmd.SetCompletion(False))
+    tab.object.do(cmd.Reopen(""), "tester")
+    tab.object.do(cmd.SetCompletion(False), "tester")
     assert "completed" not in accepted()

@@ -26,10 +26,10 @@ def test_an_accepted_object_is_downloaded_and_packaged(
 ) -> None:
     tab: Tab = open_tab(start(cupboard))
     wait_until(lambda: tab.document.tree is not None, "the joints of the file")
-    tab.app.tab.do(cmd.SetCategory("StorageFurniture"))
+    tab.object.do(cmd.SetCategory("StorageFurniture"), "tester")
     saved = write_asset(load_object(cupboard), cupboard.with_name("asset"), provenance={})
-    tab.app.tab.do(cmd.Accept("", (), ""))
-    tab.app.tab.do(cmd.Saved(str(saved.folder)))
+    tab.object.do(cmd.Accept("", (), ""), "tester")
+    tab.object.do(cmd.Saved(str(saved.folder)), "tester")
     tab.step("Joints")  # the header has it in every step
     check_the_download(tab)
     check_the_package(tab)
@@ -88,7 +88,7 @@ def test_many_are_accepted_above_a_confidence(cupboard: Path, start: Any, open_t
         wait_until(lambda: tab.document.tree is not None, "the joints of the file")
         doc = tab.document
         told = Prediction(doc.tree, confidence={"link_1": sure}, backend="test")
-        tab.app.tab.do(cmd.RecordPrediction(told, doc.segmentation.labels))
+        tab.object.do(cmd.RecordPrediction(told, doc.segmentation.labels), "tester")
     page = tab.page
     page.get_by_role("button", name="Gallery or list").click()
     page.get_by_role("button", name="Select all").click()

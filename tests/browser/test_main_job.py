@@ -79,7 +79,7 @@ def test_parts_are_named_with_one_click_each(start: Any, open_tab: Any, cabinet:
     # Where a joint was changed by hand the question stays, and the answer predicts nothing.
     wait_until(lambda: not tab.object.busy, "the gate has judged")
     predicted = tab.document.prediction
-    tab.app.tab.do(SetCategory(None))
+    tab.object.do(SetCategory(None), "tester")
     tab.app.motion.stop()
     tab.key("f")
     wait_until(lambda: tab.document.edited_joints, "a joint is flipped")

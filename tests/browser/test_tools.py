@@ -70,13 +70,13 @@ def test_the_preview_follows_the_pointer_and_changes_nothing(
 
 def check_a_row_that_is_drawn_anew_while_it_is_pressed_is_still_pressed(tab: Tab) -> None:
     for part in (3, 4):
-        tab.app.tab.act(lambda part=part: tab.app.tab.do(AddPart(part, f"name {part}")))
+        tab.object.do(AddPart(part, f"name {part}"), "tester")
     rows = tab.page.locator(".aw-parts button")
     row = rows.filter(has_text="name 4")
     row.hover()
     before = row.element_handle()
     tab.page.mouse.down()
-    tab.app.tab.act(lambda: tab.app.tab.do(NamePart(4, "other name")))
+    tab.object.do(NamePart(4, "other name"), "tester")
     rows.filter(has_text="other name").wait_for()
     assert not before.evaluate("row => row.isConnected")
     tab.page.mouse.up()
