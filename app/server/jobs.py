@@ -78,7 +78,7 @@ class WorkerProcess:
         template: WorkerTemplate | None = None,
         most_kept: float = math.inf,
     ) -> None:
-        self.name, self._most_kept = name, most_kept
+        self.name, self._most_kept, self._rests = name, most_kept, False
         self._lazy = lazy
         self._setup = (initializer or _nothing, arguments, {})
         self._threads = threads or own_threads()
@@ -169,6 +169,11 @@ class WorkerProcess:
         """True while a job is running or queued."""
         with self._lock:
             return bool(self._running or self._queue)
+
+    def rest(self, rests: bool) -> None:
+        """Have the child ended, or no longer so, while there is nothing to do."""
+        self._rests = rests
+        self._wake()
 
     def begin_to_close(self) -> None:
         """Have the child ended, without waiting for it."""
@@ -286,8 +291,9 @@ class WorkerProcess:
 
     def _send_next(self) -> None:
         child = self._child
-        if child is not None and not self._running and child.memory() > self._most_kept:
-            _log.info("worker %s begins anew: it keeps %d MB", self.name, child.memory() >> 20)
+        rests = self._rests and not self._queue
+        if child is not None and not self._running and (rests or child.memory() > self._most_kept):
+            _log.info("worker %s ends: it keeps %d MB", self.name, child.memory() >> 20)
             child.kill()
             self._child = None
         while True:

@@ -276,15 +276,7 @@ class SceneState(Observable):
             kind, job, lambda ended: self._ended(kind, ended, keep, work, files), progress
         )
 
-    def _ended(
-        self,
-        kind: str,
-        job: Job[Any],
-        keep: Callable[[Any], None],
-        work: Work | None,
-        files: Sequence[Path],
-    ) -> None:
-        raise NotImplementedError
+    _ended: Callable[[str, Job[Any], Callable[[Any], None], Work | None, Sequence[Path]], None]
 
 
 class Saving:

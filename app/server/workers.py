@@ -29,7 +29,8 @@ KEPT_BYTES = 1 << 30
 """Memory with which a process that reads or writes files goes on; with more it begins anew."""
 HEAVY_LANES = 2
 """Two people with a heavy object each; more of them share these lanes."""
-
+SPARE_LANES = 2
+"""The one just taken, and the one before; other unused lanes keep no processes."""
 
 READING, HEAVY = 5, 10
 """Niceness of reading, a third of the processor beside a click, and a tenth: of heavy objects and
@@ -127,7 +128,18 @@ class Lanes:
             mine = self._of[user] = self._chosen(user, heavy)
             self._lanes[heavy].remove(mine)
             self._lanes[heavy].append(mine)
+            users = self._users(user)
+            unused = [lane for lane in self._lanes[heavy] if not users[lane]]
+            for lane in self._lanes[heavy]:
+                for worker in (lane.geometry, lane.segmentation):
+                    worker.rest(lane in unused[:-SPARE_LANES])
             return mine
+
+    def _users(self, user: LaneUser) -> Counter[Lane]:
+        """The numbers of objects besides one that people work on in each lane."""
+        return Counter(
+            lane for other, lane in self._of.items() if other is not user and other.clicked
+        )
 
     def reserve(self, user: LaneUser, *, heavy: bool) -> Lane:
         """Return the lane that an object gets when it is read again and is heavy, or not, then."""
@@ -139,9 +151,7 @@ class Lanes:
         lanes = self._lanes[heavy]
         former = [self._next.get(user), self._of.get(user)]
         known = next((lane for lane in former if lane in lanes), None)
-        users = Counter(
-            lane for other, lane in self._of.items() if other is not user and other.clicked
-        )
+        users = self._users(user)
         if known is not None and not (users[known] and user.clicked):
             return known
         free = [lane for lane in lanes if not users[lane] and not lane.busy]
@@ -200,6 +210,7 @@ class Workers:
         template: all are forked from it, where the system can; else None.
         readers: read files, scenes and crops, which may take long or end them, so nobody's clicks
             wait for them: the first all, the second small ones, the third what took too long.
+        reading: the first reader.
         lanes: answer clicks on open objects.
         geometry: of the first lane; also cuts the parts of a scene.
         segmentation: of the first lane.
@@ -217,16 +228,12 @@ class Workers:
             WorkerProcess(name, lazy=name == "reading 3", arguments=(READING,), **kept)
             for name in ("reading", "reading 2", "reading 3")
         )
+        self.reading = self.readers[0]
         self.lanes = Lanes(self.template)
         self.geometry, self.segmentation = self.lanes.first.geometry, self.lanes.first.segmentation
         self.prediction = WorkerProcess("prediction", template=self.template)
         self.closing = False
         self._waiting: list[tuple[str, Job[Any]]] = []
-
-    @property
-    def reading(self) -> WorkerProcess:
-        """The reader of all that isn't a small file."""
-        return self.readers[0]
 
     def read(
         self,

@@ -28,7 +28,10 @@ class IdleWorker:
     """Stands in for a worker process."""
 
     def __init__(self, name: str, **_: Any) -> None:
-        self.name, self.busy, self.closed = name, False, False
+        self.name, self.busy, self.closed, self.rests = name, False, False, False
+
+    def rest(self, rests: bool) -> None:
+        self.rests = rests
 
     def begin_to_close(self) -> None:
         self.closed = True
@@ -57,6 +60,17 @@ def test_one_annotator_has_one_lane_for_all_objects(lanes: Lanes) -> None:
         assert lanes.take(shown, heavy=False) is lanes.first
         shown.clicked = False
     assert len(list(lanes)) == 1
+
+
+def test_lanes_that_nobody_uses_keep_no_processes(lanes: Lanes) -> None:
+    taken = []
+    for _ in range(3):  # one person leaves objects that are still worked on
+        shown = Person()
+        taken.append(lanes.take(shown, heavy=False))
+        taken[-1].segmentation.busy, shown.clicked = True, False  # type: ignore[misc]
+    assert [lane.geometry.rests for lane in taken] == [True, False, False]
+    assert lanes.take(Person(), heavy=False) is taken[0], "the longest unused of all"
+    assert [lane.geometry.rests for lane in taken] == [False, True, False]
 
 
 def test_an_object_that_is_opened_ahead_waits_in_the_lane_of_the_one_before(lanes: Lanes) -> None:
