@@ -187,18 +187,21 @@ def whole(obj: ArticulatedObject) -> tuple[Asset, npt.NDArray[np.int16]]:
 
 
 def checked(known: Experience, left_out: Sequence[Taught], names: bool) -> Experience:
-    """Experience without the kinds whose objects don't gain from each other's example.
+    """Experience without the kinds whose objects don't gain from each other's example, and with
+    how often each kind is right.
 
     Args:
         left_out: each object, predicted alone and with the examples of the others.
     """
-    unused = []
+    unused, right = [], {}
     for kind in sorted({example_kind(o.category) for o in known.objects}):
         sources = {o.source for o in known.objects if example_kind(o.category) == kind}
         own = [r for r in left_out if r.names == names and r.score.object_id in sources]
-        if not helps(*([r.score for r in own if r.examples == e] for e in (False, True))):
-            unused.append(kind)
-    return replace(known, unused=tuple(unused))
+        alone, after = ([r.score for r in own if r.examples == e] for e in (False, True))
+        if not helps(alone, after):
+            unused, after = [*unused, kind], alone
+        right[kind] = _right(after)[1], sum(len(s.joints) for s in after)
+    return replace(known, unused=tuple(unused), checked=right)
 
 
 def helps(alone: Sequence[ObjectScore], after: Sequence[ObjectScore]) -> bool:

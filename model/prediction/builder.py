@@ -67,6 +67,8 @@ Array = npt.NDArray[np.float64]
 Evidence = Mapping[str, float]
 """Name → number, for one joint."""
 
+BELIEF = 16
+"""Joints of accepted objects that a confidence counts as; chosen on Infinigen's choosing half."""
 SHIPPED = static_assets() / "confidence.json"
 FORMAT = 1
 MAX_LOG_ODDS = 6.0
@@ -183,6 +185,8 @@ class PredictionBuilder:
         confidence_model: of the predictor. problems: human-readable.
         evidence: child link → evidence of its joint.
         alternatives: see :class:`~model.core.articulated_object.Prediction`.
+        checked: numbers of right joints and of all, of accepted objects of the kind; they raise
+            a confidence that is lower.
     """
 
     links: tuple[str, ...]
@@ -191,6 +195,7 @@ class PredictionBuilder:
     problems: list[str] = field(default_factory=list)
     evidence: dict[str, Evidence] = field(default_factory=dict)
     alternatives: dict[str, tuple[Joint, ...]] = field(default_factory=dict)
+    checked: tuple[int, int] = 0, 0
     _joints: list[Joint] = field(default_factory=list)
     _helpers: list[str] = field(default_factory=list)
     _notes: dict[str, str] = field(default_factory=dict)
@@ -209,7 +214,10 @@ class PredictionBuilder:
     ) -> Prediction:
         """The prediction; ``text`` writes its raw text."""
         tree = self._tree()
-        confidence = {k: self.confidence_model.confidence(e) for k, e in self.evidence.items()}
+        right, joints = self.checked
+        own = {k: self.confidence_model.confidence(e) for k, e in self.evidence.items()}
+        raised = {k: max(c, (BELIEF * c + right) / (BELIEF + joints)) for k, c in own.items()}
+        confidence = {k: round(min(c, MAX_CONFIDENCE), 4) for k, c in raised.items()}
         confidence |= {j.child: 1.0 for j in self.locked}
         return Prediction(
             tree,

@@ -118,12 +118,12 @@ class Experience:
     Attributes:
         objects: the accepted objects.
         unused: kinds whose objects don't gain from the others' example; they are left out.
-        trust: kind → share of the joints, 0..1, that were right when each object was left out.
+        checked: kind → numbers of right joints and of all, when each object was left out.
     """
 
     objects: tuple[ObjectExample, ...] = ()
     unused: tuple[str, ...] = ()
-    trust: Mapping[str, float] = field(default_factory=dict)
+    checked: Mapping[str, tuple[int, int]] = field(default_factory=dict)
 
     def without(self, source: str) -> Experience:
         """Everything but one object."""
@@ -297,6 +297,7 @@ def load_experience(path: Path) -> Experience:
             return Experience(tuple(_of_format_1(o) for o in data["objects"]))
         if found != FORMAT:
             raise ValueError("another format")
+        data.pop("trust", None)  # earlier versions kept shares alone
         return codec.read(Experience, data)
     except (OSError, ValueError, KeyError, AttributeError, TypeError) as error:
         raise InputFileError(

@@ -78,11 +78,6 @@ class Kind:
     after: Side
     used: bool
 
-    @property
-    def trust(self) -> float:
-        """Share of its joints that came out right, with one right and one wrong joint more."""
-        return round((self.after.usable + 1) / (self.after.joints + 2), 4)
-
 
 @dataclass(frozen=True)
 class Learned:
@@ -160,7 +155,8 @@ def learn(
     results = {kind: results[kind] for kind in sorted(kinds)}
     unused = tuple(kind for kind, result in results.items() if not result.used)
     alone = _sum(r.before for r in results.values())
-    after = _sum(r.after if r.used else r.before for r in results.values())
+    sides = {kind: r.after if r.used else r.before for kind, r in results.items()}
+    after = _sum(sides.values())
     learned = Learned(
         1 + max(versions(workspace), default=0),
         tuple(o.source for o in found),
@@ -171,7 +167,8 @@ def learn(
         results,
         automatic,
     )
-    everything = replace(everything, unused=unused, trust={k: r.trust for k, r in results.items()})
+    checked_joints = {kind: (side.usable, side.joints) for kind, side in sides.items()}
+    everything = replace(everything, unused=unused, checked=checked_joints)
     learned = keep_version(workspace, learned, everything)
     if learned.taken or automatic:
         use(workspace, learned.version)

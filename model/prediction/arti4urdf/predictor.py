@@ -218,6 +218,7 @@ class Arti4UrdfPredictor:
         known = NOTHING
         if self.hybrid is not None and self.experience is not None:
             known = lessons(self.experience, structure.sampled)
+            builder.checked = self.experience.checked.get(kind_of(segmented.category), (0, 0))
         answer = self.answer(prompt, structure, locks, self.prior(rules), known)
         assembly = None
         if self.hybrid is not None:
@@ -309,11 +310,7 @@ class Arti4UrdfPredictor:
             steps = taught_steps(motion, given, lesson.foreseen >= MOST)
             same = steps == given[0][0]
             made.append(plain if same else joints_of_steps(structure.sampled, part, parent, steps))
-        motion, confidence = ranked[0]
-        if self.experience is not None and motion.votes:
-            kind = kind_of(structure.sampled.category)
-            confidence = max(confidence, self.experience.trust.get(kind, 0.0))
-        return made[0], made[1:], confidence
+        return made[0], made[1:], ranked[0][1]
 
     def with_example(self, accepted: ArticulatedObject, source: str) -> Arti4UrdfPredictor | None:
         """Itself with an accepted object as one more example, which counts whatever its kind
