@@ -40,7 +40,8 @@ def facts(asset: Asset) -> Facts:
     for part, name in enumerate(names):
         mine = asset.element_part == part
         points, link = mesh.triangles[mine].reshape(-1, 3), f"link_{part}"
-        out[f"box {name}"] = [*points.min(0), *points.max(0)]
+        if len(points):
+            out[f"box {name}"] = [*points.min(0), *points.max(0)]
         out[f"colours {name}"] = sorted(set(map(tuple, colors[mine].tolist())))
         if (held := asset.inertials.get(link)) is not None:
             out |= {f"mass {name}": held.mass, f"centre {name}": held.center}
