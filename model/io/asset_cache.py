@@ -135,9 +135,8 @@ def load_asset(folder: str | Path, *, textures: bool = True) -> Asset:
         meta = json.loads(path.read_text("utf-8"))
         version = meta["version"]
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputFileError(
-            path, f"is no saved asset ({error})", "open the source file again"
-        ) from None
+        why = f"is no saved asset ({error})"
+        raise InputFileError(path, why, "open the source file again") from None
     if version != FORMAT_VERSION:
         raise InputFileError(
             path,
@@ -158,9 +157,8 @@ def load_asset(folder: str | Path, *, textures: bool = True) -> Asset:
         KinematicsError,
         TextureError,
     ) as error:
-        raise InputFileError(
-            folder, f"the saved asset is damaged ({error})", "open the source file again"
-        ) from None
+        why = f"the saved asset is damaged ({error})"
+        raise InputFileError(folder, why, "open the source file again") from None
 
 
 def _read(folder: Path, meta: dict[str, Any], textures: bool) -> Asset:

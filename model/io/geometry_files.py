@@ -27,7 +27,7 @@ from model.core.names import named_parts
 from model.core.progress import Progress, no_progress
 from model.io.formats.dae import read_dae
 from model.io.formats.gltf import read_gltf
-from model.io.formats.loaded import DEFAULT_MAX_BYTES, Loaded, size_of
+from model.io.formats.loaded import DEFAULT_MAX_BYTES, WORLD_FROM_UP, Loaded, size_of
 from model.io.formats.mtl import MaterialFiles
 from model.io.formats.obj import read_obj
 from model.io.formats.pcd import read_pcd
@@ -140,9 +140,8 @@ def _finite(path: Path, loaded: Loaded, scale: float) -> Loaded:
     if not bad:
         return loaded
     if bad == len(good):
-        raise InputFileError(
-            path, f"all {bad} points are NaN or infinite", "export the object again"
-        )
+        why = f"all {bad} points are NaN or infinite"
+        raise InputFileError(path, why, "export the object again")
     warning = f"{bad} of {len(good)} points are NaN or infinite and were left out"
     face_good = np.all(good[loaded.faces], axis=1)
     if len(face_good) and not face_good.any():
@@ -259,15 +258,6 @@ _Y_UP = (".glb", ".gltf")
 
 _DECLARED_UP = (*_Y_UP, *STAGES, ".usdz", ".dae", ".urdf", ".sdf", ".xml", ".mjcf")
 
-_WORLD_FROM_SOURCE: dict[str, list[list[int]]] = {
-    "z": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
-    "y": [[1, 0, 0], [0, 0, -1], [0, 1, 0]],
-    "x": [[0, 0, -1], [0, 1, 0], [1, 0, 0]],
-    "-z": [[1, 0, 0], [0, -1, 0], [0, 0, -1]],
-    "-y": [[1, 0, 0], [0, 0, 1], [0, -1, 0]],
-    "-x": [[0, 0, 1], [0, 1, 0], [-1, 0, 0]],
-}
-
 
 def default_up_axis(path: Path, *, part_of_folder: bool = False) -> UpAxis:
     """The default up axis of a file, see the module's docstring."""
@@ -288,9 +278,9 @@ def turned_up(up_axis: UpAxis) -> np.ndarray:
     Raises:
         ConfigurationError: for an axis that is none.
     """
-    if up_axis not in _WORLD_FROM_SOURCE:
-        raise ConfigurationError(f"up axis {up_axis!r} is none of {', '.join(_WORLD_FROM_SOURCE)}")
-    return affine(_WORLD_FROM_SOURCE[up_axis])
+    if up_axis not in WORLD_FROM_UP:
+        raise ConfigurationError(f"up axis {up_axis!r} is none of {', '.join(WORLD_FROM_UP)}")
+    return affine(WORLD_FROM_UP[up_axis])
 
 
 def unknown_type(path: Path, suffixes: Sequence[str]) -> InputFileError:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +17,11 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from model.core.articulated_object import Inertial, inertial_problems
-from model.core.errors import InputFileError, KinematicsError
+from model.core.errors import InputFileError
 from model.core.files import free_name
 from model.core.geometry import Mesh, affine
 from model.core.joint import DeclaredDynamics, Joint, Mimic
 from model.core.packages import require
-from model.core.tree import KinematicTree
 from model.io.formats.loaded import DEFAULT_MAX_BYTES
 from model.io.geometry_files import SUFFIXES
 from model.io.mjcf_source import MjcfSource, read_source, sites_of
@@ -35,13 +34,12 @@ from model.io.urdf.meshes import (
     ellipsoid,
     repeats,
 )
-from model.io.urdf.model import DeclaredPhysics, UrdfModel, renamed_helpers
+from model.io.urdf.model import DeclaredPhysics, UrdfModel, model_from
 
 LEAST_MASS = 1e-6
 """kg: MuJoCo refuses moving bodies without mass, which matters only once they are simulated."""
 LARGEST = 1e6
 """Metres of a size, an offset or a limit; as for a URDF."""
-FULL_TURN = 2 * math.pi - 1e-6
 WATER = 1000.0
 """kg/m³: what MuJoCo takes geoms for of which nothing is said."""
 SEEN_GROUPS = 2
@@ -91,18 +89,6 @@ def need_mujoco() -> Any:
     return require("mujoco", "artiworld[physics]", "MJCF")
 
 
-@dataclass(frozen=True)
-class _Motion:
-    """The motion of one MuJoCo joint, world frame."""
-
-    name: str
-    type: Any
-    axis: Any
-    origin: Any
-    limits: tuple[float | None, float | None]
-    dynamics: DeclaredDynamics | None
-
-
 class _Reader:
     def __init__(self, path: Path, source: MjcfSource, mujoco: Any) -> None:
         self.path, self.source = path, source
@@ -115,51 +101,30 @@ class _Reader:
         self.meshes: dict[int, Mesh] = {}
 
     def read(self) -> UrdfModel:
-        joints, dynamics = self._joints()
+        joints = self._joints()
+        dynamics = {j.name: j.dynamics for j in joints if j.dynamics is not None}
+        joints = [replace(j, dynamics=None) for j in joints]
         visuals = tuple(v for g in self._seen() if (v := self._piece(g)) is not None)
         if not visuals:
-            raise InputFileError(
-                self.path,
-                "no body has a geom that can be seen",
-                "planes and height fields are none",
-            )
+            what = "no body has a geom that can be seen"
+            raise InputFileError(self.path, what, "planes and height fields are none")
         felt = self._felt()
         links = [*self.links, *(j.child for j in joints if j.child not in set(self.links))]
         links, joints = self._without_world(links, joints, {v.link for v in visuals} | set(felt))
-        renotes: list[str] = []
-        renamed = renamed_helpers(links, {v.link for v in visuals}, renotes)
-
-        def now(link: str) -> str:
-            return renamed.get(link, link)
-
         mimics = self._mimics(joints)
-        try:
-            tree = KinematicTree(
-                tuple(map(now, links)),
-                tuple(
-                    replace(j, parent=now(j.parent), child=now(j.child), mimic=mimics.get(j.name))
-                    for j in joints
-                ),
-            )
-        except KinematicsError as error:
-            raise InputFileError(self.path, str(error)) from None
-        inertials = {now(link): i for link, i in self._inertials().items() if link in links}
         collision = {
-            now(link): DeclaredCollision(
-                held, "", repeats(held, [v for v in visuals if v.link == link])
-            )
+            link: DeclaredCollision(held, "", repeats(held, [v for v in visuals if v.link == link]))
             for link, held in felt.items()
         }
-        affordances = tuple(replace(a, link=now(a.link)) for a in sites_of(self.model, self.links))
-        notes = tuple(dict.fromkeys([*self.notes, *renotes]))
-        return UrdfModel(
+        affordances = tuple(sites_of(self.model, self.links))
+        return model_from(
             self.path,
             self.source.name,
-            tree,
+            links,
+            [replace(j, mimic=mimics.get(j.name)) for j in joints],
             visuals,
-            notes,
-            renamed=tuple(renotes),
-            declared=DeclaredPhysics(inertials, dynamics, (), collision, affordances),
+            self.notes,
+            DeclaredPhysics(self._inertials(), dynamics, (), collision, affordances),
             files=(*self.source.files, *dict.fromkeys(self.looks.used)),
             part_names=self.source.part_names,
         )
@@ -207,46 +172,30 @@ class _Reader:
             if wrong.any():
                 link = self.links[int(owner[np.flatnonzero(wrong)[0]])]
                 where = f"body {link!r}" if what == "body" else f"a {what} of body {link!r}"
-                raise InputFileError(
-                    self.path,
-                    f"{where} is larger or farther off than can be",
-                    f"{LARGEST:g} m is the most",
-                )
+                far = f"{where} is larger or farther off than can be"
+                raise InputFileError(self.path, far, f"{LARGEST:g} m is the most")
 
     # -- joints ----------------------------------------------------------------------------------
 
-    def _joints(self) -> tuple[list[Joint], dict[str, DeclaredDynamics]]:
-        model, out = self.model, []
-        declared: dict[str, DeclaredDynamics] = {}
+    def _joints(self) -> list[Joint]:
+        model, out = self.model, list[Joint]()
         names = {model.joint(j).name for j in range(model.njnt)} - {""}
         for body in range(1, model.nbody):
             child, above = self.links[body], self.links[model.body_parentid[body]]
             first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
             motions = [m for j in range(first, first + count) for m in self._motions(j, names)]
-            for i, motion in enumerate(motions):
-                last = i == len(motions) - 1
-                below = child if last else free_name(f"helper_{child}_{i}", self.links)
-                out.append(
-                    Joint(
-                        motion.name,
-                        motion.type,
-                        above,
-                        below,
-                        motion.axis,
-                        motion.origin,
-                        *motion.limits,
-                    )
-                )
-                if motion.dynamics is not None:
-                    declared[motion.name] = motion.dynamics
-                above = below
             if not motions:
-                fixed = free_name(f"fixed_{child}", names)
-                names.add(fixed)
-                out.append(Joint(fixed, "fixed", above, child))
-        return out, declared
+                motions = [Joint(free_name(f"fixed_{child}", names), "fixed", "", child)]
+                names.add(motions[0].name)
+            for i, motion in enumerate(motions, 1):
+                last = i == len(motions)
+                below = child if last else free_name(f"helper_{child}_{i - 1}", self.links)
+                out.append(replace(motion, parent=above, child=below))
+                above = below
+        return out
 
-    def _motions(self, j: int, names: set[str]) -> list[_Motion]:
+    def _motions(self, j: int, names: set[str]) -> list[Joint]:
+        """Motions of one MuJoCo joint, world frame, one after the other; their links are open."""
         model, data, kind = self.model, self.data, int(self.model.jnt_type[j])
         name = model.joint(j).name
         if not name:
@@ -260,22 +209,16 @@ class _Reader:
         origin = tuple(data.xanchor[j].tolist())
         if model.jnt_stiffness[j] != 0:
             self.notes.append(f"joint {name!r} has a spring, which is not kept")
-        dynamics = self._dynamics(j)
+        dof = int(model.jnt_dofadr[j])
+        if model.dof_dampingpoly[dof].any() or model.dof_damping[dof] < 0:
+            self.notes.append(f"joint {name!r}: damping is read where it is linear and above 0")
+        base = Joint(name, "continuous", "", "to", origin=origin, dynamics=self._dynamics(j))
         if kind == _BALL:
             self.notes.append(f"joint {name!r} is a ball: read as three turns")
-            axes = [tuple(axis) for axis in np.eye(3).tolist()]
-            return [
-                _Motion(
-                    free_name(f"{name}_{w}", names),
-                    "revolute",
-                    a,
-                    origin,
-                    (-math.pi, math.pi),
-                    dynamics,
-                )
-                for w, a in zip("xyz", axes, strict=True)
-            ]
-        axis = tuple(data.xaxis[j].tolist())
+            turn = replace(base, type="revolute", lower=-math.pi, upper=math.pi)
+            axes = zip("xyz", np.eye(3).tolist(), strict=True)
+            return [replace(turn, name=free_name(f"{name}_{w}", names), axis=a) for w, a in axes]
+        base = replace(base, axis=tuple(data.xaxis[j].tolist()))
         reference = float(model.qpos0[model.jnt_qposadr[j]])
         low, high = (float(v) - reference for v in model.jnt_range[j])
         limited = bool(model.jnt_limited[j])
@@ -284,13 +227,11 @@ class _Reader:
                 f"joint {name!r}: limits {low:g}..{high:g} are in the wrong order: taken for none"
             )
         if kind == _HINGE:
-            if not limited or high - low >= FULL_TURN:
-                return [_Motion(name, "continuous", axis, origin, (None, None), dynamics)]
-            return [_Motion(name, "revolute", axis, origin, (low, high), dynamics)]
+            return [replace(base, type="revolute", lower=low, upper=high) if limited else base]
         if not limited:
             self.notes.append(f"joint {name!r} slides without limits: its range is taken as 0")
             low = high = 0.0
-        return [_Motion(name, "prismatic", axis, origin, (low, high), dynamics)]
+        return [replace(base, type="prismatic", lower=low, upper=high)]
 
     def _mimics(self, joints: Sequence[Joint]) -> dict[str, Mimic]:
         moving = {j.name: j for j in joints if j.moves}

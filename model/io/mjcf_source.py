@@ -38,6 +38,7 @@ from model.io.robot_xml import (
     MJCF,
     ROOTS,
     WORLD,
+    begins,
     parse,
 )
 from model.io.urdf.files import package_root
@@ -105,7 +106,6 @@ DEEPEST = 200
 """Nested elements; MuJoCo's parser calls itself for each level."""
 PART_NAME = "part_name_"
 """Begins the names of the ``<custom><text>`` entries in which exports say what a link is called."""
-_HEAD = 1 << 16
 _BEGINS = re.compile(rb"(?:\xef\xbb\xbf)?(?:\s|<\?.*?\?>|<!--.*?-->)*<mujoco[\s>/]", re.DOTALL)
 _NAMED = re.compile(r"""\b(file|meshdir|assetdir|texturedir)\s*=\s*["']([^"'<>]{1,1000})["']""")
 _TEXTS = ("name", "class", "childclass", "mesh", "material", "texture", "hfield", "file", "model")
@@ -143,13 +143,7 @@ class MjcfSource:
 
 def is_mjcf(path: Path) -> bool:
     """True if ``path`` is an XML file that begins with ``<mujoco>`` and isn't hidden."""
-    if path.suffix.lower() not in MJCF_SUFFIXES or path.name.startswith(".") or not path.is_file():
-        return False
-    try:
-        with path.open("rb") as file:
-            return _BEGINS.match(file.read(_HEAD)) is not None
-    except OSError:
-        return False
+    return begins(path, MJCF_SUFFIXES, _BEGINS)
 
 
 def named_files(path: Path) -> list[Path]:
@@ -248,17 +242,13 @@ class _Source:
                     continue
                 file = self._found(child.get("file", ""), [""], self.home.get(child), "include")
                 if not file.is_file():
-                    raise InputFileError(
-                        file, f"is included by {self.path.name} and isn't there", "put it there"
-                    )
+                    what = f"is included by {self.path.name} and isn't there"
+                    raise InputFileError(file, what, "put it there")
                 self.files.append(file)
                 read += file.stat().st_size
                 if len(self.files) > MOST_FILES or read > MAX_BYTES:
-                    raise InputFileError(
-                        self.path,
-                        f"includes more than {MOST_FILES} files or 64 MiB",
-                        "a file can't include itself",
-                    )
+                    what = f"includes more than {MOST_FILES} files or 64 MiB"
+                    raise InputFileError(self.path, what, "a file can't include itself")
                 brought = parse(file, ROOTS, "what an MJCF includes")
                 self.home |= dict.fromkeys(brought.iter(), file.parent)
                 parent[i : i + 1] = list(brought)
@@ -293,17 +283,13 @@ class _Source:
             raise InputFileError(self.path, f"nests more than {DEEPEST} elements in each other")
         for element in top.iter():
             if element.tag == "attach":
-                raise InputFileError(
-                    self.path, "attaches another model", "have MuJoCo write it as one file"
-                )
+                remedy = "have MuJoCo write it as one file"
+                raise InputFileError(self.path, "attaches another model", remedy)
             for key, text in element.attrib.items():
                 if key not in _TEXTS and not _finite(text):
                     name = f" {element.get('name')!r}" if element.get("name") else ""
-                    raise InputFileError(
-                        self.path,
-                        f"{key}={text[:80]!r} of <{element.tag}>{name} is not a number",
-                        "write finite numbers",
-                    )
+                    what = f"{key}={text[:80]!r} of <{element.tag}>{name} is not a number"
+                    raise InputFileError(self.path, what, "write finite numbers")
             element.text = element.tail = "\n"  # stray words that MuJoCo passes over
 
     def _couplings(self, top: Element) -> dict[str, tuple[str, list[float]]]:
@@ -318,9 +304,8 @@ class _Source:
             try:
                 terms = [float(word) for word in element.get("polycoef", "0 1").split()]
             except ValueError:
-                raise InputFileError(
-                    self.path, f"polycoef of joint {follower!r} is not made of numbers"
-                ) from None
+                what = f"polycoef of joint {follower!r} is not made of numbers"
+                raise InputFileError(self.path, what) from None
             out[follower] = (leader, terms)
         return out
 
@@ -355,9 +340,8 @@ class _Source:
         mesh = element.get("name") or Path(name.replace("\\", "/")).stem
         file = self._found(name, folders["mesh"], home, f"mesh {mesh!r}:")
         if not file.is_file():
-            raise InputFileError(
-                file, f"the mesh {mesh!r} of {self.path.name} isn't there", "put it there"
-            )
+            what = f"the mesh {mesh!r} of {self.path.name} isn't there"
+            raise InputFileError(file, what, "put it there")
         key = next((k for k, f in source.meshes.items() if f == file), mesh)
         key = f"{key}{file.suffix.lower()}"
         if key not in source.assets:
@@ -376,12 +360,8 @@ class _Source:
         if math.prod(sides) > MOST_CELLS:
             what = f"the height field {own!r} has {sides[0]:,} x {sides[1]:,} cells"
             raise InputFileError(self.path, what, f"{MOST_CELLS:,} are the most")
-        element.attrib = {
-            "name": own,
-            "nrow": "2",
-            "ncol": "2",
-            "size": element.get("size", "1 1 1 1"),
-        }
+        size = element.get("size", "1 1 1 1")
+        element.attrib = {"name": own, "nrow": "2", "ncol": "2", "size": size}
 
     def _texture(
         self, element: Element, name: str | None, folders: list[str], source: MjcfSource
@@ -394,13 +374,7 @@ class _Source:
         if name is not None:
             home = self.home.get(element)
             source.textures[own] = self._found(name, folders, home, f"texture {own!r}:")
-        element.attrib = {
-            "name": own,
-            "type": "2d",
-            "builtin": "flat",
-            "width": "1",
-            "height": "1",
-        }
+        element.attrib = {"name": own, "type": "2d", "builtin": "flat", "width": "1", "height": "1"}
 
     def _count(self, kept: list[Element]) -> None:
         """Bodies and geoms, with those that are repeated."""
@@ -414,11 +388,9 @@ class _Source:
                 found[element.tag] += times
             ahead += ((child, times) for child in element)
         if found["body"] > MOST_BODIES or found["geom"] > MOST_GEOMS:
-            raise InputFileError(
-                self.path,
-                f"has {found['body']:,} bodies and {found['geom']:,} geoms",
-                f"an object has {MOST_BODIES:,} bodies and {MOST_GEOMS:,} geoms at most",
-            )
+            what = f"has {found['body']:,} bodies and {found['geom']:,} geoms"
+            most = f"an object has {MOST_BODIES:,} bodies and {MOST_GEOMS:,} geoms at most"
+            raise InputFileError(self.path, what, most)
 
 
 def _said(top: Element) -> dict[str, str]:

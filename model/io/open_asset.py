@@ -189,9 +189,8 @@ def _read_folder(
     solid = [is_solid(p) for p in parts]
     if any(solid) and not all(solid):
         cloud = manifest.entries[solid.index(False)].path
-        raise InputFileError(
-            cloud, "is a cloud among meshes", "give all parts as meshes or all as clouds"
-        )
+        why = "is a cloud among meshes"
+        raise InputFileError(cloud, why, "give all parts as meshes or all as clouds")
     whole = join(parts)
     warnings = dict.fromkeys([*manifest.remarks, *(w for p in parts for w in p.warnings)])
     sizes = [len(p.faces) if solid[0] else len(p.vertices) for p in parts]
@@ -258,8 +257,7 @@ def _read_declared_parts(
         path, up_axis=up_axis, unit_scale=scale, max_bytes=max_bytes, progress=progress
     )
     if asset.element_part is None:
-        raise InputFileError(
-            path, "doesn't tell its parts", "cut it with artiworld segment, or serve it"
-        )
+        why = "doesn't tell its parts"
+        raise InputFileError(path, why, "cut it with artiworld segment, or serve it")
     parts = split(asset, asset.element_part, dict(enumerate(asset.part_names)))
     return SegmentedObject(asset.name, parts, asset.category, asset.inertials, asset.shapes)

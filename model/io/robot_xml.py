@@ -7,6 +7,7 @@ handed on are MuJoCo's to judge: it refuses what it doesn't know.
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
 
 
+_HEAD = 1 << 16
 MAX_BYTES = 64 * 2**20
 """No honest URDF or MJCF is larger; its meshes lie beside it."""
 
@@ -55,6 +57,17 @@ def parse(path: Path, roots: tuple[str, ...] = (), kind: str = "this") -> Elemen
     if roots and root.tag not in roots:
         raise InputFileError(path, f"begins with <{root.tag}>", f"{kind} begins with <{roots[0]}>")
     return root
+
+
+def begins(path: Path, suffixes: tuple[str, ...], how: re.Pattern[bytes]) -> bool:
+    """True for a file with one of the suffixes that isn't hidden and begins as a pattern says."""
+    if path.suffix.lower() not in suffixes or path.name.startswith(".") or not path.is_file():
+        return False
+    try:
+        with path.open("rb") as file:
+            return how.match(file.read(_HEAD)) is not None
+    except OSError:
+        return False
 
 
 _LISTED = 5

@@ -10,7 +10,7 @@ along the axes that no limit locks.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import reduce
 from pathlib import Path
@@ -22,18 +22,18 @@ from scipy.spatial.transform import Rotation
 
 from model.core.articulated_object import Affordance, Inertial, inertial_problems, together
 from model.core.composite_joints import Composite, composite_joints, free_helpers
-from model.core.errors import GeometryError, InputFileError, KinematicsError
+from model.core.errors import GeometryError, InputFileError
 from model.core.files import free_name
 from model.core.geometry import Mesh, affine, uniform_scale
 from model.core.joint import JOINT_KINDS, JOINT_TYPES, DeclaredDynamics, Joint, JointType, Mimic
 from model.core.packages import require
-from model.core.tree import KinematicTree
+from model.core.shapes import hull_of
 from model.io.export.usd import AFFORDANCE, FRICTION, NAME_KEY
 from model.io.formats.loaded import DEFAULT_MAX_BYTES
-from model.io.formats.usd import UsdStage, beside, sound_stage
+from model.io.formats.usd import MOST, UsdStage, beside, sound_stage
 from model.io.geometry_files import cleaned, to_mesh
 from model.io.urdf.meshes import DeclaredCollision, UrdfVisual
-from model.io.urdf.model import DeclaredPhysics, UrdfModel, renamed_helpers
+from model.io.urdf.model import DeclaredPhysics, UrdfModel, model_from
 from model.io.urdf.sdf import UNLIMITED
 from model.physics.inertia import hull_inertial
 
@@ -42,13 +42,14 @@ MOST_BODIES = 5000
 """More are no object; as for a URDF's links."""
 WIDE = 10.0
 """Metres both ways; what is static and wider is no object's."""
-APART = 1e-3
-"""Difference of two joint frames in metres, beside the joint's own motion, that is remarked."""
+APART, ASKEW = 1e-3, 0.1
+"""Metres and degrees between two joint frames, beside the joint's own motion, that are remarked."""
 DENSITY = 1000.0
 """kg/m³ of shapes without one beside others that have one, as UsdPhysics has it."""
+BALL = "PhysicsSphericalJoint"
 _TYPES: dict[str, JointType] = {
     **{JOINT_KINDS[kind].usd: kind for kind in JOINT_TYPES if kind != "continuous"},
-    "PhysicsSphericalJoint": "revolute",
+    BALL: "revolute",
 }
 _AXES: dict[str, JointType] = {
     f"{kind}{axis}": _TYPES[f"Physics{name}Joint"]
@@ -179,17 +180,18 @@ class _Reader:
         return top.GetParentPath() if top in self.link_of else top
 
     def _pieces(self, prims: Iterable[tuple[Any, bool]], top: Any) -> Iterator[_Piece]:
-        """Shapes below ``top``; others, and grounds, are surroundings, which are remarked."""
+        """Shapes below ``top``; others, what no body holds where no joint hangs on it, and grounds
+        are surroundings, which are remarked."""
         away = []
         for prim, seen in prims:
             felt = prim.HasAPI(self.physics.CollisionAPI)
             felt = felt and self.get(prim, "physics:collisionEnabled") is not False
             if not (seen or felt) or not self.stage.is_shape(prim):
                 continue
-            if not prim.GetPath().HasPrefix(top):
+            link = self._holder(prim)
+            if not prim.GetPath().HasPrefix(top) or (link == WORLD and not self.static):
                 away += [prim.GetPath()] * seen
                 continue
-            link = self._holder(prim)
             made = self.stage.shape_of(prim).moved(self.stage.world(prim))
             mesh = to_mesh(cleaned(self.path, made, np.eye(4), 1.0))
             size = np.ptp(mesh.bounds, axis=0)
@@ -201,8 +203,9 @@ class _Reader:
         self.notes += beside("surroundings left out", away, top)
 
     def _holder(self, prim: Any) -> str:
+        """The link of a prim's body; "" where that isn't active."""
         body = self.stage.body_of(prim)
-        return self.link_of[body.GetPath()] if body else WORLD
+        return self.link_of.get(body.GetPath(), "") if body else WORLD
 
     # Joints
 
@@ -213,7 +216,7 @@ class _Reader:
             self._end(prim.GetRelationship(f"physics:body{k}")) for k in (0, 1)
         )
         off = self.get(prim, "physics:jointEnabled") is False
-        if off or zero == one:
+        if off or zero == one or not (zero and one):
             self.notes.append(f"{said} {'is switched off' if off else 'joins nothing'}: left out")
             return None
         type_, axis, drive, limits = self._freedom(prim, said)
@@ -223,7 +226,7 @@ class _Reader:
             @ onto
             for k, at in enumerate((at_zero, at_one))
         )
-        value = self._value(said, type_, np.linalg.inv(zeros) @ ones)
+        value = self._value(said, prim, type_, np.linalg.inv(zeros) @ ones)
         unit = math.pi / 180 if type_ == "revolute" else self.stage.unit
         home = next((p for p in (named, other) if p in self.static), None)
         if home is None and WORLD in (zero, one) and type_ != "fixed":
@@ -279,16 +282,19 @@ class _Reader:
             rotation, scaled @ (np.asarray(place or (0, 0, 0)) * self.stage.unit) + world[:3, 3]
         )
 
-    def _value(self, said: str, type_: JointType, apart: FloatArray) -> float:
+    def _value(self, said: str, prim: Any, type_: JointType, apart: FloatArray) -> float:
         """Present joint value; adds a remark where the joint's frames differ by anything else."""
         shift, turn = apart[:3, 3].copy(), Rotation.from_matrix(apart[:3, :3]).as_rotvec()
-        value = turn[0] if JOINT_KINDS[type_].rotates else 0.0
-        if JOINT_KINDS[type_].slides:
-            value, shift[0] = shift[0], 0.0
-        away = np.linalg.norm(shift)
-        if type_ != "fixed" and away > APART:
-            self.notes.append(f"{said}: its frames stand {away:.3g} m apart; that of body 0 counts")
-        return 0.0 if abs(value) < 1e-6 else float(value)
+        value, moved = 0.0, shift if JOINT_KINDS[type_].slides else turn
+        if type_ != "fixed":
+            value, moved[0] = float(moved[0]), 0.0
+        away, askew = np.linalg.norm(shift), np.degrees(np.linalg.norm(turn))
+        differ = [f"{away:.3g} m"] * bool(away > APART)
+        differ += [f"{askew:.3g} degrees"] * bool(askew > ASKEW and prim.GetTypeName() != BALL)
+        if differ and type_ != "fixed":
+            both = " and ".join(differ)
+            self.notes.append(f"{said}: its frames stand {both} apart; that of body 0 counts")
+        return 0.0 if abs(value) < 1e-6 else value
 
     # The model
 
@@ -306,38 +312,32 @@ class _Reader:
             below = [j for j in joints if j.parent == WORLD]
             if len(below) == 1 and not below[0].moves:
                 links, joints = links[1:], [j for j in joints if j is not below[0]]
-        renotes: list[str] = []
-        renamed = renamed_helpers(links, holding, renotes)
         mimics = self._mimics(written)
         joints = [replace(j, mimic=mimics.get(j.name)) for j in joints]
-        try:
-            tree = KinematicTree(tuple(links), tuple(joints)).renamed(renamed)
-        except KinematicsError as error:
-            raise InputFileError(self.path, str(error)) from None
         felt: dict[str, list[UrdfVisual]] = {}
         for shape, piece in zip(shapes, pieces, strict=True):
             if piece.felt:
-                felt.setdefault(renamed.get(piece.link, piece.link), []).append(shape)
+                made = replace(shape, mesh=self._collider(piece))
+                felt.setdefault(piece.link, []).append(made)
         moving = {j.name: written[j.name] for j in joints if j.moves and j.name in written}
         said = ((n, self._dynamics(link)) for n, link in moving.items())
         declared = DeclaredPhysics(
-            {renamed.get(link, link): i for link, i in self._inertials(bodies, pieces)},
+            dict(self._inertials(bodies, pieces)),
             {n: d for n, d in said if d is not None},
             (),
             {link: DeclaredCollision(tuple(held)) for link, held in felt.items()},
-            tuple(self._affordances(tree)),
+            tuple(self._affordances({j.name: j for j in joints})),
         )
-        labels = {renamed.get(link, link): text for link, text in self._labels(bodies)}
         top = self.stage.stage.GetDefaultPrim()
-        return UrdfModel(
+        return model_from(
             self.path,
             str(top.GetName()) if top else self.path.stem,
-            tree,
+            links,
+            joints,
             visuals,
-            tuple(dict.fromkeys([*self.notes, *renotes])),
-            renamed=tuple(renotes),
-            declared=declared,
-            part_names=labels,
+            self.notes,
+            declared,
+            part_names=dict(self._labels(bodies)),
             category=_label(top) if top else None,
         )
 
@@ -358,6 +358,7 @@ class _Reader:
                 self.joint_names.add(name)
                 out.append(Joint(name, "fixed", root, start))
                 reached.add(start)
+                self.notes.append(f"body {start!r} hangs on no joint: it stays where it stands")
             while near := [j for j in left if j.zero in reached or j.one in reached]:
                 joint, ends = near[0], (near[0].zero, near[0].one)
                 left.remove(joint)
@@ -395,10 +396,12 @@ class _Reader:
     def _ball(self, joint: Joint, written: dict[str, _Link], links: list[str]) -> tuple[Joint, ...]:
         """A spherical joint as three turns; the links between them are added to ``links``."""
         prim = written[joint.name].prim if joint.name in written else None
-        if prim is None or str(prim.GetTypeName()) != "PhysicsSphericalJoint":
+        if prim is None or prim.GetTypeName() != BALL:
             return (joint,)
         cone = self.get(prim, "physics:coneAngle0Limit")
         swing = math.radians(cone) if cone is not None and 0 <= cone < 90 else math.pi / 2
+        tilts = f"three turns, two of them up to {math.degrees(swing):.3g} degrees"
+        self.notes.append(f"joint {joint.name!r} is a ball: read as {tilts}")
         helpers = free_helpers(joint.child, 2, links)
         links += helpers
         return composite_joints(Composite("ball"), joint, helpers, swing=swing)
@@ -412,8 +415,8 @@ class _Reader:
             prim, sign = link.prim, 1.0
             follows = (k for k in _FOLLOWS.items() if prim.GetRelationship(k[0]).GetTargets())
             keys = next(((lead, f"{c}1", f"{c}0") for lead, c in follows), ("", "", ""))
-            names = (str(a.GetName()) for a in prim.GetAttributes())
-            base = next((n.removesuffix(":gearing") for n in names if n.endswith(":gearing")), "")
+            names = (str(p.GetName()).rpartition(":") for p in prim.GetProperties())
+            base = next((b for b, _, n in names if n in ("gearing", "referenceJoint")), "")
             if base:
                 keys, sign = (f"{base}:referenceJoint", f"{base}:gearing", f"{base}:offset"), -1.0
             lead, factor, more = keys
@@ -425,6 +428,8 @@ class _Reader:
                 self.notes.append(f"joint {name!r} follows a joint that isn't there: on its own")
                 continue
             theirs, by = written[leader], self.get(prim, factor)
+            if base and by is None:
+                self.notes.append(f"joint {name!r} follows without a stated gearing: 1 is taken")
             units = (1.0, 1.0) if lead.startswith("mjc") else (link.unit, theirs.unit)
             multiplier = sign * (1.0 if by is None else float(by)) * units[0] / units[1]
             # Values are counted from where the joints stand.
@@ -500,7 +505,7 @@ class _Reader:
             made = Inertial(own, made.center, made.tensor * (own / made.mass))
         return made, density > 0 or own > 0
 
-    def _affordances(self, tree: KinematicTree) -> Iterator[Affordance]:
+    def _affordances(self, joints: Mapping[str, Joint]) -> Iterator[Affordance]:
         """Lines that say where a robot takes hold, as our exporter writes them."""
         for prim in self.stage.stage.Traverse():
             kind = self.get(prim, f"{AFFORDANCE}:kind")
@@ -510,7 +515,7 @@ class _Reader:
                 k: self.get(prim, f"{AFFORDANCE}:{k}")
                 for k in ("joint", "center", "normal", "closing", "width")
             }
-            joint = tree.by_name.get(str(said["joint"]))
+            joint = joints.get(str(said["joint"]))
             if joint is None:
                 continue
             world = self.stage.world(prim) @ self.stage.turn
@@ -526,6 +531,12 @@ class _Reader:
                 yield Affordance(joint.name, joint.child, str(kind), at, *unit, width)  # type: ignore[arg-type]
             except (GeometryError, TypeError, ValueError) as error:
                 self.notes.append(f"{prim.GetName()}: {error}; it is left out")
+
+    def _collider(self, piece: _Piece) -> Mesh:
+        """The hull of a shape where the stage says so, else its mesh."""
+        hulled = self.get(piece.prim, "physics:approximation") == "convexHull"
+        hull = hull_of(np.asarray(piece.mesh.vertices, np.float64)) if hulled else None
+        return piece.mesh if hull is None else Mesh(hull.vertices, hull.faces)
 
     def _labels(self, bodies: list[Any]) -> Iterator[tuple[str, str]]:
         yield from ((WORLD, name) for name in self.static.values())
@@ -543,4 +554,4 @@ def _label(prim: Any) -> str | None:
 
 def _above(value: Any) -> float:
     """A number above 0 and below what stands for none, else 0."""
-    return float(value) if isinstance(value, int | float) and 0 < value < 1e12 else 0.0
+    return float(value) if isinstance(value, int | float) and 0 < value < MOST else 0.0

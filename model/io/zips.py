@@ -60,9 +60,8 @@ def unpack(target: Path, name: str, file: BinaryIO, max_bytes: int) -> Path:
     except (*DAMAGED, OSError) as error:
         if isinstance(error, OSError) and error.errno not in (None, errno.EINVAL):
             raise  # such as a full disk; damaged streams have no number, damaged places this one
-        raise InputFileError(
-            name, f"is not a readable zip ({error})", "pack it again, without a password"
-        ) from error
+        why = f"is not a readable zip ({error})"
+        raise InputFileError(name, why, "pack it again, without a password") from error
     (target.parent / BORDER).touch()
     return target
 
@@ -95,9 +94,8 @@ def _files_in(archive: zipfile.ZipFile, name: str) -> _Files:
     """Files to unpack, without resource forks, thumbnails and programs."""
     entries = [e for e in archive.infolist() if not e.is_dir()]
     if len(entries) > MAX_FILES:
-        raise InputFileError(
-            name, f"holds {len(entries):,} files", f"a zip may hold at most {MAX_FILES:,}"
-        )
+        why = f"holds {len(entries):,} files"
+        raise InputFileError(name, why, f"a zip may hold at most {MAX_FILES:,}")
     paths = [(_inside(entry, name), entry) for entry in entries]
     return [(p, e) for p, e in paths if p is not None and p.suffix.lower() in _WANTED]
 
@@ -137,11 +135,8 @@ def _extract(
             while block := source.read(_BLOCK):
                 taken += len(block)
                 if taken > limit:
-                    raise InputFileError(
-                        name,
-                        f"unpacks to more than {limit / 1e6:.0f} MB",
-                        "open large folders by path on the server",
-                    )
+                    what = f"unpacks to more than {limit / 1e6:.0f} MB"
+                    raise InputFileError(name, what, "open large folders by path on the server")
                 out.write(block)
     if not taken:
         raise InputFileError(name, "holds nothing that can be opened", "add meshes or scans to it")
@@ -158,13 +153,11 @@ def _inside(entry: zipfile.ZipInfo, name: str) -> PurePosixPath | None:
         path.is_absolute() or ".." in path.parts or ":" in entry.filename or "\0" in entry.filename
     )
     if odd:
-        raise InputFileError(
-            name, f"holds {entry.filename[:80]!r}, which leads out of it", "pack it again"
-        )
+        why = f"holds {entry.filename[:80]!r}, which leads out of it"
+        raise InputFileError(name, why, "pack it again")
     if stat.S_ISLNK(entry.external_attr >> 16):
-        raise InputFileError(
-            name, f"holds the link {entry.filename[:80]!r}", "pack the file instead"
-        )
+        why = f"holds the link {entry.filename[:80]!r}"
+        raise InputFileError(name, why, "pack the file instead")
     if len(os.fsencode(str(path))) > 1000 or any(len(os.fsencode(p)) > 200 for p in path.parts):
         raise InputFileError(name, "holds a file with a very long name", "give it a shorter one")
     if path.parts[0] == "__MACOSX" or path.name.startswith("."):

@@ -17,6 +17,7 @@ from model.core.packages import require
 from model.io.formats.loaded import (
     DEFAULT_MAX_BYTES,
     WHITE,
+    WORLD_FROM_UP,
     Loaded,
     along_seams,
     check_count,
@@ -27,11 +28,6 @@ from model.io.formats.loaded import (
 )
 from model.io.formats.mtl import MaterialFiles
 
-_WORLD_FROM_UP = {
-    "X_UP": [[0, -1, 0], [1, 0, 0], [0, 0, 1]],
-    "Y_UP": [[1, 0, 0], [0, 0, -1], [0, 1, 0]],
-    "Z_UP": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
-}
 _ABSURD = re.compile(rb"<(?:\w+:)?p\b[^<>]*>[^<]*?(?<![\w.])(-?\d{10,})(?![\w.])")
 """An index of a face that no file of a mesh has."""
 
@@ -66,7 +62,7 @@ def read_dae(
     try:
         passed_over = [collada.common.DaeUnsupportedError, collada.common.DaeBrokenRefError]
         file = collada.Collada(io.BytesIO(data), ignore=passed_over)
-        up = affine(_WORLD_FROM_UP[str(file.assetInfo.upaxis or "Y_UP")])
+        up = affine(WORLD_FROM_UP[str(file.assetInfo.upaxis or "Y_UP")[0].lower()])
         up[:3, :3] *= float(file.assetInfo.unitmeter or 1.0)
         check_count(path, nodes=_count(file.scene, {}))
         for bound in file.scene.objects("geometry") if file.scene is not None else ():

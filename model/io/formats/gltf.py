@@ -13,7 +13,14 @@ import numpy as np
 
 from model.core.errors import InputFileError
 from model.core.textures import left_out, to_srgb
-from model.io.formats.gltf_data import Array, GltfBuffers, GltfMaterials, Json, as_dict
+from model.io.formats.gltf_data import (
+    Array,
+    GltfBuffers,
+    GltfMaterials,
+    Json,
+    as_dict,
+    extension,
+)
 from model.io.formats.loaded import (
     DEFAULT_MAX_BYTES,
     Loaded,
@@ -59,24 +66,19 @@ def open_gltf(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Gltf:
     tree, binary = _glb(path, data) if data[:4] == b"glTF" else (_json(path, data), None)
     version = str(as_dict(tree.get("asset")).get("version", ""))
     if not version.startswith("2"):
-        raise InputFileError(
-            path, f"is glTF version {version or 'unknown'!r}", "glTF 2.0 is read; export it again"
-        )
-    for extension in _listed(tree, "extensionsRequired"):
-        if isinstance(extension, str) and extension in _UNREADABLE:
-            raise InputFileError(
-                path,
-                f"uses {_UNREADABLE[extension]} ({extension})",
-                "export it without compression",
-            )
-        if not _is_read(extension):
-            raise InputFileError(
-                path, f"needs the extension {extension!r}, which is not read", "export it without"
-            )
-    for view in _listed(tree, "bufferViews"):
-        for extension in set(as_dict(as_dict(view).get("extensions"))) & set(_UNREADABLE):
-            what = f"uses {_UNREADABLE[extension]} ({extension})"
+        why = f"is glTF version {version or 'unknown'!r}"
+        raise InputFileError(path, why, "glTF 2.0 is read; export it again")
+    needed = _listed(tree, "extensionsRequired")
+    meshes = (_listed(as_dict(mesh), "primitives") for mesh in _listed(tree, "meshes"))
+    holding = (*_listed(tree, "bufferViews"), *(p for primitives in meshes for p in primitives))
+    used = (name for each in holding for name in as_dict(as_dict(each).get("extensions")))
+    for name in [*needed, *(name for name in used if name in _UNREADABLE)]:
+        if isinstance(name, str) and name in _UNREADABLE:
+            what = f"uses {_UNREADABLE[name]} ({name})"
             raise InputFileError(path, what, "export it without compression")
+        if not _is_read(name):
+            what = f"needs the extension {name!r}, which is not read"
+            raise InputFileError(path, what, "export it without")
     return Gltf(path, tree, binary, max_bytes)
 
 
@@ -96,21 +98,15 @@ def consistent(path: Path) -> Iterator[None]:
     try:
         yield
     except (KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError) as error:
-        raise InputFileError(
-            path,
-            f"the glTF inside is inconsistent ({type(error).__name__}: {error})",
-            "export it again",
-        ) from None
+        what = f"the glTF inside is inconsistent ({type(error).__name__}: {error})"
+        raise InputFileError(path, what, "export it again") from None
 
 
 def _glb(path: Path, data: bytes) -> tuple[Json, bytes]:
     length = int.from_bytes(data[8:12], "little")
     if len(data) < 20 or length > len(data):
-        raise InputFileError(
-            path,
-            f"is {len(data)} bytes long instead of {length}",
-            "the file is cut off; download or export it again",
-        )
+        what = f"is {len(data)} bytes long instead of {length}"
+        raise InputFileError(path, what, "the file is cut off; download or export it again")
     at, tree, binary = 12, None, b""
     while at + 8 <= length:
         size = int.from_bytes(data[at : at + 4], "little")
@@ -132,11 +128,8 @@ def _json(path: Path, data: bytes) -> Json:
     try:
         tree = json.loads(data.decode("utf-8-sig"))
     except (ValueError, RecursionError):
-        raise InputFileError(
-            path,
-            "is damaged or not glTF: what it says of itself can't be read",
-            "export or download it again",
-        ) from None
+        what = "is damaged or not glTF: what it says of itself can't be read"
+        raise InputFileError(path, what, "export or download it again") from None
     if not isinstance(tree, dict):
         raise InputFileError(path, "is not glTF: no object at its top")
     return tree
@@ -171,6 +164,8 @@ class Gltf:
         unread = sorted({str(e)[:60] for e in used if not _is_read(e)})
         if unread:
             warnings.append(f"not read: extensions {', '.join(unread[:5])}")
+        if animations := len(_listed(self.tree, "animations")):
+            warnings.append(f"not read: animations ({animations})")
         if self._passed_over:
             warnings.append(f"{self._passed_over} pieces of lines are left out")
         if self._materials.left:
@@ -232,19 +227,16 @@ class Gltf:
         for node in nodes:
             for child in node.get("children") or ():
                 if child in seen:
-                    raise InputFileError(
-                        self.path,
-                        f"node {child} has two parents or is in a cycle",
-                        "export it again",
-                    )
+                    what = f"node {child} has two parents or is in a cycle"
+                    raise InputFileError(self.path, what, "export it again")
                 seen.add(child)
 
     def _instances(self, node: Json, world: Array) -> list[Array]:
         """World transforms of the copies of a node's mesh (``EXT_mesh_gpu_instancing``)."""
-        extension = as_dict(as_dict(node.get("extensions")).get("EXT_mesh_gpu_instancing"))
+        copies = extension(node, "EXT_mesh_gpu_instancing")
         given = {
             key: self._buffers.accessor(index).astype(np.float64)
-            for key, index in as_dict(extension.get("attributes")).items()
+            for key, index in as_dict(copies.get("attributes")).items()
             if key in ("TRANSLATION", "ROTATION", "SCALE")
         }
         if not given:
@@ -296,13 +288,6 @@ class Gltf:
             joints = None if skin is None else self._joint_matrices(skin)
             found, corners = [], 0
             for primitive in self.tree["meshes"][index]["primitives"]:
-                compressed = set(primitive.get("extensions") or {}) & set(_UNREADABLE)
-                if compressed:
-                    raise InputFileError(
-                        self.path,
-                        f"uses {_UNREADABLE[compressed.pop()]}",
-                        "export it without compression",
-                    )
                 piece = self._primitive(primitive, own, joints)
                 if piece is None:
                     continue

@@ -92,9 +92,8 @@ class GltfBuffers:
             or stride < row
             or offset + stride * (count - 1) + row > len(data)
         ):
-            raise InputFileError(
-                self.path, f"{count} values don't fit into buffer view {view}", "export it again"
-            )
+            why = f"{count} values don't fit into buffer view {view}"
+            raise InputFileError(self.path, why, "export it again")
         return np.ndarray((count, width), dtype, data, offset, (stride, dtype.itemsize))
 
     def accessor(self, index: int, columns: int | None = None) -> Array:
@@ -175,15 +174,20 @@ class GltfMaterials:
         entry = self.tree["materials"][index]
         pbr = as_dict(entry.get("pbrMetallicRoughness"))
         factor, slot = pbr.get("baseColorFactor"), pbr.get("baseColorTexture")
-        old = as_dict(as_dict(entry.get("extensions")).get("KHR_materials_pbrSpecularGlossiness"))
+        old = extension(entry, "KHR_materials_pbrSpecularGlossiness")
         factor, slot = factor or old.get("diffuseFactor"), slot or old.get("diffuseTexture")
         texture = None if slot is None else self._texture(slot["index"])
+        mode = entry.get("alphaMode") or "OPAQUE"
+        if texture is not None and mode == "OPAQUE" and texture.mode != "RGB":
+            texture = texture.convert("RGB")
         maps = self._maps(entry, None if texture is None else _layout(as_dict(slot)), index)
         rgba = np.asarray(factor or (1.0, 1.0, 1.0, 1.0), np.float64)
         if rgba.shape != (4,) or not np.isfinite(rgba).all():
             rgba = np.ones(4)
-        if entry.get("alphaMode", "OPAQUE") == "OPAQUE":
-            rgba[3] = 1.0
+        if mode == "OPAQUE" or (mode == "MASK" and texture is None):
+            rgba[3] = float(mode == "OPAQUE" or rgba[3] >= entry.get("alphaCutoff", 0.5))
+        if extension(entry, "KHR_materials_transmission").get("transmissionFactor"):
+            self.left.add("light that shines through")
         color = tuple(int(c) for c in to_srgb(rgba[None])[0])
         name = str(entry.get("name") or f"material_{index}")
         return Material(name, color, texture, *self._surface(pbr, old), maps)  # type: ignore[arg-type]
@@ -280,8 +284,7 @@ class GltfMaterials:
         entry = self.tree["textures"][index]
         source = entry.get("source")
         if source is None:
-            webp = as_dict(as_dict(entry.get("extensions")).get("EXT_texture_webp"))
-            source = webp.get("source")
+            source = extension(entry, "EXT_texture_webp").get("source")
         if source is None:
             self.warnings.append("a texture in a format that isn't read (KTX2) was left out")
             return None
@@ -308,20 +311,25 @@ def _emission(entry: Json) -> tuple[float, float, float]:
     factor = entry.get("emissiveFactor")
     if not (isinstance(factor, list) and len(factor) == 3 and all(map(_is_number, factor))):
         return (0.0, 0.0, 0.0)
-    declared = as_dict(as_dict(entry.get("extensions")).get(BRIGHTER)).get("emissiveStrength")
+    declared = extension(entry, BRIGHTER).get("emissiveStrength")
     strength = float(declared) if _is_number(declared) else 1.0
     red, green, blue = (min(max(float(c) * strength, 0.0), _BRIGHTEST) for c in factor)
     return (red, green, blue)
 
 
 def _layout(slot: Json) -> Layout:
-    moved = as_dict(as_dict(slot.get("extensions")).get("KHR_texture_transform"))
+    moved = extension(slot, "KHR_texture_transform")
     at = int(moved.get("texCoord", slot.get("texCoord") or 0))
     offset, scale = moved.get("offset", (0.0, 0.0)), moved.get("scale", (1.0, 1.0))
     values = tuple(map(float, (*offset, *scale, moved.get("rotation", 0.0))))
     if len(values) != 5:
         raise ValueError("a texture's transform needs two numbers for offset and scale")
     return at, () if values == (0.0, 0.0, 1.0, 1.0, 0.0) else values
+
+
+def extension(entry: Json, name: str) -> Json:
+    """The content of an extension in an entry; empty without it."""
+    return as_dict(as_dict(entry.get("extensions")).get(name))
 
 
 def as_dict(value: Any) -> Json:

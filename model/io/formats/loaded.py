@@ -28,6 +28,16 @@ MOST_NODES, MOST_VALUES = 200_000, 60_000_000
 """Nodes (of USD: prims) of a file, and corners and points of its meshes, with all repetitions."""
 WHITE = (255, 255, 255, 255)
 GREY = (200, 200, 200, 255)
+WORLD_FROM_UP: dict[str, list[list[int]]] = {
+    "z": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
+    "y": [[1, 0, 0], [0, 0, -1], [0, 1, 0]],
+    "x": [[0, 0, -1], [0, 1, 0], [1, 0, 0]],
+    "-z": [[1, 0, 0], [0, -1, 0], [0, 0, -1]],
+    "-y": [[1, 0, 0], [0, 0, 1], [0, -1, 0]],
+    "-x": [[0, 0, 1], [0, 1, 0], [-1, 0, 0]],
+}
+DARK = "intensities are left out"
+"""Remark on clouds that have them."""
 
 Array = npt.NDArray[Any]
 
@@ -286,11 +296,8 @@ def check_indices(
     face = int(np.searchsorted(ends, at, side="right"))
     value = (flat if written is None else written)[at]
     shown = f"{int(value)}" if abs(value) < 2**63 else f"{value:g}"
-    raise InputFileError(
-        path,
-        f"face {face} uses {what} {shown} of {count}",
-        "the file is damaged; export it again",
-    )
+    what = f"face {face} uses {what} {shown} of {count}"
+    raise InputFileError(path, what, "the file is damaged; export it again")
 
 
 def numbers(path: Path, text: str, what: str) -> npt.NDArray[np.float64]:

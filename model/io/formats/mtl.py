@@ -36,7 +36,7 @@ _MAX_MTL = 64 << 20
 # Options of a map_* line and how many values each takes at most.
 _SINGLE = "-blendu -blendv -boost -texres -clamp -bm -imfchan -type -cc".split()
 _OPTIONS = {**dict.fromkeys(_SINGLE, 1), "-mm": 2, "-o": 3, "-s": 3, "-t": 3}
-_LEFT_OUT = {"map_pm": "metallic map", "map_pr": "roughness map"}
+_LEFT_OUT = {"map_pm": "metallic map", "map_pr": "roughness map", "map_d": "opacity map"}
 _NORMALS = ("norm", "map_bump", "bump")
 _BRIGHTEST = 1e3
 _NUMBER = re.compile(r"^[-+]?[0-9.]+([eE][-+]?\d+)?$")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -23,9 +24,11 @@ from model.io.formats.loaded import (
     triangulate,
 )
 from model.io.formats.mtl import MaterialFiles
+from model.io.robot_xml import counted
 
 Array = npt.NDArray[Any]
 
+_PASSED_OVER = {"l": "lines", "p": "points"} | dict.fromkeys(("curv", "surf"), "curved shapes")
 _COMMENT = re.compile(r"(?m)(?:^|(?<=\s))#.*$")
 
 
@@ -41,6 +44,7 @@ class _Lines:
     vt_before: list[int] = field(default_factory=list)
     material: list[int] = field(default_factory=list)
     libraries: dict[str, None] = field(default_factory=dict)  # in their order
+    lost: Counter[str] = field(default_factory=Counter)
     names: list[str] = field(default_factory=lambda: [""])
     # Of each object (o) and group (g): its first f line, and its name.
     begins: dict[str, list[tuple[int, str]]] = field(
@@ -76,7 +80,7 @@ def read_obj(
     corner_v, corner_t, sizes = _faces(path, lines, len(vertices))
     triangles, polygon = triangulate(path, corner_v, sizes, vertices)
     used_material = np.asarray(lines.material, np.int64)[polygon]
-    warnings: list[str] = []
+    warnings = counted(lines.lost)
     materials, face_material = _materials(path, lines, used_material, files, warnings)
     flat = triangles.reshape(-1)
     uv_index = corner_t[flat]
@@ -147,6 +151,8 @@ def _sort_lines(data: bytes) -> _Lines:
             out.libraries[rest.strip()] = None
         elif head in out.begins:
             out.begins[head].append((len(f), rest.strip()))
+        elif head in _PASSED_OVER:
+            out.lost[_PASSED_OVER[head]] += 1
     return out
 
 

@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from model.core.errors import InputFileError
 from model.io.formats.loaded import (
+    DARK,
     DEFAULT_MAX_BYTES,
     GREY,
     Loaded,
@@ -63,7 +64,9 @@ def read_pcd(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
         normals = np.stack([columns[f"normal_{n}"] for n in "xyz"], axis=1)
     lost = _lost_colors(columns) if header.data == "ascii" else 0
     remarks = (f"{lost:,} of {len(points):,} colours are 'nan' and were taken as grey",)
-    return Loaded(points, normals=normals, colors=_colors(columns), warnings=remarks[: lost > 0])
+    colors, remarks = _colors(columns), remarks[: lost > 0]
+    remarks += (DARK,) * (colors is None and "intensity" in columns)
+    return Loaded(points, normals=normals, colors=colors, warnings=remarks)
 
 
 def _header(path: Path, data: bytes) -> _Header:

@@ -7,6 +7,8 @@ sizes and drops triangle strips; both keep indices out of range. plyfile is unde
 
 from __future__ import annotations
 
+from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -17,6 +19,7 @@ from model.core.errors import InputFileError
 from model.core.geometry import Material
 from model.core.textures import TextureError, open_texture
 from model.io.formats.loaded import (
+    DARK,
     DEFAULT_MAX_BYTES,
     GREY,
     WHITE,
@@ -29,6 +32,7 @@ from model.io.formats.loaded import (
     triangulate,
 )
 from model.io.formats.ply_rows import Element, Property, Ragged, Table, read_ascii, read_binary
+from model.io.robot_xml import counted
 
 Array = npt.NDArray[Any]
 
@@ -45,6 +49,7 @@ _UVS = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"))
 # Gaussian splats store colour as the first spherical-harmonics coefficient (Kerbl et al. 2023).
 _SPLAT = ("f_dc_0", "f_dc_1", "f_dc_2")
 _SPLAT_SCALE = 0.28209479177387814
+_ELEMENTS = ("vertex", "face", "tristrips")
 _CONFIDENCE = ("confidence", "conf", "quality")
 
 
@@ -87,6 +92,9 @@ def read_ply_columns(
     if "vertex" not in tables:
         raise InputFileError(path, "no vertices in it", "a mesh or a point cloud has vertices")
     loaded = _assemble(path, tables, comments)
+    others = Counter({e.name: e.count for e in elements if e.name not in _ELEMENTS})
+    remarks = counted(others) + [DARK] * (loaded.colors is None and "intensity" in tables["vertex"])
+    loaded = replace(loaded, warnings=(*loaded.warnings, *remarks))
     table = tables.get(element, {})
     counts = [len(loaded.vertices)] if element == "vertex" else [len(loaded.faces), loaded.polygons]
     columns = {k.lower(): v for k, v in table.items() if k.lower() in extra}
@@ -154,9 +162,8 @@ def _assemble(path: Path, tables: dict[str, Table], comments: list[str]) -> Load
     vertex = tables["vertex"]
     xyz = _columns(vertex, (("x", "y", "z"),))
     if xyz is None:
-        raise InputFileError(
-            path, "the vertices have no x, y and z", "a PLY vertex needs all three"
-        )
+        why = "the vertices have no x, y and z"
+        raise InputFileError(path, why, "a PLY vertex needs all three")
     with np.errstate(over="ignore"):
         points = xyz.astype(np.float64 if xyz.dtype == np.float64 else np.float32)
     normals = _columns(vertex, (("nx", "ny", "nz"),))

@@ -60,9 +60,8 @@ def npz_arrays(
             # No more than this is read of an entry, whatever it really holds.
             size = sum(i.file_size for i in archive.infolist())
         if size > min(max_bytes, max(_RATIO_FROM, MOST_RATIO * len(data))):
-            raise InputFileError(
-                path, f"unpacks to {size / 2**30:.2f} GiB, over the limit", "thin the scan first"
-            )
+            why = f"unpacks to {size / 2**30:.2f} GiB, over the limit"
+            raise InputFileError(path, why, "thin the scan first")
         with np.load(io.BytesIO(data), allow_pickle=False) as file:
             kept = [k for k in file.files if k.lower() in wanted]
             return {k.lower(): np.asarray(file[k]) for k in kept}, file.files
@@ -159,9 +158,8 @@ def read_text(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
         if columns is not None:
             return _pick(table, *columns)
     if width < 3:
-        raise InputFileError(
-            path, f"has {width} columns", "a text cloud has a row x y z for each point"
-        )
+        why = f"has {width} columns"
+        raise InputFileError(path, why, "a text cloud has a row x y z for each point")
     return _guess(table, path.suffix.lower() == ".pts")
 
 

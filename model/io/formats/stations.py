@@ -16,6 +16,7 @@ import numpy.typing as npt
 from model.core.errors import InputFileError
 from model.core.packages import require
 from model.io.formats.loaded import (
+    DARK,
     DEFAULT_MAX_BYTES,
     GREY,
     Loaded,
@@ -105,7 +106,7 @@ def _scan(pye57: Any, file: Any, header: Any) -> Loaded:
     if header.has_pose():
         points = points @ header.rotation_matrix.T + header.translation
     if not colored:
-        return Loaded(points)
+        return Loaded(points, warnings=(DARK,) * ("intensity" in fields))
     prototype = libe57.StructureNode(header.points.prototype())
     shown = [_byte(data[f"color{c}"][valid], *_limits(header.node, prototype, c)) for c in _RGB]
     colors = np.column_stack([*shown, np.full(len(points), 255, np.uint8)])
@@ -167,7 +168,7 @@ def read_ptx(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
         matrix = head[14:].reshape(4, 4)
         points = table[seen, :3] @ matrix[:3, :3] + matrix[3, :3]
         colors = colors_from(table[seen, 4:7].astype(np.uint16)) if width >= 7 else None
-        remarks = ("intensities are left out",) * (width > 3) + (lost,) * (not seen.all())
+        remarks = (DARK,) * (width > 3) + (lost,) * (not seen.all())
         stations.append(Loaded(points, colors=colors, warnings=remarks))
         at += 10 + count
     return _together(path, stations, "no coordinate system stated")

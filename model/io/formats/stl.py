@@ -62,9 +62,6 @@ def _ascii(path: Path, data: bytes) -> np.ndarray:
     kept = [line[6:] for line in lines if line[:6].lower() == "vertex"]
     values = numbers(path, " ".join(kept), "STL vertex")
     if len(values) != 3 * len(kept) or len(kept) % 3:
-        raise InputFileError(
-            path,
-            f"{len(kept)} vertices with {len(values)} numbers are not whole triangles",
-            "the file is cut off or damaged",
-        )
+        what = f"{len(kept)} vertices with {len(values)} numbers are not whole triangles"
+        raise InputFileError(path, what, "the file is cut off or damaged")
     return values.reshape(-1, 3)

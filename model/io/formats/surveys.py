@@ -19,19 +19,22 @@ import numpy.typing as npt
 
 from model.core.errors import InputFileError
 from model.core.packages import require
-from model.io.formats.loaded import DEFAULT_MAX_BYTES, Loaded, colors_from, read_bytes
+from model.io.formats.loaded import DARK, DEFAULT_MAX_BYTES, Loaded, colors_from, read_bytes
 
 _METRES = {9001: 1.0, 9002: 0.3048, 9003: 1200 / 3937, 9005: 0.3047972654, 9036: 1000.0}
 """Metres of the units of length by their EPSG codes: m, foot, US survey foot, Clarke's foot, km."""
 _NAMES = {0.3048: "feet", 1200 / 3937: "US survey feet", 1.0: "metres"}
 _MODEL, _GEOGRAPHIC, _PROJECTED, _LENGTH, _VERTICAL = 1024, 2048, 3072, 3076, 4099
-_GLOBE = 2
-"""Value of the key of the model for longitudes and latitudes."""
+_GLOBE, _CENTRED = 2, 3
+"""Values of the key of the model: longitudes and latitudes, and what counts from the earth's
+centre."""
+CENTRED = " (geocentric: z is not up)"
 _UNIT = re.compile(r'UNIT\s*[\[(]\s*"([^"]*)"\s*,\s*(\d[-+.\deE]*)', re.IGNORECASE)
 _HEIGHTS = re.compile(r"\bVERT(?:_CS|CRS|ICALCRS)\s*[\[(]", re.IGNORECASE)
 _ON_PLANE = re.compile(
     r"\b(?:PROJCS|PROJCRS|PROJECTEDCRS|LOCAL_CS|ENGCRS|ENGINEERINGCRS)\b", re.IGNORECASE
 )
+_AT_CENTRE = re.compile(r"\bGEOCCS\b|\bCS\s*[\[(]\s*Cartesian\s*,\s*3", re.IGNORECASE)
 _ON_GLOBE = re.compile(r"\bGEOGCS\b|\bCS\s*[\[(]\s*ellipsoidal", re.IGNORECASE)
 _TURN = re.compile(r"deg|rad|gon", re.IGNORECASE)
 
@@ -45,19 +48,22 @@ class Units:
         plane: metres of a unit of x and y; None for longitudes and latitudes.
         height: metres of a unit of z.
         known: whether the file says so.
+        unread: code of a unit that isn't known, or 0.
     """
 
     name: str = ""
     plane: float | None = 1.0
     height: float = 1.0
     known: bool = False
+    unread: int = 0
 
     @property
     def remark(self) -> str:
         """Human-readable."""
         system = f"coordinate system {self.name!r}" if self.name else "no coordinate system stated"
         if not self.known:
-            return f"unit: metres taken, none stated; {system}"
+            why = f"EPSG:{self.unread} isn't known" if self.unread else "none stated"
+            return f"unit: metres taken, {why}; {system}"
         if self.plane is None:
             return f"unit: longitudes and latitudes; {system}"
         units = dict.fromkeys(_unit_name(u) for u in (self.plane, self.height))
@@ -69,16 +75,18 @@ def _unit_name(metres: float) -> str:
     return next(same, f"{metres:g} m")
 
 
-def units_of_keys(keys: Mapping[int, int], texts: str) -> Units:
-    """Units by GeoTIFF keys: id → code; ``texts`` names the system."""
+def units_of_keys(keys: Mapping[int, int], texts: str, size: float = 0.0) -> Units:
+    """Units by GeoTIFF keys: id → code; ``texts`` names the system, ``size`` are the metres of a
+    unit of its own."""
     code = keys.get(_PROJECTED) or keys.get(_GEOGRAPHIC)
     name = texts.strip("|\0 ").partition("|")[0] or (f"EPSG:{code}" if code else "")
     height = _METRES.get(keys.get(_VERTICAL, 0))
     if keys.get(_MODEL) == _GLOBE:
         return Units(name, None, height or 1.0, True)
-    plane = _METRES.get(keys.get(_LENGTH, 0))
-    if plane is None:
-        return Units(name)
+    name += CENTRED * (keys.get(_MODEL) == _CENTRED)
+    plane = _METRES.get(keys.get(_LENGTH, 0)) or size
+    if not plane:
+        return Units(name, unread=keys.get(_LENGTH, 0))
     return Units(name, plane, height or plane, known=True)
 
 
@@ -93,17 +101,17 @@ def units_of_wkt(text: str) -> Units | None:
     flat, above = [*_HEIGHTS.split(text, maxsplit=1), ""][:2]
     lengths = [float(s) for unit, s in _UNIT.findall(flat) if not _TURN.search(unit) and float(s)]
     heights = [float(size) for _, size in _UNIT.findall(above) if float(size)] or lengths or [1.0]
-    if _ON_PLANE.search(flat) and lengths:
-        return Units(name[1], lengths[-1], heights[-1], known=True)
-    if _ON_GLOBE.search(flat):
+    centred = _AT_CENTRE.search(flat) is not None
+    if _ON_GLOBE.search(flat) and not (centred or _ON_PLANE.search(flat)):
         return Units(name[1], None, heights[-1], True)
-    return Units(name[1])
+    return Units(name[1] + CENTRED * centred, [1.0, *lengths][-1], heights[-1], bool(lengths))
 
 
 _NOISE = (7, 18)
 """Classes of low and of high noise."""
-_WKT, _GEOTIFF = 2112, (34735, 34737)
-"""Numbers of the records of coordinate systems: WKT; GeoTIFF's keys and texts."""
+_WKT, _GEOTIFF, _SIZE = 2112, (34735, 34737, 34736), 3077
+"""Numbers of the records of coordinate systems: WKT; GeoTIFF's keys, texts and doubles; and the key
+of the double that is the size of a unit."""
 _PANIC = "PanicException"
 """Exception of failing Rust libraries; no ``Exception``."""
 _LASZIP = 22204
@@ -142,6 +150,8 @@ def read_las(path: Path, max_bytes: int = DEFAULT_MAX_BYTES) -> Loaded:
         if {"red", "green", "blue"} <= set(cloud.point_format.dimension_names):
             rgb = np.column_stack([cloud.red, cloud.green, cloud.blue]).astype(np.uint16)
             colors = colors_from(rgb)[kept] if rgb.any() else None
+        if colors is None and np.asarray(cloud.intensity).any():
+            remarks.append(DARK)
     except InputFileError:
         raise
     except BaseException as error:  # laspy and lazrs raise many kinds for damaged files
@@ -180,7 +190,9 @@ def _units(header: Any) -> Units:
     names = getattr(geo.get(_GEOTIFF[1]), "strings", ())
     keys = getattr(geo[_GEOTIFF[0]], "geo_keys", ())
     codes = {int(k.id): int(k.value_offset) for k in keys if not k.tiff_tag_location}
-    return units_of_keys(codes, " ".join(names))
+    doubles: Any = getattr(geo.get(_GEOTIFF[2]), "doubles", ())
+    own = [k.value_offset for k in keys if k.id == _SIZE and k.value_offset < len(doubles)]
+    return units_of_keys(codes, " ".join(names), doubles[own[0]].value if own else 0.0)
 
 
 def _plausible(data: bytes) -> bool:

@@ -25,11 +25,12 @@ from scipy.spatial.transform import Rotation
 from trimesh import creation
 
 from model.core.errors import InputFileError
-from model.core.geometry import Material
+from model.core.geometry import Material, affine
 from model.core.packages import require
 from model.core.textures import MOST_BYTES, TextureError, decode, left_out, to_srgb
 from model.io.formats.loaded import (
     DEFAULT_MAX_BYTES,
+    WORLD_FROM_UP,
     Loaded,
     along_seams,
     check_count,
@@ -65,10 +66,6 @@ _MOVES = {"texture_scale": [(1, 1)], "texture_translate": [(0, 0)], "texture_rot
 """MDL's inputs that move a texture, and what leaves it in its place."""
 _COORDINATES, _MOST_MOVES = "st texcoord in", 8
 _GREY = (0.58, 0.58, 0.58)
-WORLD_FROM_UP = {
-    "y": np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]]),
-    "z": np.eye(4),
-}
 _SCHEMAS = ("PhysxJoint", "PhysxMimicJoint", "NewtonMimic", "MjcEqualityJoint", "Semantics")
 """Applied schemas that usd-core doesn't know and a reader does, without ``API`` behind."""
 _STATED = re.compile(r"holeIndices|(physics|drive|limit|state|physx\w*|newton|mjc):")
@@ -81,6 +78,14 @@ _READ = re.compile(
     r"limit:(trans|rot)[XYZ]:physics:(low|high)"
 )
 """Attributes of physics that a reader knows."""
+_AMOUNT = re.compile(r"physics:(mass|density)|.*:(damping|jointFriction)")
+MOST = 1e12
+"""Amounts are below it, and none is below 0."""
+_UNREAD = {
+    "subdivisionScheme": ("catmullClark", "loop"),
+    "physics:approximation": ("boundingCube", "boundingSphere"),
+}
+"""Values of attributes that are read otherwise."""
 
 
 def _said(error: Exception) -> str:
@@ -151,16 +156,17 @@ def _read(stage: UsdStage) -> Loaded:
     pieces = tuple((str(held.GetName()), count) for held, count in named if count)
     remarks = stage.unread(prims, joints=True)
     top, paths = stage.stage.GetDefaultPrim(), [prim.GetPath() for prim in shapes]
-    if top and any(path.HasPrefix(top.GetPath()) for path in paths):
+    apart = [path for path in paths if not (top and path.HasPrefix(top.GetPath()))]
+    if top and len(apart) < len(paths):
         said = f"beside the default prim {str(top.GetName())!r} stands"
-        remarks += beside(said, paths, top.GetPath())
+        remarks += beside(said, apart, top.GetPath())
     return replace(whole, pieces=pieces, warnings=(*whole.warnings, *remarks))
 
 
 def beside(said: str, paths: Iterable[Any], top: Any) -> list[str]:
-    """A remark that names the prims that hold what of ``paths`` isn't below ``top``, with its
-    number; else nothing."""
-    depths = ((p, p.GetCommonPrefix(top).pathElementCount) for p in paths if not p.HasPrefix(top))
+    """A remark that names the prims beside ``top``, or below it, that hold ``paths``, with their
+    number; nothing without paths."""
+    depths = ((p, p.GetCommonPrefix(top).pathElementCount) for p in paths)
     found = Counter(str(path.GetPrefixes()[depth].name) for path, depth in depths)
     return [f"{said}: " + ", ".join(f"{name} ({n})" for name, n in found.items())] * bool(found)
 
@@ -194,11 +200,10 @@ class UsdStage:
         self.up: Any = str(self._geom.GetStageUpAxis(self.stage)).lower()
         self.unit = float(self._geom.GetStageMetersPerUnit(self.stage))
         if self.up not in ("y", "z") or not (0 < self.unit < 1e6):
-            raise InputFileError(
-                path, f"has up axis {self.up!r} and {self.unit} metres a unit", "y or z up, above 0"
-            )
+            what = f"has up axis {self.up!r} and {self.unit} metres a unit"
+            raise InputFileError(path, what, "y or z up, above 0")
         check_count(path, nodes=self._count(self.stage.GetPseudoRoot(), {}))
-        self.turn = WORLD_FROM_UP[self.up]
+        self.turn = affine(WORLD_FROM_UP[self.up])
         self._time: Any = self._usd.TimeCode.EarliestTime()
         self._places = self._geom.XformCache(self._time)
         self._remarks: dict[str, None] = {}
@@ -272,8 +277,9 @@ class UsdStage:
             found.update(self._unknown(prim))
             moving += sum(a.ValueMightBeTimeVarying() for a in prim.GetAuthoredAttributes())
         lost = (re.search(r"asset @(.+?)@", str(e)) for e in self.stage.GetCompositionErrors())
-        missing = dict.fromkeys(os.path.relpath(m[1], self.path.parent) for m in lost if m)
-        out = [f"missing: {name!r} and what it holds" for name in missing]
+        places = dict.fromkeys(os.path.relpath(m[1], self.path.parent) for m in lost if m)
+        states = {p: "not read" if (self.path.parent / p).exists() else "missing" for p in places}
+        out = [f"{state}: {name!r} and what it holds" for name, state in states.items()]
         if moving:
             out.append(f"animation isn't read: of {moving} values over time the earliest count")
         return [*out, *counted(found), *self._remarks]
@@ -288,14 +294,19 @@ class UsdStage:
             if registered is None and plain.removesuffix("API") not in _SCHEMAS:
                 theirs.add(plain.removesuffix("API").lower())
                 yield f"schema {plain}"
+        joint, kind = prim.IsA(self._physics.Joint), prim.GetPrimDefinition()
         for attribute in prim.GetAuthoredAttributes():
-            name = str(attribute.GetName())
-            stated = _STATED.match(name) and name.partition(":")[0].lower() not in theirs
-            if not stated or _READ.fullmatch(name):
-                continue
-            value = attribute.Get(self._time)
-            usual = prim.GetPrimDefinition().GetAttributeFallbackValue(name)
-            if str(value) != str(usual) and (len(value) if np.ndim(value) else bool(value)):
+            name, value = str(attribute.GetName()), attribute.Get(self._time)
+            usual = kind.GetAttributeFallbackValue(name)
+            if name in _UNREAD:
+                unread = value in _UNREAD[name]
+            elif _READ.fullmatch(name) and not (joint and "collision" in name):
+                unread = _AMOUNT.fullmatch(name) and value is not None and not 0 <= value < MOST
+            else:
+                unread = _STATED.match(name) and name.partition(":")[0].lower() not in theirs
+                some = usual is not None or (len(value) if np.ndim(value) else bool(value))
+                unread = unread and some and str(value) != str(usual)
+            if unread:
                 yield name
 
     def world(self, prim: Any) -> FloatArray:
@@ -444,6 +455,8 @@ class UsdStage:
         color, opacity = inputs["diffuseColor"], inputs["opacity"]
         if self._value(node, "enable_opacity"):
             opacity = self._value(node, "opacity_constant")
+        if (least := self._value(node, "opacityThreshold")) and isinstance(opacity, float):
+            opacity = float(opacity >= least)
         read = {"diffuseColor", "opacity" if opacity == color else ""}
         lost = [f"{k} map" for k, v in inputs.items() if k not in read and self._file(v)]
         light = inputs["emissiveColor"]

@@ -12,7 +12,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -25,9 +25,10 @@ from model.core.articulated_object import (
     belongs,
     inertial_problems,
 )
+from model.core.errors import InputFileError, KinematicsError
 from model.core.files import free_name
 from model.core.geometry import rotation_from_rpy
-from model.core.joint import DeclaredDynamics
+from model.core.joint import DeclaredDynamics, Joint
 from model.core.progress import Progress, no_progress
 from model.core.shapes import Shape, moved_shape
 from model.core.tree import KinematicTree
@@ -106,6 +107,14 @@ def read_declared_physics(
         named = ", ".join(wrong[:_NAMED]) + (", …" if len(wrong) > _NAMED else "")
         which = f"link {named}" if len(wrong) == 1 else f"links {named}"
         notes = (f"{which}: mass and inertia are none that a body can have; they were left out",)
+    odd = [
+        f"{key} {element.get(key)!r} of joint {joint.get('name')!r}"
+        for joint in robot.findall("joint")
+        for element in (*joint.findall("dynamics"), *joint.findall("limit"))
+        for key in ("damping", "friction", "effort", "velocity")
+        if key in element.attrib and _from_zero(_one(element, key)) is None
+    ]
+    notes += tuple(f"{what} is no amount; it was left out" for what in odd)
     dynamics = {
         joint.get("name", ""): declared
         for joint in robot.findall("joint")
@@ -245,6 +254,39 @@ class UrdfModel:
             parts.append(replace(part, name=self.part_names.get(link, part.name)))
         progress(1.0, "read")
         return ArticulatedObject(self.name, tuple(parts), self.tree, self.category)
+
+
+def model_from(
+    path: Path,
+    name: str,
+    links: Sequence[str],
+    joints: Sequence[Joint],
+    visuals: Sequence[UrdfVisual],
+    notes: Sequence[str],
+    declared: DeclaredPhysics,
+    **more: Any,
+) -> UrdfModel:
+    """A model whose helpers aren't called like parts; all is given by the file's names.
+
+    Raises:
+        InputFileError: where links and joints are no tree.
+    """
+    renotes: list[str] = []
+    renamed = renamed_helpers(links, {v.link for v in visuals}, renotes)
+    try:
+        tree = KinematicTree(tuple(links), tuple(joints)).renamed(renamed)
+    except KinematicsError as error:
+        raise InputFileError(path, str(error)) from None
+    now = {link: renamed.get(link, link) for link in links}
+    declared = replace(
+        declared,
+        inertials={now[k]: v for k, v in declared.inertials.items() if k in now},
+        collision={now[k]: v for k, v in declared.collision.items() if k in now},
+        affordances=tuple(replace(a, link=now[a.link]) for a in declared.affordances),
+    )
+    said = tuple(dict.fromkeys([*notes, *renotes]))
+    more |= {"renamed": tuple(renotes), "declared": declared}
+    return UrdfModel(path, name, tree, tuple(visuals), said, **more)
 
 
 def renamed_helpers(

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from model.core.articulated_object import ArticulatedObject
 from model.core.composite_joints import LIFT, Composite, composite_joints, free_helpers
-from model.core.errors import InputFileError, KinematicsError
+from model.core.errors import InputFileError
 from model.core.geometry import Material, rotation_from_rpy
 from model.core.joint import JOINT_KINDS, JOINT_TYPES, Joint, JointType, Mimic
 from model.core.textures import TextureError, open_texture
@@ -24,7 +24,7 @@ from model.io.formats.loaded import WHITE, ReferenceRefused
 from model.io.robot_xml import URDF, parse
 from model.io.urdf.files import ANYMESH, package_root, resolve_mesh, robot_of
 from model.io.urdf.meshes import DeclaredCollision, UrdfVisual, repeats
-from model.io.urdf.model import UrdfModel, read_declared_physics, renamed_helpers
+from model.io.urdf.model import UrdfModel, model_from, read_declared_physics
 from model.io.urdf.sdf import CENTERED, SDF_SUFFIX, SUBMESH, robot_of_sdf
 from model.io.urdf.sdf_frames import LOOKS, is_true, painted
 
@@ -102,11 +102,10 @@ class _Reader:
         self.faulty: list[str] = []
         self.swapped: list[str] = []
         self.rescaled: list[str] = []
-        self.renamed: list[str] = []
         self.problems: list[str] = []
         self.notes: list[str] = []
         self.colors: dict[str, tuple[int, int, int, int]] = {}
-        self.textures: dict[str, Material] = {}
+        self.textures: dict[str, Material | None] = {}
         self._commas = self.moved = False
         self._planar: set[str] = set()
         self._unlimited: list[str] = []  # mimic joints that take their leader's range
@@ -121,13 +120,7 @@ class _Reader:
         else:
             robot = parse(self.path, ("robot",), "a URDF")
             unread = URDF.unread(robot)
-        for material in robot.findall("material"):
-            color = self._color(material)
-            if color is not None and material.get("name"):
-                self.colors[material.get("name", "")] = color
-            textured = self._texture(material, f"material {material.get('name', '')!r}")
-            if textured is not None:
-                self.textures[material.get("name", "")] = textured
+        self._name_looks(robot)
         links = [self._name(e, "link") for e in robot.findall("link")]
         most = max(len(links), len(robot.findall("joint")))
         if most > MOST_LINKS:
@@ -145,21 +138,20 @@ class _Reader:
         self._raise()
         object_from_link = _compose(KinematicTree(tuple(links), tuple(joints)), locals_)
         joints = [_to_object(j, object_from_link[j.child]) for j in joints]
-        renamed = renamed_helpers(links, {v.link for v in geometry}, self.renamed)
-        self.notes += self.renamed
-        try:
-            tree = KinematicTree(tuple(links), tuple(joints)).renamed(renamed)
-        except KinematicsError as error:
-            raise InputFileError(self.path, str(error)) from error
         visuals = tuple(_in_object(v, object_from_link) for v in geometry)
         name = robot.get("name") or self.path.stem
         declared = read_declared_physics(robot, object_from_link)
         collision = self._collisions(robot, visuals, object_from_link)
-        named = {renamed.get(link, link): i for link, i in declared.inertials.items()}
-        said = (self.notes, self.faulty, self.swapped, self.rescaled, self.renamed)
-        shaped = {renamed.get(link, link): c for link, c in collision.items()}
-        declared = replace(declared, inertials=named, collision=shaped)
-        return UrdfModel(self.path, name, tree, visuals, *map(tuple, said), declared=declared)
+        return model_from(
+            self.path,
+            name,
+            links,
+            joints,
+            visuals,
+            self.notes,
+            replace(declared, collision=collision),
+            **{key: tuple(getattr(self, key)) for key in ("faulty", "swapped", "rescaled")},
+        )
 
     def _raise(self) -> None:
         if self.problems:
@@ -448,6 +440,7 @@ class _Reader:
             self.problems.append(f"{where}: a <{element.tag}> has no geometry")
             return None
         name = element.get("name") or None
+        material = self._texture(element.find("material"), where)
         if shape.tag == "mesh":
             file = self._resolve(shape.get("filename", ""), where)
             scale = self._numbers(shape, "scale", 3, [1, 1, 1], where)
@@ -455,7 +448,6 @@ class _Reader:
                 self.problems.append(f"{where}: a mesh's scale can be {LARGEST:g} at most")
             if file is None:
                 return None
-            material = self._texture(element.find("material"), where)
             frame = pose @ np.diag([*scale, 1.0])
             made = UrdfVisual(link, name, frame, file, None, color, material=material)
             return self._as_in_sdf(made, element)
@@ -471,7 +463,8 @@ class _Reader:
             )
             return None
         if min(sizes) > 0 and max(sizes) <= LARGEST:
-            made = UrdfVisual(link, name, pose, None, (shape.tag, sizes), color)
+            shown = (shape.tag, sizes)
+            made = UrdfVisual(link, name, pose, None, shown, color, material=material)
             return self._as_in_sdf(made, element)
         needed = "above 0" if min(sizes) <= 0 else f"of {LARGEST:g} m at most"
         self.problems.append(f"{where}: <{shape.tag}> needs sizes {needed}, got {sizes}")
@@ -512,9 +505,9 @@ class _Reader:
         """The material of a ``<texture>``, by its own element or by name; None without one."""
         if material is None:
             return None
-        texture = material.find("texture")
-        if texture is None:
-            return self.textures.get(material.get("name", ""))
+        texture, name = material.find("texture"), material.get("name", "")
+        if texture is None or name in self.textures:
+            return self.textures.get(name)
         file = self._resolve(texture.get("filename", ""), where)
         if file is None:
             return None
@@ -523,6 +516,19 @@ class _Reader:
         except TextureError as error:
             self.notes.append(f"{where}: texture not used: {error}")
             return None
+
+    def _name_looks(self, robot: Element) -> None:
+        """Materials by name: those of the robot, then of its links, the first of a name."""
+        used = robot.findall("link/visual/material")
+        for material in (*robot.findall("material"), *used):
+            name, color = material.get("name", ""), self._color(material)
+            if color is not None and name:
+                self.colors.setdefault(name, color)
+            if name and len(material) and name not in self.textures:
+                self.textures[name] = self._texture(material, f"material {name!r}")
+        named = dict.fromkeys(m.get("name", "") for m in used)
+        if lost := [repr(name) for name in named if name and name not in self.textures]:
+            self.notes.append(f"materials that nothing describes: {', '.join(lost)}")
 
     def _color(self, material: Element | None) -> tuple[int, int, int, int] | None:
         color = None if material is None else material.find("color")

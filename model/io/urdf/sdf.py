@@ -30,7 +30,7 @@ from model.core.composite_joints import (
 from model.core.errors import InputFileError, KinematicsError
 from model.core.geometry import rpy_from_rotation
 from model.core.joint import JOINT_KINDS, Joint
-from model.io.robot_xml import XmlSchema, parse
+from model.io.robot_xml import XmlSchema, begins, parse
 from model.io.urdf.sdf_frames import ALBEDO, LOOKS, WORLD, Frames, is_true, numbers_in, said
 
 if TYPE_CHECKING:
@@ -41,8 +41,7 @@ SUBMESH, CENTERED = "{sdf}submesh", "{sdf}centered"
 """Attributes of the ``<mesh>`` that a URDF has no word for."""
 UNLIMITED = 1e6
 """Limits beyond it stand for none; the specification's default is 1e16."""
-_HEAD = 1 << 16
-_BEGINS = re.compile(rb"<sdf\b[^>]*>(?:\s|<!--.*?-->)*<model\b", re.DOTALL)
+_BEGINS = re.compile(rb".*?<sdf\b[^>]*>(?:\s|<!--.*?-->)*<model\b", re.DOTALL)
 _TWO_AXES = ("universal", "revolute2")
 _SHAPES = {
     "box": ("size",),
@@ -74,6 +73,7 @@ MODEL = XmlSchema.of(
         ("material", "script ambient diffuse specular emissive shader lighting pbr", ""),
         ("pbr", "metal specular", ""),
         ("metal", ALBEDO, ""),
+        ("specular", ALBEDO, ""),
         ("collision", "pose geometry", "name"),
         ("geometry", None, ""),
         ("mesh", "uri scale submesh convex_decomposition", "optimization"),
@@ -92,13 +92,7 @@ FloatArray = npt.NDArray[np.float64]
 
 def is_sdf(path: Path) -> bool:
     """True if ``path`` is an SDF of one model; worlds are scenes."""
-    if path.suffix.lower() != SDF_SUFFIX or path.name.startswith(".") or not path.is_file():
-        return False
-    try:
-        with path.open("rb") as file:
-            return _BEGINS.search(file.read(_HEAD)) is not None
-    except OSError:
-        return False
+    return begins(path, (SDF_SUFFIX,), _BEGINS)
 
 
 def robot_of_sdf(path: Path, model: Element | None = None) -> tuple[Element, list[str]]:
@@ -208,10 +202,12 @@ class _Model:
         made = ET.SubElement(out, "link", name=self.names[name])
         back = np.linalg.inv(self.frame.get(name, np.eye(4))).astype(np.float64)
         inertial = link.find("inertial")
-        if inertial is not None and inertial.find("mass") is not None:
+        if inertial is not None and is_true(inertial.get("auto", "")):
+            self.notes.append(f"link {self.names[name]!r}: its mass is that of its shapes (auto)")
+        elif inertial is not None and any(e.tag != "pose" for e in inertial):
             own = ET.SubElement(made, "inertial")
             _origin(own, back @ self._inside(inertial, link))
-            ET.SubElement(own, "mass", value=said(inertial, "mass"))
+            ET.SubElement(own, "mass", value=said(inertial, "mass") or "1")
             tensor = inertial.find("inertia")
             if tensor is not None:
                 keys = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
@@ -244,7 +240,7 @@ class _Model:
                 own.set(SUBMESH, said(shape, "submesh/name"))
                 own.set(CENTERED, said(shape, "submesh/center"))
         for key in _SHAPES.get(shape.tag, ()):
-            own.set(key, said(shape, key) or "1")
+            own.set(key, said(shape, key) or ("1 1 1" if key == "size" else "1"))
         looks = ET.SubElement(made, LOOKS)
         looks.extend((*element.findall("material/*"), *element.findall("transparency")))
 
@@ -310,6 +306,9 @@ class _Model:
         pitch = _pitch(joint) if COMPOSITES[kind].pitched else 0.0
         if kind != "single" and (pitch or not COMPOSITES[kind].pitched):
             main = turn("axis") if pitch else base
+            if kind == "ball":
+                tilts = "three turns, two of them up to 90 degrees"
+                self.notes.append(f"joint {name!r} is a ball: read as {tilts}")
             return composite_joints(Composite(kind, pitch), main, helpers, swing=math.pi / 2)
         if given in _TWO_AXES:
             first = replace(turn("axis"), name=f"joint_{helpers[0]}", child=helpers[0])
@@ -333,6 +332,8 @@ class _Model:
         resists = {k: t for k in ("damping", "friction") if (t := said(axis, f"dynamics/{k}"))}
         if resists:
             ET.SubElement(made, "dynamics", resists)
+        if float(said(axis, "dynamics/spring_stiffness") or 0):
+            self.notes.append(f"joint {made.get('name')!r} has a spring, which is not kept")
         mimic = axis.find("mimic")
         if mimic is not None:
             leader = mimic.get("joint", "")

@@ -312,7 +312,7 @@ def find_model(uri: str, path: Path) -> Path | None:
 LOOKS = "{sdf}material"
 """The ``<material>`` of an SDF within a URDF's visual, which has the transparency, too."""
 ALBEDO = "albedo_map"
-"""What is read of ``<metal>``."""
+"""What is read of ``<metal>`` and ``<specular>``."""
 
 
 def painted(
@@ -336,7 +336,7 @@ def painted(
     if any(_rgba(looks, "emissive")[:3]):
         notes.append(f"{where}: its emissive colour is not read")
     picture = None
-    text = said(looks, f"pbr/metal/{ALBEDO}")
+    text = said(looks, f"pbr/metal/{ALBEDO}") or said(looks, f"pbr/specular/{ALBEDO}")
     file = resolve(text) if text else None
     if file is not None:
         try:

