@@ -170,6 +170,55 @@ def test_the_list_of_a_scene_is_a_queue_of_its_objects(world: World) -> None:
     assert gallery.rows({"ids": "1", "above": "101"})["ids"] == []
     assert [r["name"] for r in gallery.rows({"search": "floor"})["rows"]] == ["slab"]
     assert gallery.thumbnail(ids.index("slab")) is None
+    wait_until(lambda: gallery.thumbnail(ids.index("first")), "a predicted object's picture")
+
+
+def test_the_order_of_a_list_stays_while_somebody_looks_at_it(world: World) -> None:
+    """Results that come in change it only once another look begins."""
+    state, scene = world.app_state, world.scene_workspace
+    assert state is not None
+
+    def look(name: str) -> tuple[list[str], bool]:
+        found = state.gallery.rows({"look": name})
+        return [r["name"] for r in found["rows"]], found["stale"]
+
+    before = look("page.1")
+    assert before == (["first", "twin", "small", *before[0][3:]], False)
+    work = scene.work("first")
+    assert work is not None
+    work.do(cmd.Reject("axis"), "ann")
+    assert look("page.1") == (before[0], True), "what was decided keeps its place"
+    assert look("page.2") == (["small", "first", "twin", *before[0][3:]], False)
+    work.do(cmd.Undo(), "ann")
+    assert look("page.1") == (before[0], False)
+
+
+def test_what_somebody_chooses_is_read_and_predicted_first(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[tuple[str, str]] = []
+    start = SceneWorkspace.start
+
+    def spy(self: Any, kind: str, job: Any, keep: Any, *more: Any, **named: Any) -> None:
+        asked.append((kind, more[0][1] if kind == "prepare" else ""))
+        start(self, kind, job, keep, *more, **named)
+
+    monkeypatch.setattr(SceneWorkspace, "start", spy)
+    world = World(tmp_path)
+    try:
+        scene = world.scene_workspace
+        asked.clear()
+        scene.pause(True)
+        for work in scene.works.values():
+            work.prepared = False
+            while work.state.can_undo:
+                work.do(cmd.Undo(), "ann")
+        scene.prefer("small")
+        scene.pause(False)
+        world.settle()
+        assert next(who for kind, who in asked if kind == "prepare") == "small"
+    finally:
+        world.close()
 
 
 def test_a_language_model_decides_where_its_address_is_given(
@@ -554,7 +603,7 @@ def test_the_end_of_the_review_is_told() -> None:
 
     left = rows("predicted", "todo", "todo", "rejected", "accepted", "static")
     assert order(left) == ["0", "1", "2"]
-    assert count_text(left) == "**1** predicted. 2 need annotation (✎)."
+    assert count_text(left) == "**1** to review. 2 need annotation (✎)."
     assert count_text(left, coming=1).endswith("1 to be predicted. 1 needs annotation (✎).")
     held = [replace(left[0], mark="on_hold"), replace(left[0], id="9", mark="validating")]
     assert order(held) == ["0"]
@@ -563,7 +612,7 @@ def test_the_end_of_the_review_is_told() -> None:
     assert order(decided) == []
     assert count_text(decided) == "3 of 3 decided; 1 rejected."
     assert count_text(rows("missing", "failed")[:1]) == "⚠ 1 can't be read."
-    assert count_text(rows("predicted", "missing")) == "**1** predicted. ⚠ 1 can't be read."
+    assert count_text(rows("predicted", "missing")) == "**1** to review. ⚠ 1 can't be read."
 
 
 def test_a_refused_acceptance_is_no_step_after_the_end_of_the_server(accepted: World) -> None:

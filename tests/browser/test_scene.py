@@ -55,6 +55,37 @@ def play_by_keys(tab: SceneTab) -> None:
         wait_until(lambda: not tab.scene.motion.playing, "and stops")
 
 
+def play_one_joint(tab: SceneTab) -> None:
+    """A row of the chosen object plays its joint alone; beside it *Save scene* stays in sight."""
+    tab.scene.choice.choose("cabinet 1")
+    tab.page.get_by_role("button", name="drawer 2", exact=False).first.click()
+    moving = tab.scene.motion
+    wait_until(lambda: moving.playing, "the drawer slides")
+    tab.button("Stop (Space)").click()
+    wait_until(lambda: not moving.playing, "and stops")
+    tab.page.set_viewport_size({"width": 1100, "height": 700})
+    wait_until(lambda: bottom_of(tab, "Save scene") <= 700, "it is in sight in a low window")
+    tab.page.set_viewport_size({"width": 1280, "height": 800})
+
+
+def bottom_of(tab: SceneTab, label: str) -> float:
+    box = tab.button(label).bounding_box()
+    return box["y"] + box["height"]
+
+
+def sort_again(tab: SceneTab) -> None:
+    """What becomes more urgent keeps its place in the list until it is sorted."""
+    names = tab.page.locator(".aw-open b")
+    before = names.all_inner_texts()
+    again = tab.button("Sort again")
+    assert not again.is_visible()
+    tab.scene_workspace.set_articulable("rock 2", True, "tester")
+    again.wait_for()
+    assert names.all_inner_texts() == before == ["cabinet 1", "rock 2"]
+    again.click()
+    wait_until(lambda: names.all_inner_texts() == ["rock 2", "cabinet 1"], "what is to do is first")
+
+
 def accept_in_gallery(tab: SceneTab) -> None:
     """All objects above a confidence are one decision, which undo takes back."""
     tab.button("Gallery or list").click()
@@ -124,6 +155,7 @@ def test_open_choose_work_in_place_accept_and_save(
 
     accept_in_gallery(tab)
     play_by_keys(tab)
+    play_one_joint(tab)
     # All joints at once, then a decision from the scene.
     tab.button("Play all joints (Shift+Space)").click()
     wait_until(
@@ -139,6 +171,7 @@ def test_open_choose_work_in_place_accept_and_save(
     wait_until(lambda: tab.status("cabinet 1") == "accepted", "accepted")
     saved = tab.save()
     assert (Path(saved.folder) / "scene.xml").is_file()
+    sort_again(tab)
 
 
 def test_y_inside_needn_t_wait_for_the_gate(start: Any, open_tab: Any, tmp_path: Path) -> None:

@@ -105,7 +105,7 @@ def joint_note(joint: Joint, doc: Document, checks: list[JointCollision]) -> str
 
 
 SHOWN = 12
-"""Joints with buttons, those of lowest confidence; the others are counted."""
+"""Joints with rows, those of lowest confidence; the others are counted."""
 
 
 JointLine = tuple[str, str, palette.Rgb]
@@ -113,39 +113,38 @@ JointLine = tuple[str, str, palette.Rgb]
 
 
 class JointRows:
-    """A button for each moving joint; a click plays it alone."""
+    """A row for each moving joint; a click plays it alone."""
 
-    def __init__(self, tab: Tab, play: Callable[[str], None]) -> None:
+    def __init__(self, tab: Tab, presses: Presses, play: Callable[[str], None]) -> None:
         """Make the folder; ``play`` gets the name of the joint that was clicked."""
-        self._tab, self._play = tab, play
-        self._key: Any = None
-        self._rows: list[Any] = []
         self._folder = tab.client.gui.add_folder(scene_words.JOINTS, visible=False)
+        with self._folder:
+            self._rows = tab.client.gui.add_html("")
+        presses.on("play joint", play)
 
     def draw(self, work: Work | None) -> None:
         """Bring the rows up to date; nothing is sent where nothing changed."""
-        doc = None if work is None else work.document
-        key = (
-            None
-            if doc is None or work is None
-            else (work.id, doc.tree, doc.prediction, tuple(doc.part_names.items()))
-        )
-        if key == self._key:
-            return
-        self._key = key
-        for row in self._rows:
-            row.remove()
-        self._rows = []
-        lines = [] if doc is None else joint_lines(doc)
+        lines = [] if work is None else joint_lines(work.document)
         put(self._folder, visible=bool(lines))
-        tab, gui = self._tab, self._tab.client.gui
-        with self._folder:
-            for name, line, color in [] if doc is None else least_confident(doc, lines):
-                button = gui.add_button(line, color=color, hint=scene_words.PLAY_JOINT)
-                button.on_click(lambda _, name=name: tab.act(lambda: self._play(name)))
-                self._rows.append(button)
+        if work is not None and lines:
+            rows = [_of_joint(line) for line in least_confident(work.document, lines)]
             if len(lines) > SHOWN:
-                self._rows.append(gui.add_markdown(scene_words.more_joints(len(lines) - SHOWN)))
+                rows.append(f"<small>{scene_words.more_joints(len(lines) - SHOWN)}</small>")
+            put(self._rows, content=f'<div class="aw-tree">{"".join(rows)}</div>')
+
+
+def _of_joint(line: JointLine) -> str:
+    name, text, color = line
+    title, _, said = text.partition(" · ")
+    row = button("play joint", name, text, content=_titled(color, title, said))
+    return f'<div class="aw-node" style="--depth:0">{row}</div>'
+
+
+def _titled(color: palette.Rgb, title: str, said: str) -> str:
+    return (
+        f'<i style="background:rgb{color}"></i>'
+        f"<span><b>{escape(title)}</b> <small>{escape(said)}</small></span>"
+    )
 
 
 def least_confident(doc: Document, lines: Sequence[JointLine]) -> list[JointLine]:
@@ -278,10 +277,7 @@ def _row(
 ) -> str:
     part = (moved_part(tree, link) if link in tree.joint_of else link).removeprefix("link_")
     color = palette.part_color(int(part)) if part.isdigit() else palette.GHOST
-    content = (
-        f'<i style="background:rgb{color}"></i>'
-        f"<span><b>{escape(title[:60])}</b> <small>{escape(said)}</small></span>"
-    )
+    content = _titled(color, title[:60], said)
     row = button("joint", link, f"{title} {said}".strip(), content=content, pressed=chosen)
     if chosen and movable:
         row += button(

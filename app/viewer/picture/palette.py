@@ -43,7 +43,7 @@ CATEGORIES: Final[tuple[str, ...]] = (
 )
 SCENE_COLORS: Final[dict[str, Rgb]] = {
     **{state: color for state, (_, color) in STATES.items()},
-    "validating": (150, 205, 110),
+    "validating": (165, 200, 150),
 }
 """Objects of a scene by state; "to do" must differ from "static"."""
 

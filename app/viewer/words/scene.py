@@ -31,13 +31,11 @@ ARTICULABLE, STATIC = "Articulable", "Static"
 EDIT: Final = "Edit (Enter)"
 PICK: Final = "Extract an object"
 ACCEPT, ACCEPT_ANYWAY, CHECKING = "Accept (Y)", "Accept anyway (Y)", "Checking…"
-SAVE_FOLDER: Final = "Save"
 INCLUDE: Final = "Include unreviewed"
 INCLUDE_HINT: Final = "Unreviewed predictions move, too; otherwise these objects are rigid"
 SAVE, SAVING = "Save scene", "Saving the scene…"
 REPORT: Final = "Scene report"
 JOINTS: Final = "Joints"
-PLAY_JOINT: Final = "Play this joint"
 NOTHING_SELECTED: Final = "Click an object in the view or in the list. N: lowest confidence first."
 NOT_PREDICTED: Final = "Not predicted yet."
 PLAY_LATER: Final = "Joints can be played once objects are predicted"
@@ -77,7 +75,6 @@ def kind_set(articulable: bool) -> str:
     return f"Set by a user: {'articulable' if articulable else 'static'}."
 
 
-why = Message("Reason: {reason}")
 instances = Message("{count} instances: a decision applies to all.")
 
 
@@ -102,13 +99,13 @@ def to_decide(predicted: int, checking: int, held: int, coming: int, clicks: int
     """Number of open decisions; "" for none.
 
     Args:
-        predicted: objects to review.
+        predicted: objects with joints.
         checking: whose checks run. held: whose acceptance is on hold. coming: to be predicted.
         clicks: that need annotation.
     """
     lines = [f"{checking} checking."] if checking else []
     if predicted:
-        lines.append(f"**{predicted}** predicted.")
+        lines.append(f"**{predicted}** to review.")
     if held:
         lines.append(f"{held} on hold (⚠).")
     if coming:
