@@ -385,11 +385,6 @@ class SceneWorkspace(SceneState):
         if kind in ("check", "save"):
             self.go_on()
 
-    def awaits_prediction(self, row: Row) -> bool:
-        """True while an object waits for its prediction rather than for a person."""
-        work = None if row.work is None else self.works.get(row.work)
-        return row.shown == "todo" and work is not None and not work.prepared
-
     def pause(self, paused: bool) -> None:
         """Stop predicting more objects, or go on."""
         self.paused = paused

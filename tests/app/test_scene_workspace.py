@@ -22,20 +22,15 @@ from app.server.accepting import accept
 from app.server.app_state import AppState
 from app.server.config import ServeConfig
 from app.server.job import Job
-from app.server.scene_state import Row, decided_text, order
+from app.server.scene_state import Row, order
 from app.server.scene_workspace import SceneWorkspace
-from app.viewer.panels.joint_tree import joint_lines
-from app.viewer.steps.scene_selection import count_text
-from model.core.articulated_object import Prediction
+from app.viewer.steps.scene_selection import remarks_of
 from model.core.errors import CommandError
-from model.core.joint import Joint
-from model.core.tree import KinematicTree
 from model.io.assets.reader import load_object
 from model.io.open_asset import open_asset
 from model.scenes.asset_parts import asset_digest
 from model.validation.report import Finding, JointReport, Severity, ValidationReport
 from sessions import commands as cmd
-from sessions.document import Document, PartInfo
 from sessions.scene_commands import DecideObjects
 from sessions.storage import AssetStorage
 from sessions.store import Store
@@ -409,7 +404,7 @@ def test_what_the_gate_objects_to_waits_for_who_asked(
     assert (told["gate"]["verdict"], told["gate"]["looked_at"]) == ("look", True)
     assert told["source"]["scene"] == str(scene_workspace.path)
     scene_workspace.do(cmd.Undo(), "ann")
-    assert decided_text(scene_workspace.rows()) == "0 of 3 decided"
+    assert not {"accepted", "rejected"} & set(statuses(scene_workspace).values())
     stop()
 
 
@@ -583,36 +578,20 @@ def test_undo_while_the_asset_takes_its_place_takes_it_back(
     world.settle()
 
 
-def test_a_helper_is_told_as_the_part_that_it_moves() -> None:
-    lift = Joint(
-        "lift", "prismatic", "link_0", "helper_1", (0, 0, 1), (0, 0, 0), lower=0, upper=0.08
-    )
-    turn = Joint("turn", "continuous", "helper_1", "link_1", (0, 0, 1), (0, 0, 0))
-    tree = KinematicTree(("link_0", "helper_1", "link_1"), (lift, turn))
-    guess = Prediction(tree, confidence={"link_1": 0.9})
-    doc = Document(parts=(PartInfo(0), PartInfo(1, "seat")), tree=tree, prediction=guess)
-    assert [(name, line) for name, line, _ in joint_lines(doc)] == [
-        ("lift", "seat 1: lift · prismatic · 0 to 80 mm · 90\u00a0%"),
-        ("turn", "seat 1: swivel · unlimited · 90\u00a0%"),
-    ]
-
-
 def test_the_end_of_the_review_is_told() -> None:
     def rows(*states: Any) -> list[Row]:
         return [Row(str(k), s, 0.9, k) for k, s in enumerate(states)]
 
     left = rows("predicted", "todo", "todo", "rejected", "accepted", "static")
     assert order(left) == ["0", "1", "2"]
-    assert count_text(left) == "**1** to review. 2 need annotation (✎)."
-    assert count_text(left, coming=1).endswith("1 to be predicted. 1 needs annotation (✎).")
     held = [replace(left[0], mark="on_hold"), replace(left[0], id="9", mark="validating")]
     assert order(held) == ["0"]
-    assert count_text(held) == "1 checking. 1 on hold (⚠)."
-    decided = rows("rejected", "accepted", "accepted")
-    assert order(decided) == []
-    assert count_text(decided) == "3 of 3 decided; 1 rejected."
-    assert count_text(rows("missing", "failed")[:1]) == "⚠ 1 can't be read."
-    assert count_text(rows("predicted", "missing")) == "**1** to review. ⚠ 1 can't be read."
+    assert order(rows("rejected", "accepted", "accepted")) == []
+    assert remarks_of(left) == "", "the list has the numbers"
+    assert remarks_of(rows("missing", "failed", "predicted")) == "⚠ 2 can't be read."
+    assert remarks_of([Row("0", "static", 0.9, None)]) == "Extract an object first."
+    static = [Row(k, "static", 0.9, None) for k in "ab"]
+    assert remarks_of(static) == "No articulable objects."
 
 
 def test_a_refused_acceptance_is_no_step_after_the_end_of_the_server(accepted: World) -> None:

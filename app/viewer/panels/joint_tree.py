@@ -5,7 +5,7 @@ joint, a part dropped on another one hangs on it.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from html import escape
 from typing import Any, Final
@@ -20,7 +20,7 @@ from app.viewer.picture import palette
 from app.viewer.tab import Tab, plain
 from app.viewer.words import joints as words
 from app.viewer.words import scene as scene_words
-from app.viewer.words.common import EDITED, warning
+from app.viewer.words.common import warning
 from model.core.errors import CommandError
 from model.core.joint import Joint, value_text
 from model.core.tree import KinematicTree, moving_chain
@@ -104,75 +104,29 @@ def joint_note(joint: Joint, doc: Document, checks: list[JointCollision]) -> str
     return "\n\n".join(lines) or words.SET_MANUALLY
 
 
-SHOWN = 12
-"""Joints with rows, those of lowest confidence; the others are counted."""
-
-
-JointLine = tuple[str, str, palette.Rgb]
-"""Name, words and color of a joint."""
-
-
 class JointRows:
-    """A row for each moving joint; a click plays it alone."""
+    """The tree of an object of the scene; a click plays a joint alone."""
 
     def __init__(self, tab: Tab, presses: Presses, play: Callable[[str], None]) -> None:
         """Make the folder; ``play`` gets the name of the joint that was clicked."""
+        self._play, self._tree = play, None
         self._folder = tab.client.gui.add_folder(scene_words.JOINTS, visible=False)
         with self._folder:
             self._rows = tab.client.gui.add_html("")
-        presses.on("play joint", play)
+        presses.on("play joint", self._clicked)
+
+    def _clicked(self, link: str) -> None:
+        joint = None if self._tree is None else self._tree.joint_of.get(link)
+        if joint is not None and joint.moves:
+            self._play(joint.name)
 
     def draw(self, work: Work | None) -> None:
         """Bring the rows up to date; nothing is sent where nothing changed."""
-        lines = [] if work is None else joint_lines(work.document)
-        put(self._folder, visible=bool(lines))
-        if work is not None and lines:
-            rows = [_of_joint(line) for line in least_confident(work.document, lines)]
-            if len(lines) > SHOWN:
-                rows.append(f"<small>{scene_words.more_joints(len(lines) - SHOWN)}</small>")
-            put(self._rows, content=f'<div class="aw-tree">{"".join(rows)}</div>')
-
-
-def _of_joint(line: JointLine) -> str:
-    name, text, color = line
-    title, _, said = text.partition(" · ")
-    row = button("play joint", name, text, content=_titled(color, title, said))
-    return f'<div class="aw-node" style="--depth:0">{row}</div>'
-
-
-def _titled(color: palette.Rgb, title: str, said: str) -> str:
-    return (
-        f'<i style="background:rgb{color}"></i>'
-        f"<span><b>{escape(title)}</b> <small>{escape(said)}</small></span>"
-    )
-
-
-def least_confident(doc: Document, lines: Sequence[JointLine]) -> list[JointLine]:
-    """The lines of lowest confidence, in the order of the joints."""
-    joints = [j for j in (() if doc.tree is None else doc.tree.joints) if j.moves]
-    sure = [
-        1.0 if j.child in doc.edited_joints else confidence_of(doc, j.child) or 0.0 for j in joints
-    ]
-    kept = sorted(range(len(lines)), key=sure.__getitem__)[:SHOWN]
-    return [lines[i] for i in sorted(kept)]
-
-
-def joint_lines(doc: Document) -> list[JointLine]:
-    """Name, words and color of every joint that moves; a part may have several."""
-    out: list[JointLine] = []
-    if doc.tree is None:
-        return out
-    for joint in (j for j in doc.tree.joints if j.moves):
-        part = moved_part(doc.tree, joint.child)
-        sure = confidence_text(doc, joint.child)
-        edited = EDITED * (joint.child in doc.edited_joints)
-        # "unlimited" implies the type, and a long line loses its end, the confidence.
-        kind = "" if joint.type == "continuous" else joint.type
-        texts = [joint_title(doc, joint.child)[:40] + edited, kind, range_text(joint), sure]
-        number = part.removeprefix("link_")
-        color = palette.part_color(int(number)) if number.isdigit() else palette.GHOST
-        out.append((joint.name, " · ".join(t for t in texts if t), color))
-    return out
+        self._tree = None if work is None else work.document.tree
+        put(self._folder, visible=self._tree is not None)
+        if work is not None and self._tree is not None:
+            html = tree_html(self._tree, work.document, [], None, action="play joint")
+            put(self._rows, content=html)
 
 
 class JointTree:
@@ -236,10 +190,11 @@ def tree_html(
     chosen: str | None,
     *,
     asking: bool = False,
+    action: str = "joint",
 ) -> str:
-    """The tree as rows that can be clicked and dragged."""
+    """The tree as rows that can be clicked and, where that chooses a joint, dragged."""
     hits = {c.joint for c in checks}
-    accepted = doc.review.state == "accepted"
+    fixed = doc.review.state == "accepted" or action != "joint"
     depth = {tree.root: 0}
     rows = []
     for link in tree.order:
@@ -260,25 +215,30 @@ def tree_html(
                 bool(range_warnings(joint)),
                 joint.name in hits,
             )
-        movable = joint is not None and not accepted
-        rows.append(_row(tree, link, title, said, depth[link], link == chosen, movable, asking))
+        movable = joint is not None and not fixed
+        row = _row(tree, link, action, title, said, link == chosen, movable, asking)
+        drag = ' draggable="true"' if movable else ""
+        about = f'data-link="{escape(link)}" style="--depth:{depth[link]}"{drag}'
+        rows.append(f'<div class="aw-node" {about}>{row}</div>')
     return f'<div class="aw-tree">{"".join(rows)}</div>'
 
 
 def _row(
     tree: KinematicTree,
     link: str,
+    action: str,
     title: str,
     said: str,
-    depth: int,
     chosen: bool,
     movable: bool,
     asking: bool,
 ) -> str:
-    part = (moved_part(tree, link) if link in tree.joint_of else link).removeprefix("link_")
-    color = palette.part_color(int(part)) if part.isdigit() else palette.GHOST
-    content = _titled(color, title[:60], said)
-    row = button("joint", link, f"{title} {said}".strip(), content=content, pressed=chosen)
+    color = palette.link_color(moved_part(tree, link) if link in tree.joint_of else link)
+    content = (
+        f'<i style="background:rgb{color}"></i>'
+        f"<span><b>{escape(title[:60])}</b> <small>{escape(said)}</small></span>"
+    )
+    row = button(action, link, f"{title} {said}".strip(), content=content, pressed=chosen)
     if chosen and movable:
         row += button(
             "joint parent",
@@ -288,7 +248,4 @@ def _row(
             style="aw-icon",
             pressed=asking,
         )
-    drag = ' draggable="true"' if movable else ""
-    return (
-        f'<div class="aw-node" data-link="{escape(link)}" style="--depth:{depth}"{drag}>{row}</div>'
-    )
+    return row

@@ -15,7 +15,7 @@ from app.viewer.panels.joint_tree import JointRows
 from app.viewer.panels.reviewing import RejectButtons, Rejecting
 from app.viewer.panels.widgets import Presses, push_button, push_buttons, put
 from app.viewer.picture.scene_picture import ScenePicture
-from app.viewer.steps.scene_selection import SceneChoice, SceneHost, SceneReview, decisions_text
+from app.viewer.steps.scene_selection import SceneChoice, SceneHost, SceneReview, remarks_text
 from app.viewer.tab import Tab, plain
 from app.viewer.words import common
 from app.viewer.words import scene as words
@@ -97,17 +97,18 @@ class SceneCard:
     def draw(self, rows: Sequence[Row], selected: str | None, moving: bool) -> None:
         """Bring the widgets up to date; ``moving`` while joints play."""
         workspace = self._workspace
-        self._draw_status(decisions_text(workspace, rows))
+        self._draw_status(remarks_text(workspace, rows))
         put(self._play, label=words.STOP if moving else words.PLAY)
         joints = any(w.document.tree is not None for w in workspace.wanted())
         put(self._play, color="blue" if joints else "gray")
         put(self._play, icon=viser.Icon.PLAYER_STOP if moving else viser.Icon.PLAYER_PLAY)
         self._draw_chosen(selected)
 
-    def _draw_status(self, count: str) -> None:
+    def _draw_status(self, remarks: str) -> None:
         workspace = self._workspace
         scene = workspace.scene
-        lines = [] if scene is None else [words.about(plain(scene.name, 60), count)]
+        name = [] if scene is None else [f"**{plain(scene.name, 60)}**"]
+        lines = [" · ".join([*name, *([remarks] if remarks else ())])] if name else []
         if workspace.problem:
             lines.append(common.warning(plain(workspace.problem, 400)))
         busy = dict(workspace.busy)  # jobs end while this is drawn

@@ -62,6 +62,7 @@ class SceneStep:
             )
         self._pick_panel: PickPanel | None = None
         self._unwatch = workspace.watch(tab.invalidate, tab.notify)
+        presses.on("frame", lambda _: self.frame())
 
     def build_object_widgets(self) -> None:
         """Make the widgets above everything else about one object."""
@@ -136,7 +137,12 @@ class SceneStep:
         self.motion.stop()
         self.picture.close()
 
-    # --- motion
+    # --- view and motion
+
+    def frame(self) -> None:
+        """Aim at the selected object, or at all of the scene."""
+        selected = self.choice.selected
+        self.picture.frame(None if selected is None else [selected])
 
     def play(self) -> None:
         """Start or stop moving the joints of the selected object; of all where none is chosen."""

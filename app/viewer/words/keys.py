@@ -35,7 +35,7 @@ SHEET: Final[tuple[tuple[str, str], ...]] = (
     ("M; T, F", "joint: next likely motion; next type, flip axis"),
     ("G", "axis handles on or off"),
     ("Drag a limit's grip", "set the limit; Shift snaps to 5° or 5 mm"),
-    ("Number pad 1, 3, 7; 9; 5", "front, right, top (Ctrl: other side); opposite; flat"),
+    ("Number pad 1, 3, 7; 9; 5; 0", "front, right, top (Ctrl: back …); opposite; flat; four"),
     ("/; Shift+M", "isolate the part; measure between two clicks"),
     ("F8", "read the latest messages again"),
     ("Y; Shift+Y", "accept; again: accept anyway; what is on hold"),
@@ -49,7 +49,9 @@ SHEET: Final[tuple[tuple[str, str], ...]] = (
     ("Prepare: Delete", "remove what is grey"),
     ("Ctrl+Z, Ctrl+Shift+Z", "undo, redo"),
     ("Ctrl+K; F6", "command palette; panels by keyboard"),
-    ("Drag, right drag, wheel", "orbit, pan, zoom"),
+    ("Drag, right drag, wheel", "orbit, pan, zoom to the pointer"),
+    ("Double click", "frame what is hit; in Annotate with Ctrl"),
+    ("Drag on a number", "change it; Shift: fine"),
     ("W A S D Q E, arrows", "move the camera"),
 )
 """Each fits a line of the sheet, and all of them a small screen."""

@@ -53,9 +53,6 @@ EXTRACT: Final = "Extract"
 EXTRACT_NOTHING: Final = "select an object of the scene and press “Extract an object”"
 
 
-about = Message("**{name}** · {decisions}")
-
-
 def job(name: str, detail: str) -> str:
     """A running job in one line."""
     return f"{JOBS[name]}… {detail}".rstrip()
@@ -65,9 +62,6 @@ def file_problems(lines: list[str], more: int) -> str:
     """Unusable content of the scene's file."""
     rest = [f"and {more} more"] if more else []
     return "⚠ About the file:\n" + "\n".join(f"- {line}" for line in [*lines, *rest])
-
-
-more_joints = Message("… and {count} with higher confidence.")
 
 
 def kind_set(articulable: bool) -> str:
@@ -95,27 +89,6 @@ def decided(state: str, user: str, reason: str) -> str:
     return f"{state.capitalize()} by {user}{f': {reason}' * bool(reason)}"
 
 
-def to_decide(predicted: int, checking: int, held: int, coming: int, clicks: int) -> str:
-    """Number of open decisions; "" for none.
-
-    Args:
-        predicted: objects with joints.
-        checking: whose checks run. held: whose acceptance is on hold. coming: to be predicted.
-        clicks: that need annotation.
-    """
-    lines = [f"{checking} checking."] if checking else []
-    if predicted:
-        lines.append(f"**{predicted}** to review.")
-    if held:
-        lines.append(f"{held} on hold (⚠).")
-    if coming:
-        lines.append(f"{coming} to be predicted.")
-    if clicks:
-        lines.append(f"{clicks} {'needs' if clicks == 1 else 'need'} annotation (✎).")
-    return " ".join(lines)
-
-
-sentence = Message("{text}.")
 lost = Message("⚠ {count} can't be read.")
 NOTHING_ARTICULABLE: Final = "No articulable objects."
 EXTRACT_FIRST: Final = "Extract an object first."
