@@ -107,8 +107,8 @@ class SceneCard:
     def _draw_status(self, remarks: str) -> None:
         workspace = self._workspace
         scene = workspace.scene
-        name = [] if scene is None else [f"**{plain(scene.name, 60)}**"]
-        lines = [" · ".join([*name, *([remarks] if remarks else ())])] if name else []
+        more = f" · {remarks}" if remarks else ""
+        lines = [] if scene is None else [f"**{plain(scene.name, 60)}**{more}"]
         if workspace.problem:
             lines.append(common.warning(plain(workspace.problem, 400)))
         busy = dict(workspace.busy)  # jobs end while this is drawn

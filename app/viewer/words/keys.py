@@ -41,8 +41,7 @@ SHEET: Final[tuple[tuple[str, str], ...]] = (
     ("Y; Shift+Y", "accept; again: accept anyway; what is on hold"),
     ("X, then 1 … 6", "reject, with a reason"),
     ("N, B; Shift+I, C", "next, previous object; instructions, comment"),
-    ("Enter, Backspace", "scene: edit the object, go back"),
-    ("Enter", "prepare a scan; apply what is shown"),
+    ("Enter; Backspace", "prepare a scan, apply what is shown; scene: edit, go back"),
     ("Prepare: Tab; 1, 3, 7", "other up direction; front, side, top"),
     ("Prepare: R, F, G", "rotate 90°, flip, rotation handle"),
     ("Prepare: K; K, K; M", "level by floor, by edge; measure"),
@@ -50,8 +49,7 @@ SHEET: Final[tuple[tuple[str, str], ...]] = (
     ("Ctrl+Z, Ctrl+Shift+Z", "undo, redo"),
     ("Ctrl+K; F6", "command palette; panels by keyboard"),
     ("Drag, right drag, wheel", "orbit, pan, zoom to the pointer"),
-    ("Double click", "frame what is hit; in Annotate with Ctrl"),
-    ("Drag on a number", "change it; Shift: fine"),
+    ("Double click; drag a number", "frame (in Annotate: Ctrl); change it (Shift: fine)"),
     ("W A S D Q E, arrows", "move the camera"),
 )
 """Each fits a line of the sheet, and all of them a small screen."""
