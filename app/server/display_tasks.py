@@ -32,6 +32,7 @@ from model.geometry.ambient_light import CreaseEdges, crease_edges, is_plain, wi
 from model.geometry.display import display_asset, thin
 from model.geometry.levelling import box_yaw
 from model.geometry.prepare import moved
+from model.geometry.sampling import face_colors
 from model.io.masks import read_masks, with_masks
 from model.io.model_files import is_model, model_of
 from model.io.open_asset import open_asset as read_asset
@@ -137,7 +138,8 @@ class OpenedAsset:
         folder: memory-mapped arrays of the asset, shared by the workers.
         source: the file, and how it was read.
         display_vertices, display_faces: the displayed mesh, or None.
-        display_points, display_colors: the displayed cloud, or None.
+        display_points: the displayed cloud, or None.
+        display_colors: (D, 3) of its points, or of the displayed faces.
         element: (D,) source element of each displayed face or point.
         area: (D,) float32, m², of each displayed face; None for a cloud.
         glb: the displayed mesh with its materials, z up, else None.
@@ -278,7 +280,7 @@ def _opened(asset: Asset, folder: Path, path: Path) -> OpenedAsset:
         display_vertices=None if mesh is None else mesh.vertices.astype(np.float32),
         display_faces=None if mesh is None else np.asarray(mesh.faces),
         display_points=None if cloud is None else np.asarray(cloud.points),
-        display_colors=None if cloud is None else _colors(cloud),
+        display_colors=_colors(cloud) if cloud is not None else face_colors(mesh)[:, :3],  # type: ignore[arg-type]
         glb=None if mesh is None else mesh_to_glb(mesh, matt=True),
         glb_order=None if mesh is None else face_order(mesh, matt=True),
         part_names=part_names,

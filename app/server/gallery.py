@@ -16,6 +16,7 @@ from app.server.job import Job
 from app.server.names import queue_names
 from app.server.object_context import Services
 from app.server.tasks import ReadOptions, stamp_if_there
+from model.core.memory import LruCache
 from model.core.progress import attempt
 from sessions.database import ObjectRecord
 from sessions.document import Document
@@ -102,6 +103,8 @@ MOST_WAITING = 60
 """Thumbnails to draw: those that were asked for before are off the screen by now."""
 DRAW_SECONDS = 120.0
 """Longest drawing of one."""
+MOST_LOOKS = 200
+"""Orders of lists that pages look at."""
 _STATES = ("rejected", "in_progress", "todo", "predicted", "on_hold", "validating", "submitted")
 """In the order of their sorting; what is decided or static comes after them."""
 SORTS: Final[tuple[str, ...]] = tuple("order name category state who confidence recent".split())
@@ -129,6 +132,7 @@ class Gallery:
         self._names: tuple[tuple[int, ...], dict[int, str]] = ((), {})
         self._drawn: dict[tuple[int, str], tuple[Any, Path | None]] = {}
         self._drawing: OrderedDict[tuple[int, str], Job[Path]] = OrderedDict()
+        self._looks: LruCache[str, dict[int, int]] = LruCache(MOST_LOOKS)
 
     # --- the list
 
@@ -145,13 +149,15 @@ class Gallery:
 
         Args:
             query: "first" and "count" of the piece; "search", "state" and "sort" of the list;
-                "current" is the id of an object whose place is asked for; "ids" for all ids, of
-                predictions with a confidence of at least "above" percent those in which the checks
-                found nothing, and those that nobody checked.
+                "look" names a look at it, during which its order stays; "current" is the id of an
+                object whose place is asked for; "ids" for all ids, of predictions with a
+                confidence of at least "above" percent those in which the checks found nothing, and
+                those that nobody checked.
         """
         records = self.records()
         names = self.names(records)
-        chosen = self._chosen(records, names, query)
+        fresh = self._chosen(records, names, query)
+        chosen = self._as_looked_at(query.get("look", ""), fresh)
         if query.get("ids"):
             above = whole_number(query.get("above"), -1)
             sure = [r for r in chosen if above < 0 or 100 * (self.confidence(r) or -1) >= above]
@@ -167,6 +173,7 @@ class Gallery:
         assigned = self._services.store.people.work.assigned()
         return {
             "total": len(chosen),
+            "stale": chosen != fresh,
             "all": len(records),
             "states": Counter(r.state for r in records),
             "today": sum(r.state == "accepted" and r.updated[:10] == today for r in records),
@@ -176,6 +183,16 @@ class Gallery:
                 for r in chosen[first : first + count]
             ],
         }
+
+    def _as_looked_at(self, look: str, fresh: list[ObjectRecord]) -> list[ObjectRecord]:
+        """The objects in the order in which a look at them began, new ones last."""
+        if not look:
+            return fresh
+        with self._lock:
+            places = self._looks.get(look, dict)
+            for record in fresh:
+                places.setdefault(record.id, len(places))
+            return sorted(fresh, key=lambda r: places[r.id])
 
     def names(self, records: Sequence[ObjectRecord]) -> dict[int, str]:
         """Id → name of all objects."""
@@ -299,10 +316,10 @@ class Gallery:
 
     def _options(self, record: ObjectRecord) -> ReadOptions:
         """Reading options of the object, as far as they affect its thumbnail."""
-        config = self._services.config
-        if not record.seq:
+        config, sessions = self._services.config, self.sessions([record.id])
+        if not record.seq or not sessions:
             return ReadOptions(config.up_axis, config.unit_scale)
-        doc = self._services.store.load(record.id).present
+        doc = self._services.store.load(sessions[0]).present
         up_axis, scale = doc.up_axis or config.up_axis, doc.unit_scale * config.unit_scale
         return ReadOptions(up_axis, scale, frame=doc.frame)
 

@@ -21,7 +21,7 @@ import viser
 from viser import _messages
 from websockets.http11 import Response
 
-_NAMES = "upload focus panels markup queue view tree pointer light account"
+_NAMES = "upload focus panels markup queue display view look tree pointer light account"
 _SCRIPTS = tuple(f"{name}.js" for name in _NAMES.split())
 _STYLES = ("style.css", "controls.css", "project.css")
 

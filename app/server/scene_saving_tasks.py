@@ -55,11 +55,11 @@ from model.scenes.scene import Decision, SceneProblem
 from sessions.document import Document
 
 STATES: dict[str, tuple[str, tuple[int, int, int]]] = {
-    "predicted": ("predicted, not reviewed", (128, 90, 213)),
-    "on_hold": ("on hold: accepted, and refused by the checks", (168, 92, 26)),
-    "todo": ("to do: no joints yet", (237, 160, 40)),
-    "rejected": ("rejected", (224, 49, 49)),
-    "accepted": ("accepted", (47, 158, 68)),
+    "predicted": ("predicted, not reviewed", (146, 130, 190)),
+    "on_hold": ("on hold: accepted, and refused by the checks", (190, 120, 60)),
+    "todo": ("to do: no joints yet", (214, 182, 122)),
+    "rejected": ("rejected", (205, 95, 95)),
+    "accepted": ("accepted", (110, 170, 120)),
     "static": ("static", (196, 200, 206)),
     "failed": ("failed: unreadable asset", (90, 96, 104)),
     "missing": ("missing", (90, 96, 104)),

@@ -177,14 +177,6 @@ def order(rows: Sequence[Row]) -> list[str]:
     return [r.id for r in rows if r.undecided]
 
 
-def decided_text(rows: Sequence[Row]) -> str:
-    """Return how many of the articulable objects are decided."""
-    rows = [r for r in rows if r.work is not None and r.status not in ("failed", "missing")]
-    rejected = sum(r.status == "rejected" for r in rows)
-    decided = sum(r.status == "accepted" for r in rows) + rejected
-    return f"{decided} of {len(rows)} decided" + (f"; {rejected} rejected" if rejected else "")
-
-
 class SceneState(Observable):
     """The scene as its saving, accepting and picking see it.
 

@@ -273,7 +273,8 @@ class SceneWorkspace(SceneState):
         if "shapes" in self.jobs:
             return
         paths = [i.path for i in self.items.values() if i.path and i.path not in self.shapes]
-        paths = list(dict.fromkeys(paths))
+        chosen = self.works.get(self._preferred or -1)
+        paths = sorted(dict.fromkeys(paths), key=lambda p: chosen is None or p != chosen.item.path)
         if not paths:
             return
         done = 1 - len(paths) / len({i.path for i in self.items.values() if i.path})
@@ -348,10 +349,9 @@ class SceneWorkspace(SceneState):
             work.prepared, work.reason = True, prepared.reason
             self._record(work, prepared)
 
-        done = len(works) - len(waiting)
-        message = f"{work.item.obj.id} ({done + 1} of {len(works)} different ones)"
+        done = 1 - len(waiting) / len(works)
         files = (work.item.path or self.path,)
-        self.start("prepare", job, keep, (done / len(works), message), work, files)
+        self.start("prepare", job, keep, (done, work.item.obj.id), work, files)
 
     def _record(self, work: Work, prepared: Prepared) -> None:
         """Record what was found as commands, unless a person was first."""
@@ -384,11 +384,6 @@ class SceneWorkspace(SceneState):
             self.live.refresh()  # another server may have undone the decision just now
         if kind in ("check", "save"):
             self.go_on()
-
-    def awaits_prediction(self, row: Row) -> bool:
-        """True while an object waits for its prediction rather than for a person."""
-        work = None if row.work is None else self.works.get(row.work)
-        return row.shown == "todo" and work is not None and not work.prepared
 
     def pause(self, paused: bool) -> None:
         """Stop predicting more objects, or go on."""

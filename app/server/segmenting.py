@@ -374,7 +374,7 @@ class Segmenting:
         """Run a segmentation tool; returns how many regions it found, see :meth:`find`."""
         offers, replaces, take = self.find(request)
         if isinstance(offers, tool_tasks.FaceCutOffer):
-            self._cut_faces(offers, request.tool, who)
+            self._cut_faces(offers, request, who)
             return 1
         if isinstance(offers, tool_tasks.MaskOffer):
             return self._show_mask(offers, replaces, request.part, who)
@@ -456,7 +456,7 @@ class Segmenting:
             if part == tool_tasks.NEW_PART:
                 part = _free(used)
                 used.add(part)
-            called = offer.name or name
+            called = offer.name or name or (request.name if part == request.part else None)
             regions.append(
                 ToolRegion(part, offer.elements, offer.positive, offer.count, called, like)
             )
@@ -496,11 +496,15 @@ class Segmenting:
             self._masks_shown.append(shown)
         return offer.total - 1
 
-    def _cut_faces(self, offer: tool_tasks.FaceCutOffer, tool: str, who: str) -> None:
+    def _cut_faces(
+        self, offer: tool_tasks.FaceCutOffer, request: tool_tasks.ToolRequest, who: str
+    ) -> None:
         """Split faces; their parts are known, so the segmenter doesn't run."""
-        obj = self._obj
-        regions = tuple(ToolRegion(r.part, r.elements, True, r.count) for r in offer.regions)
-        obj.do(cmd.CutFaces(tool, offer.cut, regions), who)
+        obj, names = self._obj, {request.part: request.name}
+        regions = tuple(
+            ToolRegion(r.part, r.elements, True, r.count, names.get(r.part)) for r in offer.regions
+        )
+        obj.do(cmd.CutFaces(request.tool, offer.cut, regions), who)
         obj.do(
             cmd.RecordSegmentation(obj.document.key, offer.labels, "cut", 0.0, offer.counts),
             SEGMENTER,

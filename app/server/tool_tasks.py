@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial import KDTree
 
 from app.server.segmenting_tasks import StoredRegion, prompts_of, session_of
 from app.server.tasks import arrays_of, asset_of
@@ -49,8 +50,11 @@ Point = tuple[float, float, float]
 NEW_PART = -1
 SAMPLE_POINTS = 150_000
 """Surface points from which previews are drawn."""
-HOVER_POINTS = 8_000
-"""Most points of one preview."""
+HOVER_POINTS, LEAST_FILL = 8_000, 12
+"""Most points along a preview's outline; within it are a fourth of them, or these few, so that what
+lies below stays visible."""
+_NEIGHBOURS = 6
+"""Nearest points, one of which lies outside where an outline is."""
 NEXT_MASK = "next mask"
 PROPOSE = "propose"
 _MIN_PIECE = 0.01
@@ -136,6 +140,7 @@ class ToolRequest:
         exact: whether a rectangle stays where it was clicked instead of snapping to edges.
         free_part: the lowest unused part id.
         category: of the object, or the likeliest one, or None.
+        name: of the selected part, where the tool makes it.
     """
 
     tool: str
@@ -148,6 +153,7 @@ class ToolRequest:
     exact: bool = False
     free_part: int = NEW_PART
     category: str | None = None
+    name: str | None = None
 
 
 @dataclass(frozen=True)
@@ -302,7 +308,7 @@ def _beside_parts(given: _Input, masks: list[Bool]) -> list[RegionOffer]:
         swallowed = np.bincount(ids[mask], minlength=len(sizes)) < _SWALLOWED * sizes
         free = mask & ((labels == BASE) | (swallowed[ids] & (labels != part)))
         if free.sum() > 0.5 * mask.sum():
-            points = _sample_of(given.folder).inside(free)
+            points = _sample_of(given.folder).shown(free)
             out += [replace(o, points=points) for o in given.offer(free, NEW_PART)]
     return out
 
@@ -426,7 +432,7 @@ class HoverAnswer:
     """The change that a click would make, as points on the surface.
 
     Attributes:
-        gained, lost: (K, 3) metres, K at most ``HOVER_POINTS``.
+        gained, lost: (K, 3) metres, along the outline and few within.
         count: elements that would change.
     """
 
@@ -442,9 +448,18 @@ class _Sample:
     points: npt.NDArray[np.float32]
     element: npt.NDArray[np.int64]
 
-    def inside(self, mask: Bool) -> npt.NDArray[np.float32]:
-        """Return the first points (K, 3) on the elements of a mask."""
-        return self.points[np.flatnonzero(mask[self.element])[:HOVER_POINTS]]
+    @cached_property
+    def _near(self) -> npt.NDArray[np.int64]:
+        found = KDTree(self.points).query(self.points, 1 + _NEIGHBOURS)[1]
+        return np.minimum(np.asarray(found, np.int64), len(self.points) - 1)
+
+    def shown(self, mask: Bool) -> npt.NDArray[np.float32]:
+        """Return points (K, 3) along the outline of a mask's elements, and few within."""
+        inside = mask[self.element]
+        edge = inside & ~inside[self._near].all(1)
+        outline, fill = np.flatnonzero(edge)[:HOVER_POINTS], np.flatnonzero(inside & ~edge)
+        fill = fill[: max(len(outline) // 4, LEAST_FILL)]
+        return self.points[np.concatenate([outline, fill])]
 
 
 @dataclass
@@ -477,7 +492,7 @@ def hover(
     gained = (after == click.part) & (before != click.part)
     lost = (before == click.part) & (after != click.part)
     sample = _sample_of(folder)
-    return HoverAnswer(sample.inside(gained), sample.inside(lost), int(gained.sum() + lost.sum()))
+    return HoverAnswer(sample.shown(gained), sample.shown(lost), int(gained.sum() + lost.sum()))
 
 
 def _sample_of(folder: Path) -> _Sample:

@@ -115,7 +115,8 @@ class ClientApp:
             host = SceneHost(
                 self._navigation.open, self._remember, self._accept_seen, self._reject_seen
             )
-            self.scene = SceneStep(tab, app_state.scene, self.commands.rejecting, host)
+            rejecting = self.commands.rejecting
+            self.scene = SceneStep(tab, app_state.scene, rejecting, host, self._presses)
         self._object_folder = gui.add_folder(None, visible=self.scene is None)
         with self._object_folder:
             if self.scene is not None:

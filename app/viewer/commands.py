@@ -336,7 +336,6 @@ def _framing(tab: Tab, scene: SceneStep | None, picture: ObjectPicture) -> Calla
         if scene is None or tab.selection.object is not None:
             picture.frame_camera()
         else:
-            chosen = scene.choice.selected
-            scene.picture.frame(None if chosen is None else [chosen])
+            scene.frame()
 
     return frame

@@ -187,9 +187,9 @@ def candidates_of(points: npt.NDArray[np.floating]) -> list[Candidate]:
 
 def _described(sample: Array, facing: Array, progress: Progress) -> list[Candidate]:
     out: list[Candidate] = []
-    progress(0.5, "finding up")
+    progress(0.5, "comparing directions")
     for up in _candidates(sample, facing):
-        progress(0.7, "finding up")
+        progress(0.7, "comparing directions")
         described = describe(sample, facing, up)
         refined = _refined(sample, facing, up, described)
         height = None

@@ -128,7 +128,7 @@ def propose(
         progress: called between the steps; it may cancel.
     """
     settings = settings or PrepareSettings()
-    progress(0.0, "finding up")
+    progress(0.0, "comparing directions")
     points, normals, face = _surface(asset)
     given = settings.up
     if given is None:

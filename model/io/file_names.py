@@ -9,11 +9,12 @@ own name and number alone, so that naming one part leaves the others' names:
 part 2, named "Drawer Door"        ``drawer_door_2``; its joint ``drawer_door_2_hinge``
 part 2, no name in Latin letters   ``link_2``; ``link_2_hinge``
 the root, part 0 without a name    ``base``
-first link of a part's two joints  ``helper_seat_1``
+first link of a part's two joints  ``helper_seat_1``; ``seat_1_lift``, ``seat_1_swivel``
 =================================  ==========================================================
 
 A joint ends in what it does: ``hinge``, ``turn`` (knobs, levers), ``spin`` (continuous),
-``slide``, ``fixed``. Names that are taken get the next free number.
+``slide``, ``fixed``; one of several of a part as on the screen. Names that are taken get the next
+free number.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from model.core.articulated_object import ArticulatedObject
 from model.core.files import free_name
 from model.core.joint import JOINT_KINDS, Joint
 from model.core.motion_lexicon import MECHANISM_TABLE
-from model.core.names import BASE, mechanism_of
+from model.core.names import BASE, joint_display_name, mechanism_of
 from model.core.tree import KinematicTree, moving_chain
 from model.physics.simulation_values import Physics
 
@@ -38,7 +39,7 @@ _PART = re.compile(r"link_(\d+)")
 _LONGEST = 60
 """Letters of a part's name in a file's; file systems take 255 bytes with suffix and number."""
 _OWN_JOINT = re.compile(
-    r"joint_(link|helper)_\d+|(base|.+_\d+)_(hinge|turn|spin|slide|fixed)(_\d+)?"
+    r"joint_(link|helper)_\d+|(base|.+_\d+)_(hinge|turn|spin|slide|fixed|lift|swivel|tilt)(_\d+)?"
 )
 """Joints that predictors or this file named."""
 
@@ -156,8 +157,10 @@ def _joints(
         row = JOINT_KINDS[joint.type]
         if joint.type == "revolute" and mechanism is not None:
             row = MECHANISM_TABLE[mechanism]
-        free = free_name(f"{links.get(moved, moved)}_{row.noun}", {*taken, *out.values()})
-        out[joint.name] = free
+        shown = joint_display_name(tree, joint.child, names.__contains__, lambda k: links.get(k, k))
+        named = shown.replace(": ", "_").replace(" ", "_") if ": " in shown else ""
+        named = named or f"{links.get(moved, moved)}_{row.noun}"
+        out[joint.name] = free_name(named, {*taken, *out.values()})
     return out
 
 

@@ -81,7 +81,7 @@ def counted(found: Counter[str]) -> list[str]:
         return []
     listed = ", ".join(f"{what} ({n})" for what, n in kinds.most_common(_LISTED))
     rest = f" and {len(kinds) - _LISTED} kinds more" if len(kinds) > _LISTED else ""
-    return [f"not read: {listed}{rest}"]
+    return [f"ignored: {listed}{rest}"]
 
 
 @dataclass(frozen=True)

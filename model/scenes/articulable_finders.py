@@ -147,9 +147,7 @@ class LexiconFinder:
                 continue
             kind, word, likeness = found
             article = "an" if kind.name[0] in "aeiou" else "a"
-            taken = f"its {source} {text!r} is {article} {kind.name}"
-            if word != kind.name:
-                taken += f" (by {word!r})"
+            taken = f'recognised as {article} {kind.name} from "{word}" in its {source} "{text}"'
             if kind.needs and not any(re.search(rf"\b{n}", said) for n in kind.needs):
                 why = f"{taken}, which moves only with one of: {', '.join(kind.needs)}"
                 return Decision(False, (), why, kind.name, kind.base, 0.6)

@@ -23,9 +23,9 @@ def test_check_prints_what_was_not_read(tmp_path: Path, capfd) -> None:
     options = ["check", str(tmp_path), "--format", "urdf", "--no-gate", "--jobs", "1"]
     assert main(options) == 0
     said = " ".join(capfd.readouterr().out.split())
-    assert "one: not read:" in said and "<wobble> in <link> (1)" in said
+    assert "one: ignored:" in said and "<wobble> in <link> (1)" in said
     assert "attribute 'spin' of <joint> (1)" in said
-    assert "two: not read: <spinner> in <mujoco> (1)" in said
+    assert "two: ignored: <spinner> in <mujoco> (1)" in said
     assert main([*options, "--json"]) == 0
     rows = json.loads(capfd.readouterr().out)["assets"]
-    assert all(any(n.startswith("not read") for n in row["notes"]) for row in rows)
+    assert all(any(n.startswith("ignored") for n in row["notes"]) for row in rows)

@@ -11,9 +11,7 @@ import pytest
 
 from app.server.names import display_text, joint_title, moved_part, part_title
 from app.viewer.panels.joint_tree import (
-    joint_lines,
     joint_note,
-    least_confident,
     range_text,
     tree_html,
 )
@@ -140,16 +138,3 @@ def test_the_joints_of_one_part_are_told_apart() -> None:
     both = KinematicTree(tree.links, (rises, turns, replace(lever, parent="helper_1")))
     doc = replace(doc, tree=both)
     assert [joint_title(doc, j.child) for j in both.joints] == ["helper_1", "seat 1", "lever 2"]
-
-
-def test_of_many_joints_those_of_lowest_confidence_are_shown() -> None:
-    links = tuple(f"link_{i}" for i in range(16))
-    joints = tuple(
-        Joint(f"j{i}", "continuous", "link_0", f"link_{i}", (0, 0, 1)) for i in range(1, 16)
-    )
-    tree = KinematicTree(links, joints)
-    sure = {link: 0.9 for link in links[1:]} | {"link_15": 0.4, "link_14": 0.5}
-    doc = Document(tree=tree, prediction=Prediction(tree, confidence=sure))
-    shown = [name for name, _, _ in least_confident(doc, joint_lines(doc))]
-    assert shown == [f"j{i}" for i in (*range(1, 11), 14, 15)]
-    assert joint_lines(doc)[14][1] == "part 15 · unlimited · 40\u00a0%"

@@ -22,20 +22,15 @@ from app.server.accepting import accept
 from app.server.app_state import AppState
 from app.server.config import ServeConfig
 from app.server.job import Job
-from app.server.scene_state import Row, decided_text, order
+from app.server.scene_state import Row, order
 from app.server.scene_workspace import SceneWorkspace
-from app.viewer.panels.joint_tree import joint_lines
-from app.viewer.steps.scene_selection import count_text
-from model.core.articulated_object import Prediction
+from app.viewer.steps.scene_selection import remarks_of
 from model.core.errors import CommandError
-from model.core.joint import Joint
-from model.core.tree import KinematicTree
 from model.io.assets.reader import load_object
 from model.io.open_asset import open_asset
 from model.scenes.asset_parts import asset_digest
 from model.validation.report import Finding, JointReport, Severity, ValidationReport
 from sessions import commands as cmd
-from sessions.document import Document, PartInfo
 from sessions.scene_commands import DecideObjects
 from sessions.storage import AssetStorage
 from sessions.store import Store
@@ -170,6 +165,55 @@ def test_the_list_of_a_scene_is_a_queue_of_its_objects(world: World) -> None:
     assert gallery.rows({"ids": "1", "above": "101"})["ids"] == []
     assert [r["name"] for r in gallery.rows({"search": "floor"})["rows"]] == ["slab"]
     assert gallery.thumbnail(ids.index("slab")) is None
+    wait_until(lambda: gallery.thumbnail(ids.index("first")), "a predicted object's picture")
+
+
+def test_the_order_of_a_list_stays_while_somebody_looks_at_it(world: World) -> None:
+    """Results that come in change it only once another look begins."""
+    state, scene = world.app_state, world.scene_workspace
+    assert state is not None
+
+    def look(name: str) -> tuple[list[str], bool]:
+        found = state.gallery.rows({"look": name})
+        return [r["name"] for r in found["rows"]], found["stale"]
+
+    before = look("page.1")
+    assert before == (["first", "twin", "small", *before[0][3:]], False)
+    work = scene.work("first")
+    assert work is not None
+    work.do(cmd.Reject("axis"), "ann")
+    assert look("page.1") == (before[0], True), "what was decided keeps its place"
+    assert look("page.2") == (["small", "first", "twin", *before[0][3:]], False)
+    work.do(cmd.Undo(), "ann")
+    assert look("page.1") == (before[0], False)
+
+
+def test_what_somebody_chooses_is_read_and_predicted_first(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[tuple[str, str]] = []
+    start = SceneWorkspace.start
+
+    def spy(self: Any, kind: str, job: Any, keep: Any, *more: Any, **named: Any) -> None:
+        asked.append((kind, more[0][1] if kind == "prepare" else ""))
+        start(self, kind, job, keep, *more, **named)
+
+    monkeypatch.setattr(SceneWorkspace, "start", spy)
+    world = World(tmp_path)
+    try:
+        scene = world.scene_workspace
+        asked.clear()
+        scene.pause(True)
+        for work in scene.works.values():
+            work.prepared = False
+            while work.state.can_undo:
+                work.do(cmd.Undo(), "ann")
+        scene.prefer("small")
+        scene.pause(False)
+        world.settle()
+        assert next(who for kind, who in asked if kind == "prepare") == "small"
+    finally:
+        world.close()
 
 
 def test_a_language_model_decides_where_its_address_is_given(
@@ -360,7 +404,7 @@ def test_what_the_gate_objects_to_waits_for_who_asked(
     assert (told["gate"]["verdict"], told["gate"]["looked_at"]) == ("look", True)
     assert told["source"]["scene"] == str(scene_workspace.path)
     scene_workspace.do(cmd.Undo(), "ann")
-    assert decided_text(scene_workspace.rows()) == "0 of 3 decided"
+    assert not {"accepted", "rejected"} & set(statuses(scene_workspace).values())
     stop()
 
 
@@ -534,36 +578,20 @@ def test_undo_while_the_asset_takes_its_place_takes_it_back(
     world.settle()
 
 
-def test_a_helper_is_told_as_the_part_that_it_moves() -> None:
-    lift = Joint(
-        "lift", "prismatic", "link_0", "helper_1", (0, 0, 1), (0, 0, 0), lower=0, upper=0.08
-    )
-    turn = Joint("turn", "continuous", "helper_1", "link_1", (0, 0, 1), (0, 0, 0))
-    tree = KinematicTree(("link_0", "helper_1", "link_1"), (lift, turn))
-    guess = Prediction(tree, confidence={"link_1": 0.9})
-    doc = Document(parts=(PartInfo(0), PartInfo(1, "seat")), tree=tree, prediction=guess)
-    assert [(name, line) for name, line, _ in joint_lines(doc)] == [
-        ("lift", "seat 1: lift · prismatic · 0 to 80 mm · 90\u00a0%"),
-        ("turn", "seat 1: swivel · unlimited · 90\u00a0%"),
-    ]
-
-
 def test_the_end_of_the_review_is_told() -> None:
     def rows(*states: Any) -> list[Row]:
         return [Row(str(k), s, 0.9, k) for k, s in enumerate(states)]
 
     left = rows("predicted", "todo", "todo", "rejected", "accepted", "static")
     assert order(left) == ["0", "1", "2"]
-    assert count_text(left) == "**1** predicted. 2 need annotation (✎)."
-    assert count_text(left, coming=1).endswith("1 to be predicted. 1 needs annotation (✎).")
     held = [replace(left[0], mark="on_hold"), replace(left[0], id="9", mark="validating")]
     assert order(held) == ["0"]
-    assert count_text(held) == "1 checking. 1 on hold (⚠)."
-    decided = rows("rejected", "accepted", "accepted")
-    assert order(decided) == []
-    assert count_text(decided) == "3 of 3 decided; 1 rejected."
-    assert count_text(rows("missing", "failed")[:1]) == "⚠ 1 can't be read."
-    assert count_text(rows("predicted", "missing")) == "**1** predicted. ⚠ 1 can't be read."
+    assert order(rows("rejected", "accepted", "accepted")) == []
+    assert remarks_of(left) == "", "the list has the numbers"
+    assert remarks_of(rows("missing", "failed", "predicted")) == "⚠ 2 can't be read."
+    assert remarks_of([Row("0", "static", 0.9, None)]) == "Extract an object first."
+    static = [Row(k, "static", 0.9, None) for k in "ab"]
+    assert remarks_of(static) == "No articulable objects."
 
 
 def test_a_refused_acceptance_is_no_step_after_the_end_of_the_server(accepted: World) -> None:

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from app.viewer.panels.joint_tree import joint_lines
 from app.viewer.picture import palette
 from app.viewer.picture.scene_nodes import Surroundings
 from sessions import commands as cmd
@@ -28,13 +27,12 @@ def check_picture_of_the_chosen(tab: SceneTab) -> None:
     pose = tab.scene_workspace.world_from_copy(tab.scene_workspace.items["cabinet 1"])
     assert ((eye - center) @ pose[:3, :3])[1] < -0.5
     links = {n.link: n for n in tab.scene.picture.nodes if n.work is not None}
-    lines = joint_lines(tab.scene_workspace.work("cabinet 1").document)
-    assert len(lines) == 2
+    rows = tab.page.locator(".aw-tree").inner_html()
     for part in (1, 2):
         color = palette.part_color(part)
         (sent,) = links[f"link_{part}"].handles
         np.testing.assert_array_equal(sent.batched_colors, [palette.albedo(color)])
-        assert color in [c for _, _, c in lines]
+        assert f"rgb{color}" in rows
 
 
 def load_again(tab: SceneTab) -> None:
@@ -53,6 +51,38 @@ def play_by_keys(tab: SceneTab) -> None:
         wait_until(lambda: tab.scene.motion.playing, "it plays")
         tab.key(key)
         wait_until(lambda: not tab.scene.motion.playing, "and stops")
+    play_one_joint(tab)
+
+
+def play_one_joint(tab: SceneTab) -> None:
+    """A row of the chosen object plays its joint alone; beside it *Save scene* stays in sight."""
+    tab.scene.choice.choose("cabinet 1")
+    tab.page.get_by_role("button", name="drawer 2", exact=False).first.click()
+    moving = tab.scene.motion
+    wait_until(lambda: moving.playing, "the drawer slides")
+    tab.button("Stop (Space)").click()
+    wait_until(lambda: not moving.playing, "and stops")
+    tab.page.set_viewport_size({"width": 1100, "height": 700})
+    wait_until(lambda: bottom_of(tab, "Save scene") <= 700, "it is in sight in a low window")
+    tab.page.set_viewport_size({"width": 1280, "height": 800})
+
+
+def bottom_of(tab: SceneTab, label: str) -> float:
+    box = tab.button(label).bounding_box()
+    return box["y"] + box["height"]
+
+
+def sort_again(tab: SceneTab) -> None:
+    """What becomes more urgent keeps its place in the list until it is sorted."""
+    names = tab.page.locator(".aw-open b")
+    before = names.all_inner_texts()
+    again = tab.button("Sort again")
+    assert not again.is_visible()
+    tab.scene_workspace.set_articulable("rock 2", True, "tester")
+    again.wait_for()
+    assert names.all_inner_texts() == before == ["cabinet 1", "rock 2"]
+    again.click()
+    wait_until(lambda: names.all_inner_texts() == ["rock 2", "cabinet 1"], "what is to do is first")
 
 
 def accept_in_gallery(tab: SceneTab) -> None:
@@ -137,8 +167,8 @@ def test_open_choose_work_in_place_accept_and_save(
     tab.wait_seen()
     accept.click()
     wait_until(lambda: tab.status("cabinet 1") == "accepted", "accepted")
-    saved = tab.save()
-    assert (Path(saved.folder) / "scene.xml").is_file()
+    assert (Path(tab.save().folder) / "scene.xml").is_file()
+    sort_again(tab)
 
 
 def test_y_inside_needn_t_wait_for_the_gate(start: Any, open_tab: Any, tmp_path: Path) -> None:

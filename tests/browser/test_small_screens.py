@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from app.server.page import show_markup
 from tests.browser.browsing import Tab, wait_until
 
 LAID_OUT = """() => {
@@ -52,6 +53,24 @@ def test_controls_keep_apart_and_the_rail_folds(start: Any, open_tab: Any, cabin
     tab.page.reload()
     tab.page.get_by_role("button", name="Show all tools").click()
     tab.page.locator('[data-press="tool"][value="Lasso"]').wait_for()
+    progress_beside_dialogs(tab)
+
+
+def progress_beside_dialogs(tab: Tab) -> None:
+    """An export that runs is seen, and covers nothing of the dialog."""
+    client = tab.app.tab.client
+    tab.app.tab.act(lambda: tab.app._exporting.ask([tab.object.record.id]))
+    dialog = tab.page.locator(".mantine-Modal-content")
+    dialog.wait_for()
+    show_markup(client, "progress", "<span>Exporting</span>")
+    bar = tab.page.locator("#artiworld-progress")
+    bar.wait_for()
+
+    def beside() -> bool:
+        box, low = dialog.bounding_box(), bar.bounding_box()
+        return bool(box["y"] + box["height"] <= low["y"] and low["y"] + low["height"] <= 700)
+
+    wait_until(beside, "the progress is below the dialog", 60)
 
 
 def test_fingers_find_their_targets_on_tablets(start: Any, open_tab: Any, cabinet: Any) -> None:

@@ -8,6 +8,8 @@
   const picked = new Set(), cards = new Map(), pieces = new Map(), asked = new Set();
   let words = null, answer = { total: 0, all: 0, states: {}, today: 0, at: -1 };
   let current = null, followed = null, serial = 0, counted = 0, timer = 0, root = null, parts = {};
+  const page = Math.random().toString(36).slice(2);
+  let looks = 0;  // while one lasts, results that come in don't change the order
 
   const make = (name, className = "", attributes = {}, ...children) => {
     const node = document.createElement(name);
@@ -23,7 +25,8 @@
   // --- what is asked for
 
   const url = (more) => "/queue.json?" + new URLSearchParams({
-    search: view.search, state: view.state, sort: view.sort, current: current ?? -1, ...more });
+    search: view.search, state: view.state, sort: view.sort, current: current ?? -1,
+    look: `${page}.${looks}`, ...more });
   const ask = async (piece) => {
     if (asked.has(piece)) return;
     asked.add(piece);
@@ -48,7 +51,7 @@
     unchecked = found.unchecked;
     draw();
   };
-  const anew = () => { pieces.clear(); parts.scroll.scrollTop = 0; again(); };
+  const anew = () => { looks++; pieces.clear(); parts.scroll.scrollTop = 0; again(); };
   const soon = (action) => { clearTimeout(timer); timer = setTimeout(action, LATER_MS); };
 
   // --- the frame around the cards
@@ -117,7 +120,7 @@
           send("project", "");
         }, "project"),
         press("", words.gallery, "aw-icon aw-wide", () => widen(!view.wide), "widen")),
-      parts.bulk, parts.scroll);
+      parts.bulk, parts.scroll, press(words.sortAgain, words.sortAgain, "aw-small", anew, "again"));
     parts.widen.innerHTML = words.icon;
     parts.project.innerHTML = words.projectIcon;
   };
@@ -132,7 +135,7 @@
     followed = null;
     root.classList.toggle("wide", wide);
     settle();
-    draw();
+    anew();
     if (wide) {
       send("people", "");
       parts.search.focus();
@@ -220,6 +223,7 @@
     parts.empty.hidden = answer.total > 0 || asked.size === 0;
     parts.said.textContent = picked.size ? `${picked.size} ${words.picked}` : words.found
       .replace("{count}", answer.total).replace("{today}", answer.today);
+    parts.again.hidden = !answer.stale;
     root.classList.toggle("picking", picked.size > 0);
     const counted = [...picked].filter((id) => sure.has(id)).length;
     parts.check.hidden = !mine().length;

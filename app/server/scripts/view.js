@@ -2,7 +2,7 @@
 // of the number pad for views, as in Blender; the server answers with View.look.
 (() => {
   const AXES = [["x", [1, 0, 0]], ["y", [0, 1, 0]], ["z", [0, 0, 1]]];
-  const PADS = { Numpad1: "1", Numpad3: "3", Numpad5: "5", Numpad7: "7", Numpad9: "9",
+  const PADS = { Numpad0: "0", Numpad1: "1", Numpad3: "3", Numpad5: "5", Numpad7: "7", Numpad9: "9",
     NumpadDivide: "/" };
   const FOLLOW_MS = 80;
   const corner = document.createElement("div");
@@ -27,6 +27,20 @@
     corner.append(button);
     return { axis: axis.map((a) => a * sign), button, stick: sign > 0 && stick };
   }));
+  const above = (name, label, title, toggle) => {
+    const button = document.createElement("button");
+    Object.assign(button, { type: "button", className: `aw-above ${name}`, title });
+    button.setAttribute("aria-label", label);
+    const press = () => button.setAttribute("aria-pressed", String(toggle()));
+    button.addEventListener("click", press);
+    corner.append(button);
+    return press;
+  };
+  const toggleFour = above("aw-four", "Four views", "Four views (number pad 0)",
+    () => window.__artiworldLook.four());
+  const { box, toggle } = window.__artiworldDisplay;
+  above("aw-look", "Display", "Brightness, and size and colors of points", toggle);
+  corner.append(box);
   const start = () => document.body.append(corner);
   document.body ? start() : window.addEventListener("DOMContentLoaded", start);
 
@@ -69,10 +83,13 @@
     if (!pad) return;
     event.preventDefault();
     event.stopImmediatePropagation();
+    if (pad === "0") return event.repeat || toggleFour();
     if (!event.repeat) window.__artiworldMarkup.send("pad", (event.ctrlKey ? "c" : "") + pad);
   }, true);
 
   window.__artiworldView = {
+    // The direction of a side such as "-y", in viser's world.
+    side: (name) => inWorld(AXES.find(([n]) => n === name[1])[1].map((a) => (name[0] === "-" ? -a : a))),
     // Look from there, a direction in the object's frame, at what is looked at now.
     look(direction) {
       const v = viser(), control = v && v.cameraControl;

@@ -10,6 +10,7 @@ import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -356,7 +357,7 @@ class Tools:
         """Run a tool and show its result."""
         tab, selection = self._tab, self._tab.selection
         self._begins()
-        obj = selection.need_object()
+        obj, request = selection.need_object(), replace(request, name=self.label or None)
         before = {p.part for p in obj.document.prompts}
         try:
             if request.tool == "same shape":

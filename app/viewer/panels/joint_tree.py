@@ -5,7 +5,7 @@ joint, a part dropped on another one hangs on it.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from html import escape
 from typing import Any, Final
@@ -20,7 +20,7 @@ from app.viewer.picture import palette
 from app.viewer.tab import Tab, plain
 from app.viewer.words import joints as words
 from app.viewer.words import scene as scene_words
-from app.viewer.words.common import EDITED, warning
+from app.viewer.words.common import warning
 from model.core.errors import CommandError
 from model.core.joint import Joint, value_text
 from model.core.tree import KinematicTree, moving_chain
@@ -104,76 +104,29 @@ def joint_note(joint: Joint, doc: Document, checks: list[JointCollision]) -> str
     return "\n\n".join(lines) or words.SET_MANUALLY
 
 
-SHOWN = 12
-"""Joints with buttons, those of lowest confidence; the others are counted."""
-
-
-JointLine = tuple[str, str, palette.Rgb]
-"""Name, words and color of a joint."""
-
-
 class JointRows:
-    """A button for each moving joint; a click plays it alone."""
+    """The tree of an object of the scene; a click plays a joint alone."""
 
-    def __init__(self, tab: Tab, play: Callable[[str], None]) -> None:
+    def __init__(self, tab: Tab, presses: Presses, play: Callable[[str], None]) -> None:
         """Make the folder; ``play`` gets the name of the joint that was clicked."""
-        self._tab, self._play = tab, play
-        self._key: Any = None
-        self._rows: list[Any] = []
+        self._play, self._tree = play, None
         self._folder = tab.client.gui.add_folder(scene_words.JOINTS, visible=False)
+        with self._folder:
+            self._rows = tab.client.gui.add_html("")
+        presses.on("play joint", self._clicked)
+
+    def _clicked(self, link: str) -> None:
+        joint = None if self._tree is None else self._tree.joint_of.get(link)
+        if joint is not None and joint.moves:
+            self._play(joint.name)
 
     def draw(self, work: Work | None) -> None:
         """Bring the rows up to date; nothing is sent where nothing changed."""
-        doc = None if work is None else work.document
-        key = (
-            None
-            if doc is None or work is None
-            else (work.id, doc.tree, doc.prediction, tuple(doc.part_names.items()))
-        )
-        if key == self._key:
-            return
-        self._key = key
-        for row in self._rows:
-            row.remove()
-        self._rows = []
-        lines = [] if doc is None else joint_lines(doc)
-        put(self._folder, visible=bool(lines))
-        tab, gui = self._tab, self._tab.client.gui
-        with self._folder:
-            for name, line, color in [] if doc is None else least_confident(doc, lines):
-                button = gui.add_button(line, color=color, hint=scene_words.PLAY_JOINT)
-                button.on_click(lambda _, name=name: tab.act(lambda: self._play(name)))
-                self._rows.append(button)
-            if len(lines) > SHOWN:
-                self._rows.append(gui.add_markdown(scene_words.more_joints(len(lines) - SHOWN)))
-
-
-def least_confident(doc: Document, lines: Sequence[JointLine]) -> list[JointLine]:
-    """The lines of lowest confidence, in the order of the joints."""
-    joints = [j for j in (() if doc.tree is None else doc.tree.joints) if j.moves]
-    sure = [
-        1.0 if j.child in doc.edited_joints else confidence_of(doc, j.child) or 0.0 for j in joints
-    ]
-    kept = sorted(range(len(lines)), key=sure.__getitem__)[:SHOWN]
-    return [lines[i] for i in sorted(kept)]
-
-
-def joint_lines(doc: Document) -> list[JointLine]:
-    """Name, words and color of every joint that moves; a part may have several."""
-    out: list[JointLine] = []
-    if doc.tree is None:
-        return out
-    for joint in (j for j in doc.tree.joints if j.moves):
-        part = moved_part(doc.tree, joint.child)
-        sure = confidence_text(doc, joint.child)
-        edited = EDITED * (joint.child in doc.edited_joints)
-        # "unlimited" implies the type, and a long line loses its end, the confidence.
-        kind = "" if joint.type == "continuous" else joint.type
-        texts = [joint_title(doc, joint.child)[:40] + edited, kind, range_text(joint), sure]
-        number = part.removeprefix("link_")
-        color = palette.part_color(int(number)) if number.isdigit() else palette.GHOST
-        out.append((joint.name, " · ".join(t for t in texts if t), color))
-    return out
+        self._tree = None if work is None else work.document.tree
+        put(self._folder, visible=self._tree is not None)
+        if work is not None and self._tree is not None:
+            html = tree_html(self._tree, work.document, [], None, action="play joint")
+            put(self._rows, content=html)
 
 
 class JointTree:
@@ -237,10 +190,11 @@ def tree_html(
     chosen: str | None,
     *,
     asking: bool = False,
+    action: str = "joint",
 ) -> str:
-    """The tree as rows that can be clicked and dragged."""
+    """The tree as rows that can be clicked and, where that chooses a joint, dragged."""
     hits = {c.joint for c in checks}
-    accepted = doc.review.state == "accepted"
+    fixed = doc.review.state == "accepted" or action != "joint"
     depth = {tree.root: 0}
     rows = []
     for link in tree.order:
@@ -261,28 +215,30 @@ def tree_html(
                 bool(range_warnings(joint)),
                 joint.name in hits,
             )
-        movable = joint is not None and not accepted
-        rows.append(_row(tree, link, title, said, depth[link], link == chosen, movable, asking))
+        movable = joint is not None and not fixed
+        row = _row(tree, link, action, title, said, link == chosen, movable, asking)
+        drag = ' draggable="true"' if movable else ""
+        about = f'data-link="{escape(link)}" style="--depth:{depth[link]}"{drag}'
+        rows.append(f'<div class="aw-node" {about}>{row}</div>')
     return f'<div class="aw-tree">{"".join(rows)}</div>'
 
 
 def _row(
     tree: KinematicTree,
     link: str,
+    action: str,
     title: str,
     said: str,
-    depth: int,
     chosen: bool,
     movable: bool,
     asking: bool,
 ) -> str:
-    part = (moved_part(tree, link) if link in tree.joint_of else link).removeprefix("link_")
-    color = palette.part_color(int(part)) if part.isdigit() else palette.GHOST
+    color = palette.link_color(moved_part(tree, link) if link in tree.joint_of else link)
     content = (
         f'<i style="background:rgb{color}"></i>'
         f"<span><b>{escape(title[:60])}</b> <small>{escape(said)}</small></span>"
     )
-    row = button("joint", link, f"{title} {said}".strip(), content=content, pressed=chosen)
+    row = button(action, link, f"{title} {said}".strip(), content=content, pressed=chosen)
     if chosen and movable:
         row += button(
             "joint parent",
@@ -292,7 +248,4 @@ def _row(
             style="aw-icon",
             pressed=asking,
         )
-    drag = ' draggable="true"' if movable else ""
-    return (
-        f'<div class="aw-node" data-link="{escape(link)}" style="--depth:{depth}"{drag}>{row}</div>'
-    )
+    return row

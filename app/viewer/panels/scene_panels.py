@@ -1,4 +1,4 @@
-"""The screen at the right of a scene's picture: the selected object, and what is saved."""
+"""The screen at the right of a scene's picture, and what saves it, below its list."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from app.server.scene_state import Row, Work
 from app.server.scene_workspace import SceneWorkspace
 from app.viewer.panels.joint_tree import JointRows
 from app.viewer.panels.reviewing import RejectButtons, Rejecting
-from app.viewer.panels.widgets import push_button, push_buttons, put
+from app.viewer.panels.widgets import Presses, push_button, push_buttons, put
 from app.viewer.picture.scene_picture import ScenePicture
-from app.viewer.steps.scene_selection import SceneChoice, SceneHost, SceneReview, decisions_text
+from app.viewer.steps.scene_selection import SceneChoice, SceneHost, SceneReview, remarks_text
 from app.viewer.tab import Tab, plain
 from app.viewer.words import common
 from app.viewer.words import scene as words
@@ -41,6 +41,7 @@ class SceneCard:
         review: SceneReview,
         host: SceneHost,
         picture: ScenePicture,
+        presses: Presses,
         play: Callable[[str | None], None],
     ) -> None:
         self._tab, self._workspace, self._picture = tab, workspace, picture
@@ -85,26 +86,10 @@ class SceneCard:
             )
             self._accept.on_click(lambda _: host.accept())
             self._reject = RejectButtons(tab, rejecting, host.reject)
-            self._joints = JointRows(tab, play)
-        with gui.add_folder(words.SAVE_FOLDER):
-            self._loose = gui.add_checkbox(words.INCLUDE, False, hint=words.INCLUDE_HINT)
-            self._save = button(words.SAVE, self._save_clicked, viser.Icon.DEVICE_FLOPPY)
-            self._report = button(
-                words.REPORT, self._report_clicked, viser.Icon.FILE_REPORT, color="gray"
-            )
-            self._saved = gui.add_markdown("", visible=False)
+            self._joints = JointRows(tab, presses, play)
 
     def _pause_clicked(self) -> None:
         self._workspace.pause(not self._workspace.paused)
-
-    def _save_clicked(self) -> None:
-        self._workspace.saving.save(self._loose.value, self._tab.user)
-
-    def _report_clicked(self) -> None:
-        send = self._tab.client.send_file_download
-        self._workspace.saving.report(
-            lambda path: send(path.name, path.read_bytes(), save_immediately=True)
-        )
 
     def _recolor(self) -> None:
         self._picture.original_colors = self._original.value
@@ -112,25 +97,18 @@ class SceneCard:
     def draw(self, rows: Sequence[Row], selected: str | None, moving: bool) -> None:
         """Bring the widgets up to date; ``moving`` while joints play."""
         workspace = self._workspace
-        self._draw_status(decisions_text(workspace, rows))
+        self._draw_status(remarks_text(workspace, rows))
         put(self._play, label=words.STOP if moving else words.PLAY)
         joints = any(w.document.tree is not None for w in workspace.wanted())
         put(self._play, color="blue" if joints else "gray")
         put(self._play, icon=viser.Icon.PLAYER_STOP if moving else viser.Icon.PLAYER_PLAY)
         self._draw_chosen(selected)
-        saved = workspace.document.saved
-        put(self._saved, visible=saved is not None)
-        if saved is not None:
-            put(self._saved, content=saved_in(plain(saved.folder, 300)))
-        saving = "save" in workspace.busy
-        put(self._save, disabled=saving or workspace.scene is None)
-        put(self._save, label=words.SAVING if saving else words.SAVE)
-        put(self._report, disabled="report" in workspace.busy or workspace.scene is None)
 
-    def _draw_status(self, count: str) -> None:
+    def _draw_status(self, remarks: str) -> None:
         workspace = self._workspace
         scene = workspace.scene
-        lines = [] if scene is None else [words.about(plain(scene.name, 60), count)]
+        more = f" · {remarks}" if remarks else ""
+        lines = [] if scene is None else [f"**{plain(scene.name, 60)}**{more}"]
         if workspace.problem:
             lines.append(common.warning(plain(workspace.problem, 400)))
         busy = dict(workspace.busy)  # jobs end while this is drawn
@@ -143,6 +121,8 @@ class SceneCard:
         if problems:
             lines_of = [about(plain(p.object, 40), plain(p.text, 200)) for p in problems[:PROBLEMS]]
             lines.append(words.file_problems(lines_of, max(len(problems) - PROBLEMS, 0)))
+        if workspace.document.saved is not None:
+            lines.append(saved_in(plain(workspace.document.saved.folder, 300)))
         put(self._status, content="\n\n".join(lines))
         put(self._progress, visible=bool(shown), value=round(100 * fraction, 1))
         reading = {"read", "shapes", "copy"} & set(busy)
@@ -193,7 +173,7 @@ class SceneCard:
         said = workspace.document.articulable.get(id)
         if said is not None:
             lines.append(words.kind_set(said))
-        lines.append(words.why(why))
+        lines.append(f"{why[:1].upper()}{why[1:]}")
         if work is None:
             missing = workspace.missing_reason(item)
             lines += [common.warning(plain(missing, 300))] if missing else []
@@ -203,6 +183,33 @@ class SceneCard:
             lines.append(words.instances(twins))
         lines += _about_work(work, workspace.accepting.refusal(work), item.decision.parts)
         return "\n\n".join(lines)
+
+
+class SceneSaving:
+    """Widgets that save the scene."""
+
+    def __init__(self, tab: Tab, workspace: SceneWorkspace) -> None:
+        self._tab, self._workspace, gui = tab, workspace, tab.client.gui
+        self._loose = gui.add_checkbox(words.INCLUDE, False, hint=words.INCLUDE_HINT)
+        self._save = push_button(tab, words.SAVE, self._save_clicked, icon=viser.Icon.DEVICE_FLOPPY)
+        icon = viser.Icon.FILE_REPORT
+        self._report = push_button(tab, words.REPORT, self._report_clicked, icon=icon, color="gray")
+
+    def _save_clicked(self) -> None:
+        self._workspace.saving.save(self._loose.value, self._tab.user)
+
+    def _report_clicked(self) -> None:
+        send = self._tab.client.send_file_download
+        self._workspace.saving.report(
+            lambda path: send(path.name, path.read_bytes(), save_immediately=True)
+        )
+
+    def draw(self) -> None:
+        """Bring the widgets up to date."""
+        busy, unread = self._workspace.busy, self._workspace.scene is None
+        saving = "save" in busy
+        put(self._save, disabled=saving or unread, label=words.SAVING if saving else words.SAVE)
+        put(self._report, disabled="report" in busy or unread)
 
 
 def _about_work(work: Work, refusal: Refusal | None, expected: tuple[str, ...]) -> list[str]:

@@ -402,9 +402,7 @@ class ObjectDrawing:
             if not joint.moves or (moved in hidden and not chosen):
                 continue
             length = axis_length(payloads, moved, joint.axis, obj.asset.diagonal)
-            part = moved.removeprefix("link_")
-            color = palette.part_color(int(part)) if part.isdigit() else palette.GHOST
-            color = palette.SELECTED if chosen else color
+            color = palette.SELECTED if chosen else palette.link_color(moved)
             marks.append(_mark(joint.name, joint, length, color, chosen))
             likely = doc.likely_joints(joint) if chosen else ()
             if len(likely) > 1 and doc.review.state != "accepted":

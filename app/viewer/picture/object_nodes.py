@@ -14,13 +14,14 @@ from viser import transforms as vtf
 
 from app.server.display_tasks import OpenedAsset, PartPayload
 from app.server.page import hide_on_page
+from app.viewer.panels.widgets import put
 from app.viewer.picture import palette
 from app.viewer.picture.scene_nodes import hit_distance, nearly_hit
 from model.geometry.picking import TOLERANCE
 
-OPACITY = 0.5
-CLOUD_OPACITY = 0.55
 MARK_OPACITY = 0.85
+_GREY = (160, 160, 160)
+"""Where a part's own color isn't known."""
 
 Labels = npt.NDArray[np.int16]
 
@@ -33,10 +34,12 @@ class LabelOverlay:
 
     Attributes:
         labels: (D,) those that were drawn last, or None.
+        tints: part → color and opacity over a mesh.
     """
 
     def __init__(self, client: viser.ClientHandle, asset: OpenedAsset, scan: Any) -> None:
         self.labels: Labels | None = None
+        self.tints: dict[int, palette.Tint] = {}
         self._client = client
         self._asset = asset
         self._scan = scan
@@ -152,18 +155,23 @@ class LabelOverlay:
     def _draw_mesh(self, part: int, labels: Labels | None) -> None:
         asset = self._asset
         assert asset.display_faces is not None
-        faces = None if labels is None or part == 0 else asset.display_faces[labels == part]
+        mine = np.zeros(0, bool) if labels is None or part == 0 else labels == part
+        faces = asset.display_faces[mine] if mine.any() else None
+        if faces is not None and asset.display_colors is not None:
+            self.tints[part] = palette.tint(part, asset.display_colors[mine].mean(0))
         known = self._mesh_vertices.get(part)
-        if faces is not None and len(faces) and known is not None:
+        if faces is not None and known is not None:
             place = known[faces]
             if (place >= 0).all():
                 # Its vertices are in the browser already: only the faces are sent.
+                color, opacity = self.tints[part]
+                put(self._meshes[part], color=color, opacity=opacity)
                 self._meshes[part].faces = place.astype(np.uint32)
                 return
         if part in self._meshes:
             self._meshes.pop(part).remove()
             del self._mesh_vertices[part]
-        if faces is None or not len(faces):
+        if faces is None:
             return
         assert self._offset is not None
         used, inverse = np.unique(faces, return_inverse=True)
@@ -173,28 +181,26 @@ class LabelOverlay:
         self._meshes[part] = add_overlay_mesh(
             self._client.scene,
             f"/tint/{part}",
-            part,
+            self.tints[part],
             self._offset[used],
             inverse.reshape(-1, 3),
-            OPACITY,
         )
 
 
 def add_overlay_mesh(
     scene: viser.SceneApi,
     name: str,
-    part: int,
+    tint: palette.Tint,
     vertices: npt.NDArray[np.float32],
     faces: npt.NDArray[Any],
-    opacity: float,
 ) -> Any:
-    """Draw a part's color over its (F, 3) faces; returns the handle."""
+    """Draw a tint over a part's (F, 3) faces; returns the handle."""
     return scene.add_mesh_simple(
         name,
         vertices,
         faces.astype(np.uint32),
-        color=palette.part_color(part),
-        opacity=opacity,
+        color=tint[0],
+        opacity=tint[1],
         side="double",
         cast_shadow=False,
         receive_shadow=False,
@@ -203,16 +209,15 @@ def add_overlay_mesh(
 
 def overlay_colors(colors: npt.NDArray[np.uint8], labels: Labels | None) -> npt.NDArray[np.uint8]:
     """Blend the parts' colors into those of a scan; (N, 3) uint8. The base keeps its own."""
-    if labels is None:
-        return np.array(colors)
-    top = int(labels.max()) + 1 if len(labels) else 1
-    table = np.array([palette.part_color(i) for i in range(top)], np.float32)
-    weight = np.full(top, CLOUD_OPACITY, np.float32)
-    weight[0] = 0.0
-    w = weight[labels][:, None]
-    # Brightness of the scan is kept, so that its texture shows through the tint.
-    shade = 0.55 + 0.45 * (colors.mean(axis=1, keepdims=True) / 160.0)
-    return np.clip(colors * (1 - w) + table[labels] * w * shade, 0, 255).astype(np.uint8)
+    out = np.array(colors)
+    for part in () if labels is None else np.unique(labels[labels > 0]):
+        mine = labels == part
+        own = colors[mine].astype(np.float32)
+        color, weight = palette.tint(int(part), own.mean(0))
+        # The scan's texture shows through the tint.
+        shade = 0.55 + 0.45 * own.mean(1, keepdims=True) / max(float(own.mean()), 1.0)
+        out[mine] = np.clip(own * (1 - weight) + np.array(color) * weight * shade, 0, 255)
+    return out
 
 
 def _pushed_out(asset: OpenedAsset, distance: float) -> npt.NDArray[np.float32]:
@@ -235,11 +240,16 @@ class MovingParts:
 
     Args:
         point_size: of a cloud, metres.
+        tints: part → color and opacity over a mesh.
     """
 
-    def __init__(self, client: viser.ClientHandle, point_size: float = 0.0) -> None:
-        self._client = client
-        self._point_size = point_size
+    def __init__(
+        self,
+        client: viser.ClientHandle,
+        point_size: float = 0.0,
+        tints: Mapping[int, palette.Tint] | None = None,
+    ) -> None:
+        self._client, self._point_size, self._tints = client, point_size, tints or {}
         self._payloads: list[PartPayload] | None = None
         self._frames: dict[int, viser.FrameHandle] = {}
         self._poses: Mapping[str, npt.NDArray[np.float64]] = {}
@@ -261,14 +271,8 @@ class MovingParts:
         if payload.glb is not None:
             scene.add_glb(f"{name}/mesh", payload.glb, cast_shadow=False)
             if payload.part and payload.vertices is not None and payload.faces is not None:
-                add_overlay_mesh(
-                    scene,
-                    f"{name}/tint",
-                    payload.part,
-                    payload.vertices,
-                    payload.faces,
-                    OPACITY * 0.8,
-                )
+                tint = self._tints.get(payload.part, palette.tint(payload.part, _GREY))
+                add_overlay_mesh(scene, f"{name}/tint", tint, payload.vertices, payload.faces)
             return frame
         assert payload.points is not None and payload.colors is not None
         labels = np.full(len(payload.points), payload.part, np.int16)

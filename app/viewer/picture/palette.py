@@ -5,10 +5,15 @@ from __future__ import annotations
 import colorsys
 from typing import Final
 
+import numpy as np
+import numpy.typing as npt
+
 from app.server.scene_saving_tasks import STATES
 from model.validation.report import Severity
 
 Rgb = tuple[int, int, int]
+Tint = tuple[Rgb, float]
+"""Color and opacity over a surface."""
 
 BASE_COLOR: Final[Rgb] = (148, 156, 166)
 PART_COLORS: Final[tuple[Rgb, ...]] = (
@@ -43,7 +48,7 @@ CATEGORIES: Final[tuple[str, ...]] = (
 )
 SCENE_COLORS: Final[dict[str, Rgb]] = {
     **{state: color for state, (_, color) in STATES.items()},
-    "validating": (150, 205, 110),
+    "validating": (165, 200, 150),
 }
 """Objects of a scene by state; "to do" must differ from "static"."""
 
@@ -64,6 +69,30 @@ SEVERITY_COLORS: Final[dict[Severity, Rgb]] = {
     Severity.WARNING: (201, 118, 0),
     Severity.ERROR: (201, 42, 42),
 }
+
+
+_CONTRAST = 65.0
+"""Distance of a tinted surface from its own color, RGB."""
+_LIGHTEST, _STRONGEST = 0.4, 0.8
+"""Opacities of tints."""
+
+
+def tint(part: int, own: npt.ArrayLike) -> Tint:
+    """A part's color so that it is seen on a surface of its ``own`` color, (3,): stronger on one
+    that is alike, at last lighter or darker."""
+    under, color = np.asarray(own, float), np.array(part_color(part), float)
+    apart = float(np.linalg.norm(color - under))
+    if apart * _STRONGEST < _CONTRAST:
+        color = color * 0.45 if under.mean() > 128 else color + 0.6 * (255 - color)
+        apart = float(np.linalg.norm(color - under))
+    r, g, b = (round(v) for v in color)
+    return (r, g, b), round(float(np.clip(_CONTRAST / apart, _LIGHTEST, _STRONGEST)), 1)
+
+
+def link_color(link: str) -> Rgb:
+    """The color of the part that a link moves; helpers and links of a file's own have none."""
+    number = link.removeprefix("link_")
+    return part_color(int(number)) if number.isdigit() else GHOST
 
 
 def part_color(part: int) -> Rgb:

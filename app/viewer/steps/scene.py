@@ -11,7 +11,7 @@ from app.server.scene_workspace import SceneWorkspace
 from app.viewer.panels.extracting import PickPanel
 from app.viewer.panels.reviewing import Rejecting
 from app.viewer.panels.scene_panels import SceneCard
-from app.viewer.panels.widgets import push_button, put
+from app.viewer.panels.widgets import Presses, push_button, put
 from app.viewer.picture.motion import SceneMotion
 from app.viewer.picture.scene_picture import ScenePicture
 from app.viewer.steps.scene_selection import SceneChoice, SceneHost, SceneReview
@@ -32,7 +32,12 @@ class SceneStep:
     """
 
     def __init__(
-        self, tab: Tab, workspace: SceneWorkspace, rejecting: Rejecting, host: SceneHost
+        self,
+        tab: Tab,
+        workspace: SceneWorkspace,
+        rejecting: Rejecting,
+        host: SceneHost,
+        presses: Presses,
     ) -> None:
         self._tab, self._workspace = tab, workspace
         self._wanted: tuple[str, str] | None = None
@@ -52,10 +57,12 @@ class SceneStep:
                 self.review,
                 host,
                 self.picture,
+                presses,
                 self._play_from_card,
             )
         self._pick_panel: PickPanel | None = None
         self._unwatch = workspace.watch(tab.invalidate, tab.notify)
+        presses.on("frame", lambda _: self.frame())
 
     def build_object_widgets(self) -> None:
         """Make the widgets above everything else about one object."""
@@ -130,7 +137,12 @@ class SceneStep:
         self.motion.stop()
         self.picture.close()
 
-    # --- motion
+    # --- view and motion
+
+    def frame(self) -> None:
+        """Aim at the selected object, or at all of the scene."""
+        selected = self.choice.selected
+        self.picture.frame(None if selected is None else [selected])
 
     def play(self) -> None:
         """Start or stop moving the joints of the selected object; of all where none is chosen."""

@@ -4,14 +4,13 @@ and decisions without opening it.
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from app.server.scene_state import Row, Work, decided_text, order
+from app.server.scene_state import Row, Work, order
 from app.server.scene_workspace import SceneWorkspace
 from app.viewer.picture.scene_picture import ScenePicture
 from app.viewer.picture.stage import fitting_distance
@@ -41,32 +40,21 @@ class SceneHost:
     reject: Callable[[], None]
 
 
-def decisions_text(workspace: SceneWorkspace, rows: Sequence[Row]) -> str:
-    """Number of open decisions, or why there are none, as text."""
+def remarks_text(workspace: SceneWorkspace, rows: Sequence[Row]) -> str:
+    """Objects that can't be decided, as text; "" for none. The list has the numbers of others."""
     if workspace.scene is None:
         return workspace.problem or words.STILL_READING
-    coming = sum(workspace.awaits_prediction(r) for r in rows)
-    return count_text(rows, coming)
+    return remarks_of(rows)
 
 
-def count_text(rows: Sequence[Row], coming: int = 0) -> str:
-    """Number of open decisions, as text; ``coming`` objects are to be predicted."""
-    shown = Counter(r.shown for r in rows)
-    text = words.to_decide(
-        shown["predicted"],
-        shown["validating"],
-        shown["on_hold"],
-        coming,
-        shown["todo"] - coming,
-    )
-    lost = shown["missing"] + shown["failed"]
-    if not text and sum(r.work is not None for r in rows) > lost:
-        text = words.sentence(decided_text(rows))
-    if lost:
-        text = f"{text} {words.lost(lost)}".strip()
+def remarks_of(rows: Sequence[Row]) -> str:
+    """The same for a scene that was read."""
     if len(rows) == 1 and rows[0].status == "static":
-        return text or words.EXTRACT_FIRST
-    return text or words.NOTHING_ARTICULABLE
+        return words.EXTRACT_FIRST
+    lost = sum(r.status in ("missing", "failed") for r in rows)
+    if lost:
+        return words.lost(lost)
+    return "" if any(r.work is not None for r in rows) else words.NOTHING_ARTICULABLE
 
 
 class SceneChoice:
@@ -130,7 +118,7 @@ class SceneChoice:
 
     def say_end(self) -> None:
         """Say why no object is left to decide."""
-        text = decisions_text(self._workspace, self._workspace.rows())
+        text = remarks_text(self._workspace, self._workspace.rows())
         self._tab.notify(words.NOTHING_TO_DECIDE, text, "gray")
 
     def need(self) -> str:

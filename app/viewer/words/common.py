@@ -54,7 +54,6 @@ STATES: Final[dict[str, str]] = {
 }
 SCENE_STATES: Final[dict[str, str]] = {
     **{state: word for state, word in STATES.items() if state != "submitted"},
-    "predicted": "predicted",
     "on_hold": HELD,
     "validating": "checking",
     "static": "static",

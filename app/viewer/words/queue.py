@@ -50,6 +50,7 @@ PAGE_WORDS: Final[dict[str, str]] = {
     "search": "Search",
     "filter": "Show",
     "sort": "Sort by",
+    "sortAgain": "Sort again",
     "all": "All states",
     "gallery": "Gallery or list",
     "empty": "Nothing found. Clear the search, or add files below.",

@@ -31,13 +31,11 @@ ARTICULABLE, STATIC = "Articulable", "Static"
 EDIT: Final = "Edit (Enter)"
 PICK: Final = "Extract an object"
 ACCEPT, ACCEPT_ANYWAY, CHECKING = "Accept (Y)", "Accept anyway (Y)", "Checking…"
-SAVE_FOLDER: Final = "Save"
 INCLUDE: Final = "Include unreviewed"
 INCLUDE_HINT: Final = "Unreviewed predictions move, too; otherwise these objects are rigid"
 SAVE, SAVING = "Save scene", "Saving the scene…"
 REPORT: Final = "Scene report"
 JOINTS: Final = "Joints"
-PLAY_JOINT: Final = "Play this joint"
 NOTHING_SELECTED: Final = "Click an object in the view or in the list. N: lowest confidence first."
 NOT_PREDICTED: Final = "Not predicted yet."
 PLAY_LATER: Final = "Joints can be played once objects are predicted"
@@ -55,9 +53,6 @@ EXTRACT: Final = "Extract"
 EXTRACT_NOTHING: Final = "select an object of the scene and press “Extract an object”"
 
 
-about = Message("**{name}** · {decisions}")
-
-
 def job(name: str, detail: str) -> str:
     """A running job in one line."""
     return f"{JOBS[name]}… {detail}".rstrip()
@@ -69,15 +64,11 @@ def file_problems(lines: list[str], more: int) -> str:
     return "⚠ About the file:\n" + "\n".join(f"- {line}" for line in [*lines, *rest])
 
 
-more_joints = Message("… and {count} with higher confidence.")
-
-
 def kind_set(articulable: bool) -> str:
     """A user decided the kind."""
     return f"Set by a user: {'articulable' if articulable else 'static'}."
 
 
-why = Message("Reason: {reason}")
 instances = Message("{count} instances: a decision applies to all.")
 
 
@@ -98,27 +89,6 @@ def decided(state: str, user: str, reason: str) -> str:
     return f"{state.capitalize()} by {user}{f': {reason}' * bool(reason)}"
 
 
-def to_decide(predicted: int, checking: int, held: int, coming: int, clicks: int) -> str:
-    """Number of open decisions; "" for none.
-
-    Args:
-        predicted: objects to review.
-        checking: whose checks run. held: whose acceptance is on hold. coming: to be predicted.
-        clicks: that need annotation.
-    """
-    lines = [f"{checking} checking."] if checking else []
-    if predicted:
-        lines.append(f"**{predicted}** predicted.")
-    if held:
-        lines.append(f"{held} on hold (⚠).")
-    if coming:
-        lines.append(f"{coming} to be predicted.")
-    if clicks:
-        lines.append(f"{clicks} {'needs' if clicks == 1 else 'need'} annotation (✎).")
-    return " ".join(lines)
-
-
-sentence = Message("{text}.")
 lost = Message("⚠ {count} can't be read.")
 NOTHING_ARTICULABLE: Final = "No articulable objects."
 EXTRACT_FIRST: Final = "Extract an object first."

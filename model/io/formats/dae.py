@@ -92,9 +92,9 @@ def read_dae(
     if lines:
         warnings.append(f"{lines} pieces of lines are left out")
     if file.errors:
-        warnings.append(f"not read: {len(file.errors)} elements, such as: {file.errors[0]}"[:150])
+        warnings.append(f"ignored: {len(file.errors)} elements, such as: {file.errors[0]}"[:150])
     if len(file.controllers):
-        warnings.append(f"not read: {len(file.controllers)} skins and morphs")
+        warnings.append(f"ignored: {len(file.controllers)} skins and morphs")
     names = tuple((name, len(p.faces)) for name, p in pieces if len(p.faces))
     return replace(whole, pieces=names, warnings=tuple(dict.fromkeys([*whole.warnings, *warnings])))
 

@@ -163,9 +163,9 @@ class Gltf:
         used = _listed(self.tree, "extensionsUsed")
         unread = sorted({str(e)[:60] for e in used if not _is_read(e)})
         if unread:
-            warnings.append(f"not read: extensions {', '.join(unread[:5])}")
+            warnings.append(f"ignored: extensions {', '.join(unread[:5])}")
         if animations := len(_listed(self.tree, "animations")):
-            warnings.append(f"not read: animations ({animations})")
+            warnings.append(f"ignored: animations ({animations})")
         if self._passed_over:
             warnings.append(f"{self._passed_over} pieces of lines are left out")
         if self._materials.left:

@@ -147,7 +147,7 @@ def test_they_survive_a_second_round(exported):
     for name in ("urdf", "ros"):
         check(open_asset(exported[name].parent).mesh.materials[0])
     whole = open_asset(exported["glb"])
-    assert whole.warnings == ("not read: animations (1)",)
+    assert whole.warnings == ("ignored: animations (1)",)
     check(whole.mesh.materials[0])
 
 

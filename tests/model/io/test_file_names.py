@@ -82,7 +82,7 @@ def test_joints_and_helpers_are_called_after_the_part_that_they_move() -> None:
     names = FileNames.of(chair())
     links = "base helper_seat_1 seat_1 knob_2 door_3 door_4 link_7"
     assert names.links == dict(zip(chair().tree.links, links.split(), strict=True))
-    joints = "seat_1_slide seat_1_spin knob_2_turn door_3_hinge link_7_slide"
+    joints = "seat_1_lift seat_1_swivel knob_2_turn door_3_hinge link_7_slide"
     old = [f"joint_{k}" for k in ("helper_1", "link_1", "link_2", "link_3", "link_7")]
     assert names.joints == dict(zip(old, joints.split(), strict=True))
     named = names.object(chair())
@@ -137,7 +137,7 @@ def test_the_saved_asset_leads_back_to_the_session(asset: Path) -> None:
     assert (asset / "meshes" / "door_4.obj").is_file()
     kept = read_provenance(asset)["asset"]["names"]
     assert kept["links"]["door_3"] == "link_3"
-    assert kept["joints"]["seat_1_spin"] == "joint_link_1"
+    assert kept["joints"]["seat_1_swivel"] == "joint_link_1"
     assert FileNames.stored({"names": kept}).tree(chair().tree) == load_object(asset).tree
     assert FileNames.stored({}).tree(chair().tree) == chair().tree, "of an earlier version"
 

@@ -62,7 +62,7 @@ FORMATS: dict[str, tuple[str, str, XmlSchema, Callable[[Path], list[str]]]] = {
 def test_a_file_of_known_items_has_no_remark(name: str, tmp_path: Path) -> None:
     file, text, _, notes_of = FORMATS[name]
     (tmp_path / file).write_text(text)
-    assert not [n for n in notes_of(tmp_path / file) if n.startswith("not read")]
+    assert not [n for n in notes_of(tmp_path / file) if n.startswith("ignored")]
 
 
 @pytest.mark.parametrize("name", FORMATS)
@@ -127,7 +127,7 @@ def glb(tree: dict, path: Path) -> Path:
 def test_unknown_extensions_of_gltf_are_named_and_required_ones_refused(tmp_path: Path) -> None:
     assert open_asset(glb({}, tmp_path / "a.glb")).element_count == 1
     optional = glb({"extensionsUsed": ["MSFT_lod", "KHR_materials_ior"]}, tmp_path / "b.glb")
-    assert open_asset(optional).warnings == ("not read: extensions MSFT_lod",)
+    assert open_asset(optional).warnings == ("ignored: extensions MSFT_lod",)
     for required in (["KHR_texture_transform_2"], [7], [["nested"]]):
         with pytest.raises(InputFileError, match="needs the extension"):
             open_asset(glb({"extensionsRequired": required}, tmp_path / "c.glb"))
@@ -178,4 +178,4 @@ def test_what_a_stage_draws_beside_meshes_is_counted(tmp_path: Path) -> None:
         'def PointInstancer "p" {}\ndef BasisCurves "b" {}\ndef BasisCurves "d" {}\n}\n'
     )
     warnings = open_asset(tmp_path / "a.usda").warnings
-    assert warnings == ("not read: BasisCurves (2), PointInstancer (1)",)
+    assert warnings == ("ignored: BasisCurves (2), PointInstancer (1)",)

@@ -518,14 +518,14 @@ MADE: dict[str, tuple[Made, Callable[[Asset], None]]] = {
             door='def PointInstancer "p" {\nrel prototypes = [</Cabinet/door/p/s>]\n'
             'def Sphere "s" {\ndouble radius = 3\n}\n}\ndef Points "q" {}'
         ),
-        both(parts("base", "door"), told("not read: PointInstancer (1), Points (1)")),
+        both(parts("base", "door"), told("ignored: PointInstancer (1), Points (1)")),
     ),
     # What is stated and not read
     "stiffness": (
         Made(
             schemas='"PhysicsDriveAPI:angular"', hinge="float drive:angular:physics:stiffness = 3"
         ),
-        told("not read: drive:angular:physics:stiffness (1)"),
+        told("ignored: drive:angular:physics:stiffness (1)"),
     ),
     "hole": (Made(panel="int[] holeIndices = [0]"), told("holeIndices (1)")),
     "schema": (
@@ -573,7 +573,7 @@ MADE: dict[str, tuple[Made, Callable[[Asset], None]]] = {
             axis="",
             limits=LOCKED.replace("rotY:physics:high = -1", "rotY:physics:high = 5") + TURNED,
         ),
-        told("not read: PhysicsJoint (1)"),
+        told("ignored: PhysicsJoint (1)"),
     ),
     "free about one": (
         Made(kind="PhysicsJoint", schemas=D6, axis="", limits=LOCKED + TURNED),
@@ -596,7 +596,7 @@ MADE: dict[str, tuple[Made, Callable[[Asset], None]]] = {
     ),
     "switched off": (
         Made(hinge="bool physics:jointEnabled = 0"),
-        told("not read: PhysicsRevoluteJoint (1)"),
+        told("ignored: PhysicsRevoluteJoint (1)"),
     ),
     "mirrored in x": (
         Made(
@@ -644,7 +644,7 @@ MADE: dict[str, tuple[Made, Callable[[Asset], None]]] = {
                 "double mjc:coef1 = 2\ndouble mjc:coef2 = 3",
             )
         ),
-        both(mimics(2, 0.5), told("not read: mjc:coef2 (1)")),
+        both(mimics(2, 0.5), told("ignored: mjc:coef2 (1)")),
     ),
     "drive by acceleration": (
         Made(
@@ -696,7 +696,7 @@ MADE: dict[str, tuple[Made, Callable[[Asset], None]]] = {
                 "convexHull", "boundingCube"
             )
         ),
-        both(collides(10, 12), told("not read: physics:approximation (1)")),
+        both(collides(10, 12), told("ignored: physics:approximation (1)")),
     ),
     "off body": (
         Made(
@@ -731,7 +731,7 @@ MADE: dict[str, tuple[Made, Callable[[Asset], None]]] = {
     ),
     "empty mesh": (
         Made(door='def Mesh "e" {}'),
-        both(parts("base", "door"), told("not read: Mesh (1)")),
+        both(parts("base", "door"), told("ignored: Mesh (1)")),
     ),
     "lost payload": (
         Made(beside='def Xform "x" ( prepend payload = @./far/x.usd@ ) {}'),
