@@ -42,6 +42,9 @@ class SharedWorker:
         self._jobs.add(job)
         self._worker.adopt(job)
 
+    def rest(self, rests: bool) -> None:
+        """Nothing: other servers use it."""
+
     @property
     def name(self) -> str:
         return self._worker.name
