@@ -59,7 +59,8 @@ def test_controls_keep_apart_and_the_rail_folds(start: Any, open_tab: Any, cabin
 def progress_beside_dialogs(tab: Tab) -> None:
     """An export that runs is seen, and covers nothing of the dialog."""
     client = tab.app.tab.client
-    tab.app.tab.act(lambda: tab.app._exporting.ask([tab.object.record.id]))
+    asked = "JSON.stringify({ action: 'export', value: '', ids: [id] })"
+    tab.page.evaluate(f"id => window.__artiworldMarkup.send('bulk', {asked})", tab.object.record.id)
     dialog = tab.page.locator(".mantine-Modal-content")
     dialog.wait_for()
     show_markup(client, "progress", "<span>Exporting</span>")

@@ -34,12 +34,12 @@ class LabelOverlay:
 
     Attributes:
         labels: (D,) those that were drawn last, or None.
-        tints: part → color and opacity over a mesh.
+        part_colors: part → color and opacity over a mesh.
     """
 
     def __init__(self, client: viser.ClientHandle, asset: OpenedAsset, scan: Any) -> None:
         self.labels: Labels | None = None
-        self.tints: dict[int, palette.Tint] = {}
+        self.part_colors: dict[int, palette.Tint] = {}
         self._client = client
         self._asset = asset
         self._scan = scan
@@ -158,13 +158,13 @@ class LabelOverlay:
         mine = np.zeros(0, bool) if labels is None or part == 0 else labels == part
         faces = asset.display_faces[mine] if mine.any() else None
         if faces is not None and asset.display_colors is not None:
-            self.tints[part] = palette.tint(part, asset.display_colors[mine].mean(0))
+            self.part_colors[part] = palette.tint(part, asset.display_colors[mine].mean(0))
         known = self._mesh_vertices.get(part)
         if faces is not None and known is not None:
             place = known[faces]
             if (place >= 0).all():
                 # Its vertices are in the browser already: only the faces are sent.
-                color, opacity = self.tints[part]
+                color, opacity = self.part_colors[part]
                 put(self._meshes[part], color=color, opacity=opacity)
                 self._meshes[part].faces = place.astype(np.uint32)
                 return
@@ -181,7 +181,7 @@ class LabelOverlay:
         self._meshes[part] = add_overlay_mesh(
             self._client.scene,
             f"/tint/{part}",
-            self.tints[part],
+            self.part_colors[part],
             self._offset[used],
             inverse.reshape(-1, 3),
         )
@@ -240,16 +240,16 @@ class MovingParts:
 
     Args:
         point_size: of a cloud, metres.
-        tints: part → color and opacity over a mesh.
+        part_colors: part → color and opacity over a mesh.
     """
 
     def __init__(
         self,
         client: viser.ClientHandle,
         point_size: float = 0.0,
-        tints: Mapping[int, palette.Tint] | None = None,
+        part_colors: Mapping[int, palette.Tint] | None = None,
     ) -> None:
-        self._client, self._point_size, self._tints = client, point_size, tints or {}
+        self._client, self._point_size, self._part_colors = client, point_size, part_colors or {}
         self._payloads: list[PartPayload] | None = None
         self._frames: dict[int, viser.FrameHandle] = {}
         self._poses: Mapping[str, npt.NDArray[np.float64]] = {}
@@ -271,7 +271,7 @@ class MovingParts:
         if payload.glb is not None:
             scene.add_glb(f"{name}/mesh", payload.glb, cast_shadow=False)
             if payload.part and payload.vertices is not None and payload.faces is not None:
-                tint = self._tints.get(payload.part, palette.tint(payload.part, _GREY))
+                tint = self._part_colors.get(payload.part, palette.tint(payload.part, _GREY))
                 add_overlay_mesh(scene, f"{name}/tint", tint, payload.vertices, payload.faces)
             return frame
         assert payload.points is not None and payload.colors is not None

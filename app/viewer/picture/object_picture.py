@@ -110,7 +110,7 @@ class ObjectPicture:
                 precision="float32",
             )
         self.overlay = LabelOverlay(self._client, asset, self.scan)
-        self.parts = MovingParts(self._client, size, self.overlay.tints)
+        self.parts = MovingParts(self._client, size, self.overlay.part_colors)
         self.marks = JointMarks(self._client, asset.diagonal)
         self.overlays = Overlays(self._client, asset.diagonal)
         self.comments = CommentMarks(self._client, asset.diagonal)
