@@ -287,12 +287,13 @@ def model_of(folder: Path) -> Path | None:
 
     It is one that stands for its folder (``mobility.urdf``, ``object.urdf``, ``object.xml``), else
     the only URDF there, or the only one in ``urdf/`` of a ROS package or beside ``meshes/``, else
-    the only MJCF or SDF.
+    the only MJCF or SDF, or the only MJCF in ``xml/`` beside ``meshes/``.
     """
     named = _whole(folder)
     if named is not None or is_part_folder(folder, FOLDER_SUFFIXES):
         return named
     found = _only_urdf(folder) or _urdf_of_package(folder) or _only_mjcf(folder)
+    found = found or ((folder / "meshes").is_dir() and _only_mjcf(folder / "xml")) or None
     return found or _only(folder, is_sdf)
 
 

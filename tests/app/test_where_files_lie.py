@@ -82,6 +82,11 @@ def test_a_single_file_may_use_its_repository(tmp_path: Path, name: str) -> None
     assert has_hinge(model)
 
 
+def test_a_folder_of_models_beside_its_meshes_opens(tmp_path: Path) -> None:
+    layout(tmp_path, "meshdir").parent.rename(tmp_path / "xml")
+    assert len(load_object(tmp_path).parts) == 2
+
+
 def test_many_models_share_a_folder_of_meshes(tmp_path: Path) -> None:
     for name in ("one", "two"):
         layout(tmp_path, "meshdir").rename(tmp_path / "objects" / f"{name}.xml")
