@@ -55,6 +55,7 @@ class OpenObject(ObjectContext):
         self._worker_died = self._reading_stopped = self._warm = False
         self.backend_away = False
         self.payloads: dict[str, list[PartPayload]] = {}
+        self._cutting = self._uncut = ""  # labels by which parts are cut, and which failed to
         self._frame: tuple[Any, ...] | None = None
         self._anew = False
         self._failed_on: Stamp | None = None
@@ -278,7 +279,8 @@ class OpenObject(ObjectContext):
         if self.asset is None or doc.segmentation is None:
             return None
         ref = doc.segmentation.labels
-        if ref not in self.payloads and "parts" not in self.jobs:
+        if ref not in (*self.payloads, self._uncut) and "parts" not in self.jobs:
+            self._cutting = ref
             job = self.lane.geometry.submit(
                 display_tasks.part_payloads,
                 self.source(doc),
@@ -379,6 +381,8 @@ class OpenObject(ObjectContext):
     def _failed(self, what: str, message: str) -> None:
         if what == "check":
             self.validation.failed(message)
+        if what == "parts":
+            self._uncut = self._cutting  # drawing asks again, and it would only fail again
         if what == "open":
             # The folder of uploads means nothing to the person who sent the file.
             message = message.replace(f"{Path(self.record.path).parent}/", "")

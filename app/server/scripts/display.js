@@ -39,8 +39,9 @@
     box.classList.toggle("aw-cloud", found.length > 0);
     const [low, high] = look.color === "height" && found.length ? heights() : [0, 0];
     const values = { awSize: look.size, awGamma: look.brightness, awLow: low, awHigh: high };
+    const plain = look.brightness === 1 && look.size === 1 && look.color === "own";
     for (const { material } of found) {
-      if (!material.uniforms) continue;
+      if (!material.uniforms || (plain && !material.uniforms.awSize)) continue;
       if (!material.uniforms.awSize) {
         for (const name of Object.keys(values)) material.uniforms[name] = { value: 0 };
         material.vertexShader = HEAD + material.vertexShader.replace("(scale /", "(awSize * scale /")

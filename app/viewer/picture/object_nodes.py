@@ -20,8 +20,6 @@ from app.viewer.picture.scene_nodes import hit_distance, nearly_hit
 from model.geometry.picking import TOLERANCE
 
 MARK_OPACITY = 0.85
-_GREY = (160, 160, 160)
-"""Where a part's own color isn't known."""
 
 Labels = npt.NDArray[np.int16]
 
@@ -154,10 +152,10 @@ class LabelOverlay:
 
     def _draw_mesh(self, part: int, labels: Labels | None) -> None:
         asset = self._asset
-        assert asset.display_faces is not None
+        assert asset.display_faces is not None and asset.display_colors is not None
         mine = np.zeros(0, bool) if labels is None or part == 0 else labels == part
         faces = asset.display_faces[mine] if mine.any() else None
-        if faces is not None and asset.display_colors is not None:
+        if faces is not None:
             self.part_colors[part] = palette.tint(part, asset.display_colors[mine].mean(0))
         known = self._mesh_vertices.get(part)
         if faces is not None and known is not None:
@@ -221,7 +219,7 @@ def overlay_colors(colors: npt.NDArray[np.uint8], labels: Labels | None) -> npt.
 
 
 def _pushed_out(asset: OpenedAsset, distance: float) -> npt.NDArray[np.float32]:
-    """(V, 3) displayed vertices moved along their normals, so that tints win over the surface."""
+    """(V, 3) displayed vertices moved along their normals: part colors win over the surface."""
     assert asset.display_vertices is not None and asset.display_faces is not None
     v, f = asset.display_vertices, asset.display_faces
     t = v[f]
@@ -270,8 +268,8 @@ class MovingParts:
         frame = scene.add_frame(name, show_axes=False, visible=False)
         if payload.glb is not None:
             scene.add_glb(f"{name}/mesh", payload.glb, cast_shadow=False)
-            if payload.part and payload.vertices is not None and payload.faces is not None:
-                tint = self._part_colors.get(payload.part, palette.tint(payload.part, _GREY))
+            if (k := payload.part) and payload.vertices is not None and payload.faces is not None:
+                tint = self._part_colors.get(k, palette.tint(k, palette.BASE_COLOR))
                 add_overlay_mesh(scene, f"{name}/tint", tint, payload.vertices, payload.faces)
             return frame
         assert payload.points is not None and payload.colors is not None

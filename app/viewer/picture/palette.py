@@ -74,7 +74,7 @@ SEVERITY_COLORS: Final[dict[Severity, Rgb]] = {
 _CONTRAST = 65.0
 """Distance of a tinted surface from its own color, RGB."""
 _LIGHTEST, _STRONGEST = 0.4, 0.8
-"""Opacities of tints."""
+"""Least and most opacity over a surface."""
 
 
 def tint(part: int, own: npt.ArrayLike) -> Tint:
