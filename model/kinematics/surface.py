@@ -133,19 +133,17 @@ class Surface:
     def _scene(self) -> Any:
         return self.triangles.scene
 
-    def _element(self, face: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
-        return face if self.oriented else face % (len(self.triangles.faces) // 2)
-
     def cast(self, origins: FloatArray, directions: FloatArray) -> Hits:
         """Cast (R, 3) rays, whose directions need not be unit, to their first hits."""
         import open3d as o3d
 
         rays = np.concatenate([origins, directions], axis=1).astype(np.float32)
         found = self._scene.cast_rays(o3d.core.Tensor.from_numpy(rays))
+        face = found["primitive_ids"].numpy().astype(np.int64)
         return Hits(
             found["t_hit"].numpy().astype(np.float64),
             found["primitive_normals"].numpy().astype(np.float64),
-            self._element(found["primitive_ids"].numpy().astype(np.int64)),
+            face if self.oriented else face % (len(self.triangles.faces) // 2),
         )
 
     def count(self, origins: FloatArray, directions: FloatArray) -> npt.NDArray[np.int64]:

@@ -168,7 +168,8 @@ def collision_finding(scene: Scene, joint: Joint, sweep: Sweep) -> Finding | Non
     if reach <= STUCK * span and not shallow:
         message = messages.BLOCKED_AT_REST.format(other=what)
         return finding(Severity.ERROR, message, "jammed")
-    mild = shallow or reach >= (1 - LATE) * span or _is_pressed(scene, joint)
+    pressed = any(word in _part_name(scene, joint) for word in PRESSED)
+    mild = shallow or reach >= (1 - LATE) * span or pressed
     message = messages.PENETRATION.format(
         other=what, depth=length(depth), at=value(joint, q), free=interval(joint, *sweep.free)
     )
@@ -178,10 +179,6 @@ def collision_finding(scene: Scene, joint: Joint, sweep: Sweep) -> Finding | Non
 def _part_name(scene: Scene, joint: Joint) -> str:
     """Name of the part that a joint moves, in small letters; "" where it has none."""
     return (next((p.name for p in scene.obj.parts if p.link == joint.child), None) or "").lower()
-
-
-def _is_pressed(scene: Scene, joint: Joint) -> bool:
-    return any(word in _part_name(scene, joint) for word in PRESSED)
 
 
 def _is_door(scene: Scene, joint: Joint) -> bool:

@@ -1,9 +1,12 @@
 """Plain light for browsers without a GPU: there from the start, kept over objects and reloads."""
 
+import io
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import trimesh
+from PIL import Image
 
 from tests.browser.browsing import COARSE, Tab, wait_until
 
@@ -59,3 +62,45 @@ def test_with_a_gpu_it_is_lit_by_its_surroundings(
     tab = Tab(page, server).ready()
     wait_until(lambda: page.evaluate(SURROUNDINGS), "lit by its surroundings")
     assert not tab.app.light.plain
+
+
+def test_display_brightens_enlarges_and_colors_points(
+    start: Any, open_tab: Any, cabinet: Any, tmp_path: Path
+) -> None:
+    path, points = cabinet
+    cloud = trimesh.load(path).sample(60_000)
+    colors = np.broadcast_to((110, 70, 40, 255), (len(cloud), 4))
+    trimesh.PointCloud(cloud, colors).export(tmp_path / "scan.ply")
+    tab = open_tab(start(tmp_path / "scan.ply"))
+    if tab.selection.step == "Prepare":
+        tab.step("Annotate")
+    tab.prompt(points["door"])
+    tab.drawn()
+    page = tab.page
+    page.mouse.move(5, 5)
+
+    def around(name: str) -> np.ndarray:
+        """(3,) mean color of the picture at a part."""
+        tab.frames(3)
+        x, y = tab.pixel(points[name])
+        shot = page.screenshot(clip={"x": x - 6, "y": y - 6, "width": 12, "height": 12})
+        return np.asarray(Image.open(io.BytesIO(shot)).convert("RGB"), float).mean((0, 1))
+
+    tab.button("Display").click()
+    own = {name: around(name) for name in ("door", "base")}
+    chosen = page.get_by_label("Point colors")
+    chosen.select_option("Parts")
+    wait_until(lambda: np.ptp(around("base")) < 20, "the base is gray")
+    assert np.ptp(around("door")) > np.ptp(own["door"]), "the door has its color alone"
+    chosen.select_option("Height")
+    wait_until(lambda: around("base")[1] > around("base")[2] + 60, "yellow is high", 60)
+    chosen.select_option("Own")
+    wait_until(lambda: np.allclose(around("base"), own["base"], atol=8), "its own again", 60)
+    page.get_by_label("Brightness").fill("2")
+    wait_until(lambda: around("base").mean() > own["base"].mean() + 10, "brighter", 60)
+    page.get_by_label("Point size").fill("3")
+    page.reload()
+    wait_until(lambda: len(tab.server.apps) == 1 and tab.app.drawing.drawn, "the page again")
+    tab.button("Display").click()
+    assert page.get_by_label("Brightness").input_value() == "2"
+    assert page.get_by_label("Point size").input_value() == "3"

@@ -39,7 +39,7 @@
     box.classList.toggle("aw-cloud", found.length > 0);
     const [low, high] = look.color === "height" && found.length ? heights() : [0, 0];
     const values = { awSize: look.size, awGamma: look.brightness, awLow: low, awHigh: high };
-    const plain = look.brightness === 1 && look.size === 1 && look.color === "own";
+    const plain = look.brightness === 1 && look.size === 1 && look.color !== "height";
     for (const { material } of found) {
       if (!material.uniforms || (plain && !material.uniforms.awSize)) continue;
       if (!material.uniforms.awSize) {
@@ -59,6 +59,7 @@
 
   // --- the controls, above the corner with the axes
 
+  const tell = () => window.__artiworldMarkup.send("colors", look.color);  // the server blends them
   const make = (name, attributes, ...children) => {
     const node = document.createElement(name);
     for (const [key, value] of Object.entries(attributes)) node.setAttribute(key, value);
@@ -69,6 +70,7 @@
     field.value = look[key];
     field.addEventListener("input", () => {
       look[key] = read(field.value);
+      if (key === "color") tell();
       try { localStorage.setItem(KEY, JSON.stringify(look)); } catch { /* not remembered */ }
       apply();
     });
@@ -76,13 +78,14 @@
   };
   const range = (label, key, least, most, points) => make("label", { class: points ? "aw-points" : "" },
     label, kept(make("input", { type: "range", min: least, max: most, step: 0.1 }), key, Number));
-  const colors = make("select", { class: "aw-input" }, ...[["own", "Own"], ["height", "Height"]]
+  const colors = make("select", { class: "aw-input" }, ...[["own", "Own"], ["parts", "Parts"], ["height", "Height"]]
     .map(([value, text]) => make("option", { value }, text)));
   const box = make("div", { id: "artiworld-display", role: "group", "aria-label": "Display", hidden: "" },
     range("Brightness", "brightness", 1, 3, false), range("Point size", "size", 0.5, 3, true),
     make("label", { class: "aw-points" }, "Point colors", kept(colors, "color", String)));
   window.__artiworldDisplay = {
     box,
+    tell,
     toggle() {
       box.hidden = !box.hidden;
       return !box.hidden;

@@ -98,7 +98,10 @@
   };
 
   const dark = window.matchMedia("(prefers-color-scheme: dark)");
-  const theme = () => send("theme", dark.matches ? "dark" : "light");
+  const theme = () => {
+    send("theme", dark.matches ? "dark" : "light");
+    window.__artiworldDisplay?.tell();
+  };
   dark.addEventListener("change", theme);
 
   window.__artiworldMarkup = {

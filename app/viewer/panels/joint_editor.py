@@ -152,7 +152,8 @@ class JointEditor:
 
     def _wire(self) -> None:
         tab, motion = self._tab, self._motion
-        tab.on_update(self._child, self._child_chosen)
+        choose = tab.selection.choose_joint
+        tab.on_update(self._child, lambda: choose(self._link(self._child.value, joint_title)))
         self._on_edit(self._name, lambda: self._change(name=self._name.value.strip()))
         self._on_edit(self._type, lambda: self.set_type(self._type.value))
         self._on_edit(self._parent, lambda: self._change(parent=self._link(self._parent.value)))
@@ -199,9 +200,6 @@ class JointEditor:
 
     def _set(self, joint: Joint) -> None:
         self._tab.do(cmd.SetJoint(joint))
-
-    def _child_chosen(self) -> None:
-        self._tab.selection.choose_joint(self._link(self._child.value, joint_title))
 
     def _link(self, title: str, called: Callable[[Document, str], str] = part_title) -> str:
         """The link that, or whose joint, people call so."""

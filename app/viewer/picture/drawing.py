@@ -175,14 +175,15 @@ class LightSwitch:
 
 
 class Theme:
-    """Light or dark, as the browser's system has it."""
+    """Light or dark, as the browser's system has it, and how scans are colored."""
 
     def __init__(
-        self, tab: Tab, presses: Presses, pictures: tuple[ObjectPicture | ScenePicture, ...]
+        self, tab: Tab, presses: Presses, pictures: tuple[ObjectPicture, *tuple[ScenePicture, ...]]
     ) -> None:
         self._tab, self._pictures = tab, pictures
         self._set("light")
         presses.on("theme", self._set)
+        presses.on("colors", self._color)
         call_page(tab.client, "Markup.theme")  # it answers, and again when it changes
 
     def _set(self, theme: str) -> None:
@@ -198,6 +199,10 @@ class Theme:
             floor: Any = scene.get_handle_by_name(name)
             if floor is not None:
                 floor.cell_color, floor.section_color = GRID[dark]
+
+    def _color(self, kind: str) -> None:
+        self._pictures[0].plain = kind == "parts"
+        self._tab.invalidate()
 
 
 Array = npt.NDArray[np.float64]
@@ -343,8 +348,10 @@ class ObjectDrawing:
             self._id, self._asset = obj.record.id, obj.asset
             self._motion.forget()
             self._shown(stays)
-        elif obj.asset is None and self._id is not None and not self._is_reloading(obj):
-            self.clear()
+        elif obj.asset is None and self._id is not None:
+            reloading = self._id == obj.record.id and not obj.problem
+            if not reloading:  # else it is read again, with new face numbers
+                self.clear()
         if obj.asset is not None:
             self._draw(obj, obj.document, touch)
 
@@ -360,10 +367,6 @@ class ObjectDrawing:
             self._picture.clear()
             self._asset = self._id = None
             self._motion.forget()
-
-    def _is_reloading(self, obj: OpenObject) -> bool:
-        """True while the displayed object is read again, with new face numbers."""
-        return self._id == obj.record.id and not obj.problem
 
     def _draw(self, obj: OpenObject, doc: Document, touch: bool) -> None:
         selection, picture = self._tab.selection, self._picture

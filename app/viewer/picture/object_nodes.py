@@ -44,6 +44,7 @@ class LabelOverlay:
         self._meshes: dict[int, Any] = {}
         self._mesh_vertices: dict[int, npt.NDArray[np.int32]] = {}
         self._hidden: frozenset[int] = frozenset()
+        self._plain = False
         self._marked: npt.NDArray[np.bool_] | None = None
         self._mark: Any = None
         self._left_out: npt.NDArray[np.bool_] | None = None
@@ -54,11 +55,15 @@ class LabelOverlay:
             self._offset = _pushed_out(asset, 4e-4 * asset.diagonal)
         hide_on_page(client, None)  # what the page hid was of another object
 
-    def show(self, labels: Labels | None, hidden: frozenset[int]) -> None:
-        """Color the parts and hide the hidden ones. Sends only the parts that changed."""
-        same = self._same(labels)
+    def show(self, labels: Labels | None, hidden: frozenset[int], plain: bool = False) -> None:
+        """Color the parts and hide the hidden ones. Sends only the parts that changed.
+
+        Args:
+            plain: color a scan by its parts alone, not over its own colors.
+        """
+        same = self._same(labels) and plain == self._plain
         if not same or hidden != self._hidden:
-            self._hidden = hidden
+            self._hidden, self._plain = hidden, plain
             if self._asset.display_points is None:
                 self._draw_meshes(labels, hidden)
             elif not same:
@@ -130,7 +135,7 @@ class LabelOverlay:
 
     def _color_cloud(self, labels: Labels | None) -> None:
         assert self._asset.display_colors is not None
-        colors = overlay_colors(self._asset.display_colors, labels)
+        colors = overlay_colors(self._asset.display_colors, labels, self._plain)
         if self._marked is not None:
             own = (1 - MARK_OPACITY) * colors[self._marked]
             colors[self._marked] = own + MARK_OPACITY * np.array(palette.MARKED)
@@ -205,13 +210,18 @@ def add_overlay_mesh(
     )
 
 
-def overlay_colors(colors: npt.NDArray[np.uint8], labels: Labels | None) -> npt.NDArray[np.uint8]:
-    """Blend the parts' colors into those of a scan; (N, 3) uint8. The base keeps its own."""
+def overlay_colors(
+    colors: npt.NDArray[np.uint8], labels: Labels | None, plain: bool = False
+) -> npt.NDArray[np.uint8]:
+    """Blend the parts' colors into those of a scan; (N, 3) uint8. The base keeps its own; where
+    all is ``plain``, it is gray, and the parts' colors are opaque.
+    """
     out = np.array(colors)
-    for part in () if labels is None else np.unique(labels[labels > 0]):
+    for part in () if labels is None else np.unique(labels[labels > (-1 if plain else 0)]):
         mine = labels == part
         own = colors[mine].astype(np.float32)
-        color, weight = palette.tint(int(part), own.mean(0))
+        color, weight = palette.tint(int(part), own.mean(0)) if part else (palette.SCAN_GHOST, 1.0)
+        weight = 1.0 if plain else weight
         # The scan's texture shows through the tint.
         shade = 0.55 + 0.45 * own.mean(1, keepdims=True) / max(float(own.mean()), 1.0)
         out[mine] = np.clip(own * (1 - weight) + np.array(color) * weight * shade, 0, 255)

@@ -55,13 +55,14 @@ class ObjectPicture:
         scan: the drawn object, or None.
         overlay: its labels and marks, or None.
         dark: whether the floor is drawn for a dark backdrop.
+        plain: whether scans are colored by their parts alone.
     """
 
     def __init__(self, client: viser.ClientHandle, in_scene: bool = False) -> None:
         self._client = client
         self._scene = client.scene
         self._in_scene = in_scene
-        self.dark = False
+        self.dark = self.plain = False
         self._forget()
 
     def _forget(self) -> None:
@@ -198,7 +199,7 @@ class ObjectPicture:
     def show_labels(self, labels: npt.NDArray[np.int16] | None, hidden: frozenset[int]) -> None:
         """Color the parts. Sends only those that changed."""
         if self.overlay is not None:
-            self.overlay.show(labels, hidden)
+            self.overlay.show(labels, hidden, self.plain)
 
     @property
     def labels(self) -> npt.NDArray[np.int16] | None:

@@ -148,11 +148,14 @@ class ScenePicture:
         return out
 
     def _draw_static(self, ids: set[str]) -> None:
-        shown: set[str] = set()
+        shown, items = set[str](), self._workspace.items
         for key, node in list(self._nodes.items()):
             if not isinstance(node, Surroundings):
                 continue
-            kept = [s for s in node.solid if s[0] in ids and self._as_merged(s[0])]
+            # Their assets are still those that were sent.
+            kept = [
+                s for s in node.solid if s[0] in ids and self._merged.get(s[0]) == items[s[0]].path
+            ]
             if len(kept) < len(node.ids):
                 node.remove()
                 del self._nodes[key]
@@ -168,10 +171,6 @@ class ScenePicture:
                 solid.append((id, *found))
         if solid:
             self._merge(solid)
-
-    def _as_merged(self, id: str) -> bool:
-        """True if the object's asset is still the one that was sent."""
-        return self._merged.get(id) == self._workspace.items[id].path
 
     def _merge(self, solid: list[tuple[str, Shape, Placement]]) -> None:
         self._chunks += 1

@@ -251,7 +251,7 @@ class _Merging:
                     self._offer(a, b)
         spent, free = 0.0, max(free, 1)
         while len(self.body) > 1:
-            while self.queue and not self._alive(self.queue[0]):
+            while self.queue and not self.body.keys() >= {*self.queue[0][2:4]}:
                 heapq.heappop(self.queue)
             if not self.queue:
                 if len(self.body) <= most:
@@ -265,9 +265,6 @@ class _Merging:
             spent += max(cost, 0.0)
             _, _, a, b, made = heapq.heappop(self.queue)
             self._join(a, b, made)
-
-    def _alive(self, entry: tuple[float, float, int, int, _Body]) -> bool:
-        return entry[2] in self.body and entry[3] in self.body
 
     def _offer(self, a: int, b: int) -> None:
         made = self.union(self.body[a], self.body[b])

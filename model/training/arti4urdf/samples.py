@@ -244,15 +244,12 @@ def write_shard(samples: Sequence[Sample], path: Path) -> None:
         values = [getattr(s.arrays, name) for s in samples]
         if name == "relations":
             values = [v.reshape(-1, v.shape[-1]) for v in values]
-        out[f"arrays.{name}"] = _compact(np.concatenate(values))
+        array = np.concatenate(values)
+        out[f"arrays.{name}"] = array.astype(np.float16) if array.dtype == np.float32 else array
     for name in _LABELS:
         out[f"labels.{name}"] = np.concatenate([getattr(s.labels, name) for s in samples])
     with draft_of(path) as draft:
         np.savez(draft, **out)  # type: ignore[arg-type]
-
-
-def _compact(values: npt.NDArray[np.generic]) -> npt.NDArray[np.generic]:
-    return values.astype(np.float16) if values.dtype == np.float32 else values
 
 
 def read_shard(path: Path) -> list[Sample]:
