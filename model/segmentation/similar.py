@@ -157,12 +157,20 @@ def symmetry_plane(session: DefaultSession, part: Float64) -> tuple[Float64, flo
     return answer
 
 
-def same_shape(session: DefaultSession, mask: Bool, limit: int = 50) -> list[Bool]:
-    """Other parts like this one (the other knobs, the other handles), best first.
+_BETWEEN_COLORS = 10.0
+"""Lab distance of mean colors up to which masks are alike: 94 % of equal parts are, of patches of
+bare panel that look like a knob a sixth (choosing halves of two sources)."""
+_CLICKED, _OFFERED = 24, 16
+"""Places in line with a part that are asked for masks, and masks of each."""
 
-    Regions of the merge trees with about the same size, extents and normals are matched with the
-    mask: unchanged, mirrored, or turned by quarters about the vertical axis. No two results
-    overlap, and none overlaps the mask.
+
+def same_shape(session: DefaultSession, mask: Bool, limit: int = 50) -> list[Bool]:
+    """Other parts like this one (the other knobs, the other drawers), best first.
+
+    Regions of the merge trees, and masks that clicks in line with the part or across the object's
+    middle may mean, of about the same size, extents, normals and color are matched with the mask:
+    unchanged, mirrored, or turned by quarters about the vertical axis. No two results overlap, and
+    none overlaps the mask.
     """
     inside = to_nodes(session, mask)
     superpoints = session.encoding.superpoints
@@ -172,8 +180,18 @@ def same_shape(session: DefaultSession, mask: Bool, limit: int = 50) -> list[Boo
         model = share == share.max()
     want = _shape(session, model)
     found: list[tuple[float, Bool]] = []
-    for candidate in _regions_of_size(session, float(superpoints.size[model].sum())):
+    color = _color(session, model)
+    size = float(superpoints.size[model].sum())
+    candidates = _regions_of_size(session, size)
+    for seed in _in_line(session, model):
+        answer = session.solver.first_answer(seed)
+        masks = answer.proposals.masks[answer.order[:_OFFERED]]
+        held = masks @ superpoints.size
+        candidates += list(masks[(held > 0.7 * size) & (held < 1.4 * size)])
+    for candidate in candidates:
         if (candidate & model).any():
+            continue
+        if np.linalg.norm(_color(session, candidate) - color) > _BETWEEN_COLORS:
             continue
         shape = _shape(session, candidate)
         if np.abs(np.log((shape + 1e-6) / (want + 1e-6))).max() > 0.35:
@@ -192,6 +210,42 @@ def same_shape(session: DefaultSession, mask: Bool, limit: int = 50) -> list[Boo
         if len(out) == limit:
             break
     return out
+
+
+def _in_line(session: DefaultSession, model: Bool) -> list[int]:
+    """Superpoints where parts like ``model`` (C,) may lie, nearest first: half an extent from each
+    other along the object's sides, facing the same way, and mirrored.
+    """
+    superpoints, points = session.encoding.superpoints, session.encoding.nodes.points
+    axes = UprightBox.around(points[:: max(1, len(points) // _SAMPLE)].astype(float)).turn.T
+    center, least = superpoints.center @ axes.T, 1.5 * session.encoding.graph.spacing
+    own = center[model]
+    middle = np.average(own, axis=0, weights=superpoints.size[model])
+    seed = np.flatnonzero(model)[np.linalg.norm(own - middle, axis=1).argmin()]
+    apart, extent = center - center[seed], np.ptp(own, axis=0)
+    beside = np.abs(apart) <= np.maximum(0.3 * extent, least)
+    free = ~model & (superpoints.normal @ superpoints.normal[seed] > 0.7)
+    found: list[tuple[float, int]] = []
+    for axis in range(3):
+        there = np.flatnonzero(free & np.delete(beside, axis, axis=1).all(axis=1))
+        step = np.round(apart[there, axis] / max(0.5 * extent[axis], least))
+        for k in np.unique(step):
+            of_step = there[step == k]
+            off_line = np.abs(np.delete(apart[of_step], axis, axis=1)).sum(axis=1)
+            found.append((abs(k), int(of_step[off_line.argmin()])))
+    sums = np.percentile(center, [0.5, 99.5], axis=0).sum(axis=0)
+    for axis in range(2):
+        image = center[seed].copy()
+        image[axis] = sums[axis] - image[axis]
+        found.append((0.0, int(np.linalg.norm(center - image, axis=1).argmin())))
+    places = dict.fromkeys(place for _, place in sorted(found) if not model[place])
+    return list(places)[:_CLICKED]
+
+
+def _color(session: DefaultSession, mask: Bool) -> Float64:
+    """(3,) mean Lab."""
+    superpoints = session.encoding.superpoints
+    return np.average(superpoints.color[mask], axis=0, weights=superpoints.size[mask])
 
 
 def _regions_of_size(session: DefaultSession, size: float) -> list[Bool]:

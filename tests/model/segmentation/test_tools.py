@@ -7,8 +7,12 @@ import trimesh
 from model.core.asset import Asset
 from model.core.errors import GeometryError, PromptError
 from model.core.geometry import Mesh, PointCloud
+from model.data.procedural.examples import EXAMPLES
+from model.data.simulated.depth_camera import ReconstructionSettings, reconstruct_scan
 from model.data.simulated.primitives import block
+from model.geometry.cleaning import OBJECT
 from model.geometry.crop import crop, floor_and_walls, largest_component, outliers
+from model.geometry.prepare import moved
 from model.segmentation.all_parts import absorb_small_components, propose_parts
 from model.segmentation.default import DefaultSegmenter
 from model.segmentation.mask_tools import (
@@ -179,6 +183,20 @@ def test_same_shape_finds_the_other_buttons(keypad):
     hits = {b for b in range(2, 7) if any(iou(m, label == b) > 0.55 for m in found)}
     assert hits == {2, 3, 4, 5, 6}
     assert not any(iou(m, label == 7) > 0.5 for m in found)
+
+
+def test_same_shape_finds_the_other_door_of_a_scan():
+    """No tree has it as a region, but a click there means it; the body's panels look otherwise."""
+    rng = np.random.default_rng(0)
+    truth = EXAMPLES["cabinet"].make(rng).object
+    scan = reconstruct_scan(truth, ReconstructionSettings(points=40_000), rng)
+    upright = moved(Asset("scan", cloud=scan.cloud), np.linalg.inv(scan.source_from_object))
+    mine = scan.kind == OBJECT
+    doors = [k for k, p in enumerate(truth.parts) if p.name == "door"]
+    first, second = (scan.part[mine] == k for k in doors)
+    session = DefaultSegmenter().encode(crop(upright, mine))
+    (found,) = same_shape(session, first)
+    assert iou(found, second) > 0.7
 
 
 def test_propose_finds_parts_without_any_click(keypad):
