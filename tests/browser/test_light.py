@@ -59,3 +59,32 @@ def test_with_a_gpu_it_is_lit_by_its_surroundings(
     tab = Tab(page, server).ready()
     wait_until(lambda: page.evaluate(SURROUNDINGS), "lit by its surroundings")
     assert not tab.app.light.plain
+
+
+_OPENING = """(() => {
+  const seen = (node) => node && getComputedStyle(node).visibility !== "hidden";
+  const look = () => {
+    const buttons = [...document.querySelectorAll("button")];
+    const named = (name) => buttons.find((b) => b.textContent.includes(name));
+    if (seen(named("Save Canvas")) || seen(named("Predict joints")) && !window.__artiworld.get().shown)
+      window.__early = true;
+  };
+  new MutationObserver(look).observe(document, { subtree: true, childList: true });
+})()"""
+
+
+def test_a_dark_page_opens_dark_and_shows_no_panel_before_it_is_ours(
+    start: Any, open_page: Any, tmp_path: Path
+) -> None:
+    """viser's own panel, and our buttons before an object is there, said nothing that holds."""
+    trimesh.creation.box((0.4, 0.3, 0.2)).export(tmp_path / "one.glb")
+    server = start(tmp_path / "one.glb")
+    page = open_page("about:blank", 800, 600, color_scheme="dark")
+    page.add_init_script(_OPENING)
+    page.goto(f"{server.url}{COARSE}", wait_until="commit")
+    page.wait_for_function("() => document.body")
+    color = page.evaluate("() => getComputedStyle(document.body).backgroundColor")
+    assert max(int(v) for v in color[4:-1].split(", ")[:3]) < 80, color
+    Tab(page, server).ready()
+    page.wait_for_selector(":root.aw-begun", state="attached")
+    assert not page.evaluate("() => window.__early")
