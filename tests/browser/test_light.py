@@ -66,8 +66,8 @@ _OPENING = """(() => {
   const look = () => {
     const buttons = [...document.querySelectorAll("button")];
     const named = (name) => buttons.find((b) => b.textContent.includes(name));
-    if (seen(named("Save Canvas")) || seen(named("Predict joints")) && !window.__artiworld.get().shown)
-      window.__early = true;
+    const early = seen(named("Predict joints")) && !window.__artiworld.get().shown;
+    if (early || seen(named("Save Canvas"))) window.__early = true;
   };
   new MutationObserver(look).observe(document, { subtree: true, childList: true });
 })()"""
