@@ -66,7 +66,8 @@ _OPENING = """(() => {
   const look = () => {
     const buttons = [...document.querySelectorAll("button")];
     const named = (name) => buttons.find((b) => b.textContent.includes(name));
-    const early = seen(named("Predict joints")) && !window.__artiworld.get().shown;
+    const ours = [named("Predict joints"), document.querySelector("[aria-label='Four views']")];
+    const early = ours.some(seen) && !window.__artiworld.get().shown;
     if (early || seen(named("Save Canvas"))) window.__early = true;
   };
   new MutationObserver(look).observe(document, { subtree: true, childList: true });
