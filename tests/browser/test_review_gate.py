@@ -269,7 +269,7 @@ def check_a_wish_is_taken_back(tab: Tab, picture: Path) -> None:
     tab.wait_seen()
     tab.key("y")
     tab.button("Cancel acceptance (Esc)").wait_for()
-    tab.page.get_by_text("Accepted when the checks pass").wait_for()
+    tab.page.get_by_text("Checking…", exact=True).wait_for()
     assert tab.object.validation.acceptance_waits
     tab.page.screenshot(path=str(picture))
     # Who looked at another one meanwhile is told once all the same.
