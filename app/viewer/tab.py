@@ -96,19 +96,18 @@ class Notes:
         self, title: str, body: str, color: Any, seconds: float | None, reason: Any = None
     ) -> None:
         """Show a note in place of an earlier one of the same title and colour: a hint doesn't hide
-        the question that it is about. Of refusals (yellow) about one state the last one holds.
+        the question that it is about.
 
         Args:
             seconds: how long it stays at most; None until somebody closes it.
             reason: the state that it is about, see :meth:`end_others`; None where it is an event.
         """
         self.log.append((f"{datetime.now():%H:%M:%S}", f"{title}. {body}"))
-        key = "" if color == "yellow" and reason else title, color
-        same = [n for n in self._shown if n[0] == key]
+        same = [n for n in self._shown if n[0] == (title, color)]
         for note in same or self._shown[: max(len(self._shown) - MOST + 1, 0)]:
             self._end(note)
         handle = self._client.add_notification(title, body, auto_close_seconds=seconds, color=color)
-        self._shown = [*self._shown, (key, reason, handle)]
+        self._shown = [*self._shown, ((title, color), reason, handle)]
 
     def end_others(self, reason: Any) -> None:
         """End the notes that are about another state than ``reason``."""
@@ -370,8 +369,9 @@ class Tab:
         obj = self.selection.object  # another thread may close it
         body = body if obj is None else display_text(obj.document, body)
         about_state = color in ("gray", "yellow") and not elsewhere
-        # A refusal is to be answered, and ends with the state.
-        seconds = {"red": 10.0, "yellow": 60.0 if about_state else 10.0}.get(color, 5.0)
+        seconds = 10.0 if color in ("red", "yellow") else 5.0
+        if about_state and color == "yellow":
+            seconds = 60.0  # to be answered; it ends with the state
         reason = self._reason if about_state else None
         self._notes.show(title, body[:400], color, seconds, reason)
 

@@ -50,13 +50,3 @@ def test_a_note_ends_with_its_reason_and_news_stay(client: Any) -> None:
     assert len(client.shown) == 2
     notes.end_others((1, 8))
     assert texts(client) == [("Accepted", "saved")]
-
-
-def test_the_last_refusal_about_a_state_holds_and_hints_stay(client: Any) -> None:
-    """An error that was fixed stood beside the warning that was left."""
-    notes = Notes(client)
-    notes.show("Undo", "nothing to undo", "gray", 5.0, (1, 7))
-    notes.show("Not accepted", "1 error", "yellow", 60.0, (1, 7))
-    notes.show("On hold", "another object", "yellow", 10.0)
-    notes.show("Not accepted yet", "1 warning", "yellow", 60.0, (1, 7))
-    assert [t for t, _ in texts(client)] == ["Undo", "On hold", "Not accepted yet"]
