@@ -29,6 +29,7 @@ from model.core.progress import Progress, no_progress
 from model.core.tree import KinematicTree
 from model.geometry import drawing
 from model.geometry.ambient_light import CreaseEdges, crease_edges, is_plain, with_ambient_occlusion
+from model.geometry.crop import crop
 from model.geometry.display import display_asset, thin
 from model.geometry.levelling import box_yaw
 from model.geometry.prepare import moved
@@ -379,13 +380,17 @@ def draw_thumbnail(path: Path, workspace: Path, options: ReadOptions) -> Path:
     Raises:
         ArtiworldError: where the file can't be read.
     """
-    shown = (options.up_axis, options.unit_scale, options.frame, _content(path))
+    frame, left_out = options.frame, options.left_out
+    shown = (options.up_axis, options.unit_scale, frame, left_out, _content(path))
     key = hashlib.sha256(repr(shown).encode()).hexdigest()[:24]
     target = workspace / "thumbnails" / f"{key}.webp"
     if target.exists():
         return target
     asset = read_asset(path, up_axis=options.up_axis, unit_scale=options.unit_scale)
-    asset = moved(asset, options.frame.object_from_read)
+    if left_out is not None:
+        gone = arrays_of(workspace).get(left_out)
+        asset = crop(asset, ~np.isin(np.arange(asset.element_count), gone))
+    asset = moved(asset, frame.object_from_read)
     whole = Part("link_0", asset.mesh, asset.cloud)
     obj = ArticulatedObject("thumbnail", (whole,), KinematicTree(("link_0",), ()))
     image = drawing.draw(obj, view=_VIEW).resize(SIZE, Image.Resampling.LANCZOS)

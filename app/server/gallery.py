@@ -14,7 +14,7 @@ from typing import Any, Final
 from app.server.display_tasks import draw_thumbnail
 from app.server.job import Job
 from app.server.names import queue_names
-from app.server.object_context import Services
+from app.server.object_context import Services, read_options
 from app.server.tasks import ReadOptions, stamp_if_there
 from model.core.memory import LruCache
 from model.core.progress import attempt
@@ -309,19 +309,14 @@ class Gallery:
     def _ended(self, key: tuple[int, str], now: Any, job: Job[Path]) -> None:
         with self._lock:
             self._drawing.pop(key, None)
-            if job.state == "done":
-                self._drawn[key] = now, job.result()
-            elif job.state == "failed":
-                self._drawn[key] = now, None
+            if job.state in ("done", "failed"):
+                self._drawn[key] = now, job.result() if job.state == "done" else None
 
     def _options(self, record: ObjectRecord) -> ReadOptions:
         """Reading options of the object, as far as they affect its thumbnail."""
-        config, sessions = self._services.config, self.sessions([record.id])
-        if not record.seq or not sessions:
-            return ReadOptions(config.up_axis, config.unit_scale)
-        doc = self._services.store.load(sessions[0]).present
-        up_axis, scale = doc.up_axis or config.up_axis, doc.unit_scale * config.unit_scale
-        return ReadOptions(up_axis, scale, frame=doc.frame)
+        sessions = self.sessions([record.id]) if record.seq else []
+        doc = self._services.store.load(sessions[0]).present if sessions else Document()
+        return read_options(self._services.config, doc)
 
 
 def whole_number(text: str | None, otherwise: int) -> int:

@@ -66,6 +66,17 @@ class Services:
         return name if learned is None else f"learned:{learned}"
 
 
+def read_options(config: ServeConfig, doc: Document) -> ReadOptions:
+    """Options for reading the source of a document as that has it."""
+    return ReadOptions(
+        doc.up_axis or config.up_axis,
+        doc.unit_scale * config.unit_scale,
+        None if doc.left_out is None else doc.left_out.elements,
+        doc.face_cuts,
+        doc.frame,
+    )
+
+
 class ObjectContext(Observable):
     """An object's session, its asset once it is read, and the jobs under way.
 
@@ -101,6 +112,10 @@ class ObjectContext(Observable):
         """Carry out one user decision; it is on disk when this returns."""
         return self.live.do(command, who)
 
+    def read_options(self, doc: Document) -> ReadOptions:
+        """Options for reading the source as a document has it."""
+        return read_options(self.services.config, doc)
+
     def need_asset(self) -> OpenedAsset:
         """Return the asset.
 
@@ -110,17 +125,6 @@ class ObjectContext(Observable):
         if self.asset is None:
             raise CommandError("the object is still being read")
         return self.asset
-
-    def read_options(self, doc: Document) -> ReadOptions:
-        """Options for reading the source as a document has it."""
-        config = self.services.config
-        return ReadOptions(
-            doc.up_axis or config.up_axis,
-            doc.unit_scale * config.unit_scale,
-            None if doc.left_out is None else doc.left_out.elements,
-            doc.face_cuts,
-            doc.frame,
-        )
 
     def read_source(self, document: Document) -> tuple[Path, Source] | None:
         """Return the folder of the asset's arrays and its source, once the document's parts can be

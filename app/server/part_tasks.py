@@ -47,7 +47,7 @@ from model.geometry.sampling import sample_surface
 from model.geometry.splitting import split
 from model.io.assets.asset_folder import write_draft
 from model.io.assets.reader import load_object, reload_check
-from model.kinematics.siblings import carried, fitting, namesakes
+from model.kinematics.siblings import EXACT, SCANNED, carried, fitting, namesakes
 from model.kinematics.snapping import (
     axis_along_box,
     box_of,
@@ -419,11 +419,12 @@ def joints_like(
     mine = parts.get(child)
     points = {k: _surface_points(p) for k, p in parts.items() if mine and namesakes(p, mine)}
     joint, out = tree.joint_of[child], []
+    within = EXACT if mine is None or mine.cloud is None or not mine.name else SCANNED
     for own in tree.joints:
         apart = own.child not in (child, joint.parent, *locked) and own.child in points
         if not apart or child not in points or own.mimic is not None:
             continue
-        for image in fitting(points[child], points[own.child])[:1]:
+        for image in fitting(points[child], points[own.child], within)[:1]:
             out.append(replace(carried(joint, own, image), parent=joint.parent))
     return tuple(out)
 

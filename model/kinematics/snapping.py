@@ -75,7 +75,7 @@ def origin_on_box_edge(joint: Joint, box: Box) -> Joint:
     along = int(np.argmax(cosine))
     if cosine[along] < PARALLEL:
         raise KinematicsError(
-            [f"joint {joint.name!r}: no box edge is parallel to its axis; choose the axis first"]
+            [f"{joint.child}: no box edge is parallel to the axis; choose the axis first"]
         )
     a, b = (k for k in range(3) if k != along)
     corners = [
@@ -115,12 +115,8 @@ def origin_on_contact(joint: Joint, child: Vector, parent: Vector, reach: float)
     nearest = float(distance.min())
     touching = distance <= max(2.0 * nearest, reach)
     if nearest > 5 * reach:
-        raise KinematicsError(
-            [
-                f"joint {joint.name!r}: {joint.child} and {joint.parent} don't touch "
-                f"({1000 * nearest:.0f} mm apart)"
-            ]
-        )
+        apart = f"({1000 * nearest:.0f} mm apart)"
+        raise KinematicsError([f"{joint.child} and {joint.parent} don't touch {apart}"])
     points = (child[touching] + parent[index[touching]]) / 2
     center = points.mean(0)
     axis = np.asarray(joint.axis)
@@ -136,8 +132,8 @@ def origin_on_contact(joint: Joint, child: Vector, parent: Vector, reach: float)
     if moved is None:
         raise KinematicsError(
             [
-                f"joint {joint.name!r}: {joint.child} and {joint.parent} touch over a face, which "
-                "defines no hinge line; take Box edge or Centre"
+                f"{joint.child} and {joint.parent} touch over a face, which defines no hinge line; "
+                "take Box edge or Center"
             ]
         )
     return moved

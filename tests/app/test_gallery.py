@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
+import io
 import json
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
+from PIL import Image
 
 from app.server.app_state import AppState
 from app.server.config import ServeConfig
 from app.server.guard import Route, RouteRequest
 from app.server.server import queue_routes
+from model.core.geometry import PointCloud
+from model.io.write import write_cloud
 from sessions import commands as cmd
 from sessions.command_log import read_work
 from sessions.statistics import acts_of, figures_of
 from sessions.store import Store
+from sessions.tool_commands import LeaveOut
 from tests.builders import wait_until
 
 
@@ -110,3 +116,23 @@ def test_a_row_says_whom_the_object_is_assigned_to(app_state: AppState, rows: Ro
     (oven,) = asked(rows, search="oven")["rows"]
     assert (oven["assigned"], oven["who"]) == ("mona", "")
     assert {r["assigned"] for r in asked(rows, search="chair")["rows"]} == {""}
+
+
+def test_a_thumbnail_shows_no_table_that_was_removed(tmp_path: Path) -> None:
+    """Of a raw scan it kept the table that its asset hasn't."""
+    rng = np.random.default_rng(0)
+    table, box = rng.uniform((-2, -2, -0.01), (2, 2, 0), (4000, 3)), rng.uniform(0, 1, (3000, 3))
+    colors = np.repeat([(0, 200, 0), (200, 0, 0)], (4000, 3000), axis=0).astype(np.uint8)
+    cloud = PointCloud(np.concatenate([table, box]).astype(np.float32), None, colors)
+    write_cloud(cloud, tmp_path / "scan.ply")
+    store = Store(tmp_path / "w")
+    state = AppState(ServeConfig(workspace=tmp_path / "w"), store, [tmp_path / "scan.ply"])
+    try:
+        ref = store.put_array(np.arange(4000))
+        store.append(1, LeaveOut(ref, 4000), "ann", 0)
+        state.queue.refresh(1)
+        found = wait_until(lambda: state.gallery.thumbnail(1), "a picture")
+        r, g, _ = np.moveaxis(np.asarray(Image.open(io.BytesIO(found)).convert("RGB"), int), -1, 0)
+        assert (r > g + 60).any() and not (g > r + 60).any()
+    finally:
+        state.close()

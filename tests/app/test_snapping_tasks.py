@@ -5,10 +5,13 @@ from __future__ import annotations
 from types import SimpleNamespace
 from typing import Any, cast
 
+import numpy as np
 import pytest
 import trimesh
 
 from app.server import part_tasks
+from model.core.articulated_object import Part
+from model.core.geometry import PointCloud
 from model.core.joint import Joint
 from model.core.tree import KinematicTree
 from tests.builders import box, part
@@ -78,3 +81,29 @@ def test_equal_parts_are_found_and_get_the_joint_mirrored_where_they_are(
     assert left.axis == pytest.approx((0, 0, -1)) and left.origin[0] == pytest.approx(-0.5)
     assert not part_tasks.joints_like(cast(Any, None), tree, "link_1", frozenset({"link_2"}))
     assert not part_tasks.joints_like(cast(Any, None), tree, "link_3", frozenset())
+
+
+def test_equal_knobs_of_a_scan_get_the_joint_in_spite_of_its_noise(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Four knobs of one size with some points beside each, and a larger one of the same name."""
+    rng = np.random.default_rng(5)
+
+    def knob(link: str, x: float, radius: float) -> Part:
+        turns = rng.uniform(0, 2 * np.pi, 240)
+        rim = radius * np.sqrt(rng.uniform(0, 1, 240))
+        points = np.column_stack([x + rim * np.cos(turns), rim * np.sin(turns), 0.9 + 0 * rim])
+        points[:3] += (0.0, 0.0, 0.4 * radius)  # on no surface
+        points += rng.normal(0, 0.03 * radius, points.shape)
+        return Part(link, cloud=PointCloud(points.astype(np.float32)), name="knob")
+
+    places = [(f"link_{k}", 0.1 * k, 0.02) for k in range(1, 5)]
+    parts = (*(knob(*p) for p in places), knob("link_5", 0.6, 0.03))
+    monkeypatch.setattr(part_tasks, "parts_of", lambda _: parts)
+    names = ("link_0", *(p.link for p in parts))
+    turning = Joint("a", "continuous", "link_0", "link_1", (0, 0, 1), (0.1, 0, 0.9))
+    others = [Joint(n, "revolute", "link_0", n, (0, 1, 0), (0, 0, 0), 0, 2) for n in names[2:]]
+    tree = KinematicTree(names, (turning, *others))
+    found = part_tasks.joints_like(cast(Any, None), tree, "link_1", frozenset())
+    assert [(j.child, j.type) for j in found] == [(n, "continuous") for n in names[2:5]]
+    assert [j.origin[0] for j in found] == pytest.approx([0.2, 0.3, 0.4], abs=0.003)

@@ -50,6 +50,9 @@ def check_the_axis_handles(tab: Tab) -> None:
     tab.button("Axis handles (G)").click()
     handle = tab.app.tab.client.scene.get_handle_by_name
     wait_until(lambda: handle("/gizmo") is None, "the handles are off")
+    tab.step("Review")
+    wait_until(lambda: handle("/axis/likely-2") is None, "M takes none of them here")
+    tab.step("Joints")
 
 
 def drag_until_moved(tab: Tab, tip: np.ndarray, origin: tuple[float, float], before: Any) -> bool:

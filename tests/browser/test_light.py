@@ -104,3 +104,33 @@ def test_display_brightens_enlarges_and_colors_points(
     tab.button("Display").click()
     assert page.get_by_label("Brightness").input_value() == "2"
     assert page.get_by_label("Point size").input_value() == "3"
+
+
+_OPENING = """(() => {
+  const seen = (node) => node && getComputedStyle(node).visibility !== "hidden";
+  const look = () => {
+    const buttons = [...document.querySelectorAll("button")];
+    const named = (name) => buttons.find((b) => b.textContent.includes(name));
+    const ours = [named("Predict joints"), document.querySelector("[aria-label='Four views']")];
+    const early = ours.some(seen) && !window.__artiworld.get().shown;
+    if (early || seen(named("Save Canvas"))) window.__early = true;
+  };
+  new MutationObserver(look).observe(document, { subtree: true, childList: true });
+})()"""
+
+
+def test_a_dark_page_opens_dark_and_shows_no_panel_before_it_is_ours(
+    start: Any, open_page: Any, tmp_path: Path
+) -> None:
+    """viser's own panel, and our buttons before an object is there, said nothing that holds."""
+    trimesh.creation.box((0.4, 0.3, 0.2)).export(tmp_path / "one.glb")
+    server = start(tmp_path / "one.glb")
+    page = open_page("about:blank", 800, 600, color_scheme="dark")
+    page.add_init_script(_OPENING)
+    page.goto(f"{server.url}{COARSE}", wait_until="commit")
+    page.wait_for_function("() => document.body")
+    color = page.evaluate("() => getComputedStyle(document.body).backgroundColor")
+    assert max(int(v) for v in color[4:-1].split(", ")[:3]) < 80, color
+    Tab(page, server).ready()
+    page.wait_for_selector(":root.aw-begun", state="attached")
+    assert not page.evaluate("() => window.__early")

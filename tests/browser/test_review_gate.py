@@ -190,7 +190,10 @@ def test_y_shows_what_wants_a_look_before_it_accepts(
     tab.step("Review")
     tab.page.get_by_text("cupboard · saving").wait_for()
     tab.page.get_by_text("1 saving · 1 to review").wait_for()
-    assert tab.button("Accepting…").is_disabled() and tab.object is obj
+    accepting = tab.button("Accepting…")
+    assert accepting.is_disabled() and tab.object is obj
+    color = accepting.evaluate("b => getComputedStyle(b).color")
+    assert max(map(int, color[4:-1].split(", "))) < 100, "it can be read"
     tab.page.screenshot(path=str(tmp_path / "saving.png"))
     tab.key("n")
     wait_until(lambda: tab.object is other, "the other one again")
@@ -266,6 +269,7 @@ def check_a_wish_is_taken_back(tab: Tab, picture: Path) -> None:
     tab.wait_seen()
     tab.key("y")
     tab.button("Cancel acceptance (Esc)").wait_for()
+    tab.page.get_by_text("Checking…", exact=True).wait_for()
     assert tab.object.validation.acceptance_waits
     tab.page.screenshot(path=str(picture))
     # Who looked at another one meanwhile is told once all the same.

@@ -23,15 +23,13 @@
   };
 
   // Where nothing of ours comes, viser's own panel says what is wrong with the connection.
-  const begin = () => document.documentElement.classList.add("aw-begun");
-  setTimeout(begin, 15000);
+  setTimeout(() => document.documentElement.classList.add("aw-begun"), 30000);
 
   // They lie over the picture, whose place changes with the panels beside it.
   const NARROW = 420;
   let before = "", stepped = false;
   const follow = () => {
     const canvas = window.__viserMutable?.canvas;
-    if (document.querySelector('[role="tab"]')) begin();  // viser's own panel has none
     const box = canvas && canvas.getBoundingClientRect();
     if (!box || !box.width) return;
     const now = `${box.left},${box.width}`;

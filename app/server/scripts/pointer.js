@@ -302,8 +302,10 @@
       }
       const { shown } = options;
       if (shown !== undefined) {  // two frames on, what came before it is on the screen
-        requestAnimationFrame(() => requestAnimationFrame(
-          () => send({ type: "ArtiworldShownMessage", number: shown })));
+        requestAnimationFrame(() => requestAnimationFrame(() => {
+          document.documentElement.classList.add("aw-begun");
+          send({ type: "ArtiworldShownMessage", number: shown });
+        }));
       }
       if (!state.hover) quiet();
       else if (!before && pointer && !timer) timer = setTimeout(tell, HOVER_MS);

@@ -157,7 +157,7 @@ class StepBar:
         waiting = obj.validation.acceptance_waits and not stoppable
         if shown is None and not waiting:
             return ""
-        text, done = "", 0.0
+        text, done = words.CHECKING, 0.0
         if shown is not None:
             done, message = jobs[shown]
             detail = "" if shown == "encode" else display_text(obj.document, message)

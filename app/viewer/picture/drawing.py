@@ -397,17 +397,17 @@ class ObjectDrawing:
 
     def _axis_marks(self, obj: OpenObject, doc: Document) -> list[AxisMark]:
         assert doc.tree is not None and obj.asset is not None
-        payloads, marks = obj.part_payloads(), []
-        hidden = {f"link_{part}" for part in self._tab.selection.hidden}
+        payloads, marks, selection = obj.part_payloads(), [], self._tab.selection
+        hidden = {f"link_{part}" for part in selection.hidden}
         for joint in doc.tree.joints:
-            chosen = joint.child == self._tab.selection.child
+            chosen = joint.child == selection.child
             moved = moved_part(doc.tree, joint.child)
             if not joint.moves or (moved in hidden and not chosen):
                 continue
             length = axis_length(payloads, moved, joint.axis, obj.asset.diagonal)
             color = palette.SELECTED if chosen else palette.link_color(moved)
             marks.append(_mark(joint.name, joint, length, color, chosen))
-            likely = doc.likely_joints(joint) if chosen else ()
+            likely = doc.likely_joints(joint) if chosen and selection.step == "Joints" else ()
             if len(likely) > 1 and doc.review.state != "accepted":
                 for rank, other in enumerate(likely, 1):
                     if other.moves and _axis_differs(other, joint):
