@@ -24,7 +24,14 @@ from model.core.files import static_assets
 from sessions import commands as cmd
 from sessions.store import Store
 from tests.accepted import BEGIN, accept, cupboard
-from tests.browser.browsing import CHROMIUM_FLAGS, SceneTab, Tab, find_chromium, wait_until
+from tests.browser.browsing import (
+    CHROMIUM_FLAGS,
+    PAGE_TIMEOUT,
+    SceneTab,
+    Tab,
+    find_chromium,
+    wait_until,
+)
 from tests.browser.film import Film
 from tests.raw_scans import raw_scan
 
@@ -65,6 +72,7 @@ class Taking:
             ServeConfig(paths=paths, workspace=workspace, port=0, user="annotator", **settings)
         )
         page = self._chromium.new_page(viewport={"width": size[0], "height": size[1]})
+        page.set_default_timeout(PAGE_TIMEOUT)
         memory = "\\n\\n\\n" + ("" if reflections else "plain") + "\\n\\nyes"  # without the tour
         page.add_init_script(f"localStorage.setItem('viser-user:artiworld', '{memory}')")
         page.goto(server.url)

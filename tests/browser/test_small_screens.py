@@ -40,6 +40,12 @@ def apart(tab: Tab) -> bool:
 
 def test_controls_keep_apart_and_the_rail_folds(start: Any, open_tab: Any, cabinet: Any) -> None:
     tab = open_tab(start(cabinet[0]), 1100, 700)
+
+    def share() -> float:
+        left, _, right, _ = tab.page.evaluate(LAID_OUT)["picture"]
+        return float(right - left) / 1100
+
+    wait_until(lambda: share() >= 0.6, "the picture has most of the window: the queue folds")
     for step in ("Prepare", "Annotate"):
         tab.step(step)
         wait_until(lambda: apart(tab), f"nothing overlaps in {step}: {tab.page.evaluate(LAID_OUT)}")

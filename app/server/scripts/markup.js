@@ -26,7 +26,7 @@
   setTimeout(() => document.documentElement.classList.add("aw-begun"), 30000);
 
   // They lie over the picture, whose place changes with the panels beside it.
-  const NARROW = 420;
+  const NARROW = 420, SHARE = 0.5;  // pixels for texts on the steps; of the window
   let before = "", stepped = false;
   const follow = () => {
     const canvas = window.__viserMutable?.canvas;
@@ -39,7 +39,7 @@
     document.documentElement.style.setProperty("--aw-width", `${box.width}px`);
     document.documentElement.classList.toggle("aw-narrow", box.width < NARROW);
     // The queue comes back with its own button; on a small screen the picture comes first.
-    const fold = !stepped && box.width < NARROW &&
+    const fold = !stepped && box.width < SHARE * window.innerWidth &&
       document.querySelector("[aria-label]:has(> .tabler-icon-chevrons-left)");
     if (fold) {
       stepped = true;

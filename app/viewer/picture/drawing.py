@@ -348,10 +348,8 @@ class ObjectDrawing:
             self._id, self._asset = obj.record.id, obj.asset
             self._motion.forget()
             self._shown(stays)
-        elif obj.asset is None and self._id is not None:
-            reloading = self._id == obj.record.id and not obj.problem
-            if not reloading:  # else it is read again, with new face numbers
-                self.clear()
+        elif self._id and obj.asset is None and (obj.problem or self._id != obj.record.id):
+            self.clear()  # else it is read again, with new faces
         if obj.asset is not None:
             self._draw(obj, obj.document, touch)
 

@@ -81,12 +81,13 @@ def tint(part: int, own: npt.ArrayLike) -> Tint:
     """A part's color so that it is seen on a surface of its ``own`` color, (3,): stronger on one
     that is alike, at last lighter or darker."""
     under, color = np.asarray(own, float), np.array(part_color(part), float)
-    apart = float(np.linalg.norm(color - under))
-    if apart * _STRONGEST < _CONTRAST:
-        color = color * 0.45 if under.mean() > 128 else color + 0.6 * (255 - color)
-        apart = float(np.linalg.norm(color - under))
-    r, g, b = (round(v) for v in color)
-    return (r, g, b), round(float(np.clip(_CONTRAST / apart, _LIGHTEST, _STRONGEST)), 1)
+    for shade in (color, color * 0.45 if under.mean() > 128 else color + 0.6 * (255 - color)):
+        step = (shade - under) - (shade - under).mean() / 2
+        opacity = _CONTRAST / max(float(np.linalg.norm(step)), 1.0)
+        if opacity <= _STRONGEST:  # lightness counts half: lit sides differ by that, too
+            break
+    r, g, b = (round(v) for v in shade)
+    return (r, g, b), round(float(np.clip(opacity, _LIGHTEST, _STRONGEST)), 1)
 
 
 def link_color(link: str) -> Rgb:
