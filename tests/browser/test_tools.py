@@ -249,6 +249,8 @@ def test_a_painted_door_is_cut_out_of_two_triangles(
     path = tmp_path / "flush.glb"
     points = write_flush(path)
     tab = open_tab(start(path))
+    tab.page.locator('[data-press="label"][value="door"]').click()
+    wait_until(lambda: tab.app.pointing.tools.label == "door", "a name for the next part")
     for armed in ("cut", "rectangle"):
         tab.key("k")
         wait_until(lambda armed=armed: tab.app.pointing.armed == armed, armed)
@@ -260,6 +262,7 @@ def test_a_painted_door_is_cut_out_of_two_triangles(
     tab.settled()
     asset = wait_until(lambda: tab.object.asset, "it is open with more faces")
     assert asset.element_count > 12
+    assert tab.document.part_names == {1: "door"}, "it has the name that was picked"
     mesh = asset_of(asset.folder).mesh
     store = tab.server.app_state.store
     labels = store.get_array(tab.document.segmentation.labels)
