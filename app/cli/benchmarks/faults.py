@@ -319,8 +319,8 @@ def _asked(client: Client, seconds: float) -> dict[str, Any]:
     return {"requests": len(taken), "refused": refused, **waiting_times(taken)}
 
 
-POISONED, _POISON = 20, "192.0.2.1"
-"""Webhooks whose sending raises, and their address."""
+POISONED, _POISON, _SOUND = 20, "192.0.2.1", {"127.0.0.1": True}
+"""Webhooks whose sending raises, and their address; those to which it doesn't."""
 
 
 def deliver_beside() -> list[dict[str, Any]]:
@@ -338,8 +338,8 @@ def deliver_beside() -> list[dict[str, Any]]:
             live = LiveSession(store, store.open_object(Path(folder, "a.ply"), None, "a").id)
             live.do(Reject("axis"), "mia")
             receiver.settimeout(LOST)
-            begun, allowed = time.perf_counter(), lambda address: 1 / (str(address) != _POISON) > 0
-            with closing(WebhookSender(store.people.webhooks, allowed)):
+            begun = time.perf_counter()
+            with closing(WebhookSender(store.people.webhooks, lambda ip: _SOUND[str(ip)])):
                 receiver.accept()[0].close()
                 taken = time.perf_counter() - begun
         rows.append({"with": f"{count} poisoned webhooks", "sent after s": round(taken, 2)})
