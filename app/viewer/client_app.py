@@ -363,7 +363,7 @@ class ClientApp:
             return self.scene.subject
         obj = self.tab.selection.object
         if obj is None:
-            return None
+            return None if self._app_state.queue.records() else "an empty queue"
         looked_at = self.review.validation_list.looked_at(obj) is not None
         there = self.drawing.drawn or bool(obj.problem)
         return obj.record.id, there, obj.document.review, looked_at

@@ -23,6 +23,8 @@ CHROMIUM_FLAGS = (
     "--disable-sync",
     "--no-first-run",
 )
+SHOWN = "() => window.__artiworld?.get().shown"
+"""Whether the page has drawn something of ours; until then all of it is hidden."""
 COARSE = "/?fixedDpr=0.2"
 """viser draws a fifth of the pixels each way, places stay what they are: there is no GPU here."""
 FEWER_FRAMES = """(() => {
@@ -309,6 +311,7 @@ class SceneTab(Tab):
         wait_until(lambda: self.server.apps, "the server sees the tab")
         wait_until(lambda: self.scene_workspace.scene is not None, "the scene is read")
         self.wait_node("/world/ground")
+        self.page.wait_for_function(SHOWN)
         self.camera_at_rest()
         return self
 

@@ -8,7 +8,7 @@ import numpy as np
 import trimesh
 from PIL import Image
 
-from tests.browser.browsing import COARSE, Tab, wait_until
+from tests.browser.browsing import COARSE, SHOWN, Tab, wait_until
 
 SURROUNDINGS = "() => window.__viserMutable.scene.environment !== null"
 LAMPS = "() => '/light/sky' in window.__viserSceneTree.getState()"
@@ -134,3 +134,15 @@ def test_a_dark_page_opens_dark_and_shows_no_panel_before_it_is_ours(
     Tab(page, server).ready()
     page.wait_for_selector(":root.aw-begun", state="attached")
     assert not page.evaluate("() => window.__early")
+
+
+def test_a_page_with_an_empty_queue_is_shown(start: Any, open_page: Any, tmp_path: Path) -> None:
+    (tmp_path / "broken.glb").write_bytes(b"no mesh")
+    server = start(tmp_path / "broken.glb")
+    page = open_page(f"{server.url}{COARSE}")
+    page.get_by_role("button", name="Remove", exact=True).click()
+    wait_until(lambda: not server.app_state.queue.records(), "the queue is empty")
+    page.goto("about:blank")
+    page.goto(f"{server.url}{COARSE}")
+    page.wait_for_function(SHOWN)
+    page.get_by_text("The queue is empty").wait_for()

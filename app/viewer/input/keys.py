@@ -92,7 +92,7 @@ class DecisionGuard:
 
     def __init__(self, tab: Tab, subject: Callable[[], Any]) -> None:
         self._tab, self._subject = tab, subject
-        self._sent: Any = self  # so that a page without an object hears of it, too
+        self._sent: Any = None
         self._sent_at = 0.0
         self._number = 0
         self._shown_at: float | None = None

@@ -81,7 +81,7 @@ class SceneStep:
         selected, workspace = self.choice.selected, self._workspace
         work = None if selected is None else workspace.work(selected)
         if work is None:
-            return selected
+            return None if workspace.scene is None else (selected,)
         return selected, work.document.review, workspace.accepting.why_refused(work)
 
     def draw(self) -> None:
