@@ -84,7 +84,7 @@ _RESTING = """(frames) => new Promise((done) => {
 
 def page_at_rest(page: Any) -> Any:
     """(3,) where the page has the camera once all that the server sent with it was drawn."""
-    page.wait_for_selector("canvas", state="attached")
+    page.wait_for_selector(":root.aw-begun", state="attached")  # until then a click hits nothing
     page.wait_for_function("() => window.__viserPointer?.hasSceneClickFilter()")
     return np.array(page.evaluate(_RESTING, 4))
 
