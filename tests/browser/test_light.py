@@ -1,4 +1,4 @@
-"""Plain light for browsers without a GPU: there from the start, kept over objects and reloads."""
+"""How the picture looks: plain light without a GPU, display controls, and a page that opens."""
 
 import io
 from pathlib import Path

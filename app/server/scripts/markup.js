@@ -26,7 +26,8 @@
   setTimeout(() => document.documentElement.classList.add("aw-begun"), 30000);
 
   // They lie over the picture, whose place changes with the panels beside it.
-  const NARROW = 420, SHARE = 0.5;  // pixels for texts on the steps; of the window
+  const NARROW = 420;  // pixels: below, the bar of steps is drawn smaller
+  const SHARE = 0.5;  // least share of the window that the picture has: else the queue folds
   let before = "", stepped = false;
   const follow = () => {
     const canvas = window.__viserMutable?.canvas;

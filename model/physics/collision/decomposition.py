@@ -251,7 +251,7 @@ class _Merging:
                     self._offer(a, b)
         spent, free = 0.0, max(free, 1)
         while len(self.body) > 1:
-            while self.queue and not self.body.keys() >= {*self.queue[0][2:4]}:
+            while self.queue and not {*self.queue[0][2:4]} <= self.body.keys():  # one is merged
                 heapq.heappop(self.queue)
             if not self.queue:
                 if len(self.body) <= most:
