@@ -45,7 +45,7 @@ def editor() -> Any:
     tree = KinematicTree(("link_0", "link_1"), (DOOR,))
     doc = Document(tree=tree, prediction=Prediction(tree))
     obj = SimpleNamespace(document=doc, source=lambda: None, checks=[])
-    selection = SimpleNamespace(joint=DOOR, need_object=lambda: obj)
+    selection = SimpleNamespace(joint=DOOR, need_object=lambda: obj, choose_joint=str)
     tab = MagicMock(selection=selection)
     tab.do = lambda command: setattr(selection, "joint", command.joint)
     tab.client.gui.add_vector3 = add_vector
