@@ -199,10 +199,9 @@ def timed_click(browser: SimulatedBrowser, app: Any, rng: np.random.Generator) -
 def _open(server: Any, app: Any, worst: list[Path], end: float) -> Counter[str]:
     """Open the worst files one after the other, each time as new; what became of them."""
     files: Counter[str] = Counter()
-    for number in itertools.count():
+    for number, path in enumerate(itertools.cycle(worst)):
         if time.perf_counter() > end:
             break
-        path = worst[number % len(worst)]
         again = path.with_name(f"{number}-{path.name}")
         os.link(path, again)
         record = server.app_state.store.open_object(again, None, again.stem)
@@ -424,11 +423,8 @@ def _is_there(state: AppState, queued: set[int], kind: str, number: str, name: s
 
 
 def work(workspace: str, name: str) -> None:
-    """Be a server to be killed: upload, sort (as bulk work), name, accept and release objects, and
-    say what is done.
-    """
-    config = ServeConfig(workspace=Path(workspace))
-    state = AppState(config, Store(config.workspace), [])
+    """Upload, sort (as bulk work), name, accept and release objects until killed; print each."""
+    state = AppState(ServeConfig(workspace=Path(workspace)), Store(Path(workspace)), [])
     rng = random.Random(name)
     print("ready", flush=True)
     for number in range(1000):
@@ -463,7 +459,6 @@ SHOWN = 20
 
 def faults_bench(options: FaultsBench, progress: Progress) -> Result:
     """Measure with the options of the command."""
-    files = options.limit
     samples = fault_samples()
     counts: dict[str, Counter[str]] = {s.name: Counter() for s in samples}
     bad: list[dict[str, Any]] = []
@@ -473,8 +468,8 @@ def faults_bench(options: FaultsBench, progress: Progress) -> Result:
         ) as worker,
         tempfile.TemporaryDirectory(prefix="artiworld-faults-") as folder,
     ):
-        for seed in range(options.seed, options.seed + files):
-            progress((seed - options.seed) / max(files, 1), f"file of seed {seed}")
+        for seed in range(options.seed, options.seed + options.limit):
+            progress((seed - options.seed) / max(options.limit, 1), f"file of seed {seed}")
             sample = samples[seed % len(samples)]  # so that each format gets as many files
             outcome, message = _read(worker, sample, seed, Path(folder))
             counts[sample.name][outcome] += 1
@@ -484,7 +479,7 @@ def faults_bench(options: FaultsBench, progress: Progress) -> Result:
         {"format": name, "files": sum(n.values()), **{k: n[k] for k in ("read", "refused", *BAD)}}
         for name, n in counts.items()
     ]
-    report = {"seed": options.seed, "files": files, "rows": rows, "bad": bad}
+    report = {"seed": options.seed, "files": options.limit, "rows": rows, "bad": bad}
     if options.kills:
         report["kills"] = kill_servers(options.kills, options.seed, progress)
     if options.clients:

@@ -77,7 +77,7 @@ SECONDS = 10.0
 SENDERS = 8
 """Webhooks that are sent something at a time: one that is slow holds up its own alone."""
 PERIOD = 2.0
-"""Seconds between two looks for messages that are due."""
+"""Seconds between two looks for messages that are due; a closing sender waits as long."""
 SIGNATURE = "X-ArtiWorld-Signature"
 _TRANSLATED = tuple(map(ipaddress.ip_network, ("64:ff9b::/96", "64:ff9b:1::/48", "2002::/16")))
 """IPv6 networks that stand for IPv4 addresses, which may be private."""
@@ -145,13 +145,18 @@ class WebhookSender:
     def __init__(self, hooks: Webhooks, allowed: Callable[[Address], bool] = is_public) -> None:
         self._hooks, self._allowed = hooks, allowed
         self._closed, self._look = threading.Event(), threading.Event()
-        self._busy: set[int] = set()
-        threading.Thread(target=self._run, name="webhooks", daemon=True).start()
+        self._busy: dict[int, threading.Thread] = {}
+        self._loop = threading.Thread(target=self._run, name="webhooks", daemon=True)
+        self._loop.start()
 
     def close(self) -> None:
-        """Send no more; what waits is sent by the next server."""
+        """Wait a moment for what is being sent; the next server sends the rest."""
         self._closed.set()
         self._look.set()
+        self._loop.join(PERIOD)  # first, as it adds to the others
+        end = time.monotonic() + PERIOD
+        for thread in tuple(self._busy.values()):
+            thread.join(max(0.0, end - time.monotonic()))
 
     def _run(self) -> None:
         while not self._closed.is_set():
@@ -160,14 +165,14 @@ class WebhookSender:
                 free = len(self._busy) < SENDERS
                 delivery = self._hooks.claim(tuple(self._busy)) if free else None
             except Exception as error:  # a thread's boundary; it is tried again
-                if not self._closed.is_set():
-                    log.warning("webhooks wait: %s", error)
+                log.warning("webhooks wait: %s", error)
                 delivery = None
             if delivery is None:
                 self._look.wait(PERIOD)
                 continue
-            self._busy.add(delivery.webhook)
-            threading.Thread(target=self._send, args=(delivery,), daemon=True).start()
+            sender = threading.Thread(target=self._send, args=(delivery,), daemon=True)
+            self._busy[delivery.webhook] = sender
+            sender.start()
 
     def _send(self, delivery: Delivery) -> None:
         try:
@@ -175,7 +180,7 @@ class WebhookSender:
         except StoreError as error:  # it is claimed again later
             log.warning("webhooks wait: %s", error)
         finally:
-            self._busy.discard(delivery.webhook)
+            self._busy.pop(delivery.webhook)
             self._look.set()
 
 
