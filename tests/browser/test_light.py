@@ -94,6 +94,9 @@ def test_display_brightens_enlarges_and_colors_points(
     assert np.ptp(around("door")) > np.ptp(own["door"]), "the door has its color alone"
     chosen.select_option("Height")
     wait_until(lambda: around("base")[1] > around("base")[2] + 60, "yellow is high", 60)
+    chosen.select_option("Normals")
+    wait_until(lambda: around("base")[2] > around("base")[1] + 100, "the top is blue", 60)
+    assert around("door")[1] > around("door")[2] + 100, "the front is green"
     chosen.select_option("Own")
     wait_until(lambda: np.allclose(around("base"), own["base"], atol=8), "its own again", 60)
     page.get_by_label("Brightness").fill("2")
