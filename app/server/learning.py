@@ -15,7 +15,7 @@ from app.server.acceptances import asset_folder
 from app.server.job import Job
 from app.server.jobs import PREVIEWS, WorkerProcess
 from app.server.object_context import ObjectContext
-from app.server.tool_tasks import LIKE, LikeOffer, find_alike
+from app.server.tool_tasks import LIKE, PROPOSE, LikeOffer, find_alike
 from app.server.worker import WorkerTemplate
 from app.server.workers import READING, in_background
 from model.core.errors import CommandError, ConfigurationError
@@ -37,13 +37,16 @@ class Likeness:
     """Similarity of an open object to the workspace's accepted ones.
 
     Attributes:
-        offer: the parts of the most similar one; None where there is none, or not yet.
+        offer: the parts of the most similar one, or by those of its kind; None where there are
+            none, or not yet.
+        likely: the category of an object that has none.
     """
 
     def __init__(self, obj: ObjectContext) -> None:
         self.offer: LikeOffer | None = None
+        self.likely: str | None = None
         self._obj = obj
-        self._asked: tuple[Path, tuple[Path, ...]] | None = None
+        self._asked: tuple[object, ...] = ()
         self._encoded: Path | None = None
 
     def encoded(self) -> None:
@@ -58,14 +61,17 @@ class Likeness:
         if asset is None or asset.folder != self._encoded or not _untouched(doc):
             return
         assets = self._accepted(doc)
-        if not assets or (asset.folder, assets) == self._asked:
+        category = doc.category or self.likely
+        asked = asset.folder, assets, category, in_use(obj.services.workspace)
+        if not assets or asked == self._asked:
             return
-        self._asked, self.offer = (asset.folder, assets), None
+        self._asked, self.offer = asked, None
         job = obj.lane.segmentation.submit(
             find_alike,
             asset.folder,
             obj.services.workspace,
             assets,
+            category,
             priority=PREVIEWS - 1,  # after the encoding, which it needs
             preempted_by=PREVIEWS,
         )
@@ -91,12 +97,11 @@ class Likeness:
         if offer is None:
             raise CommandError("no accepted object is like this one")
         regions = tuple(
-            ToolRegion(part, region.elements, True, region.count, name)
-            for part, (region, name) in enumerate(
-                zip(offer.regions, offer.names, strict=True), start=1
-            )
+            ToolRegion(part, region.elements, True, region.count, region.name)
+            for part, region in enumerate(offer.regions, start=1)
         )
-        self._obj.do(cmd.ApplyTool(f"{LIKE} {offer.folder}", regions), who)
+        tool = f"{LIKE} {offer.folder}" if offer.folder else PROPOSE
+        self._obj.do(cmd.ApplyTool(tool, regions), who)
         if offer.category and self._obj.document.category is None:
             self._obj.do(cmd.SetCategory(offer.category), who)
         return len(regions)

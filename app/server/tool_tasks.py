@@ -40,7 +40,7 @@ from model.segmentation.mask_tools import (
 from model.segmentation.prompt_steps import locate
 from model.segmentation.prompts import BASE, Click, Prompts
 from model.segmentation.registry import DEFAULT
-from model.segmentation.similar import carry_over, mirrored, same_shape
+from model.segmentation.similar import ProposedParts, carry_over, mirrored, same_shape, telling
 from model.segmentation.solver import look_alike
 from sessions.document import FaceCut
 
@@ -511,53 +511,67 @@ def _sample(folder: Path) -> _Sample:
 
 @dataclass(frozen=True)
 class LikeOffer:
-    """Parts that an accepted object has where this one has them, too.
+    """Parts that accepted objects have where this one has them, too.
 
     Attributes:
-        folder: name of the accepted asset's folder.
-        regions: of the parts. names: of the parts, in the same order.
-        category: of the accepted object.
+        folder: name of the accepted asset's folder whose shape it has; "" for a kind of objects.
+        regions: of the parts, with their names.
+        category: of the accepted objects.
+        known: accepted objects of that kind that it was compared with.
     """
 
     folder: str
     regions: tuple[RegionOffer, ...]
-    names: tuple[str | None, ...]
     category: str | None
+    known: int
 
 
 def find_alike(
-    folder: Path, workspace: Path, assets: Sequence[Path], progress: Progress = no_progress
+    folder: Path,
+    workspace: Path,
+    assets: Sequence[Path],
+    category: str | None = None,
+    progress: Progress = no_progress,
 ) -> LikeOffer | None:
-    """Return the parts of the accepted asset that fits best; None where none fits well.
+    """Return the parts of the accepted asset that fits best; where none fits well, those that *All
+    parts* finds by the accepted objects of the kind; None where neither tells any.
 
     Args:
         folder: of the working copy. assets: folders of accepted assets, likeliest first.
+        category: of the object, or the likeliest one.
     """
     session = session_of(folder, DEFAULT)
     if session.encoding.room is not None:
         return None
     examples = []
     for k, asset in enumerate(assets):
-        progress(0.6 * k / len(assets), "Looking for an object like it")
+        progress(0.3 * k / len(assets), "Looking for an object like it")
         example = _example(asset)
         if example is not None:
             examples.append(example)
     match = best_match(examples, session.encoding.nodes.points)
-    if match is None or match.fit < FIT:
+    if match is not None and match.fit >= FIT:
+        progress(0.4, "Looking for an object like it")
+        found = carry_over(session, match)
+        least = LITTLE_AGREEMENT if match.fit >= CLOSE_FIT else AGREEMENT
+        if found.names and found.agreement >= least:
+            return _offer(workspace, found, match.example.category, match.example.name)
+    known = masks_in_use(workspace, category)
+    if not telling(known):
         return None
-    progress(0.8, "Looking for an object like it")
-    parts = carry_over(session, match)
-    least = LITTLE_AGREEMENT if match.fit >= CLOSE_FIT else AGREEMENT
-    if not parts.links or parts.agreement < least:
-        return None
-    regions, names = [], []
-    of_link = dict(zip(match.example.links, match.example.names, strict=True))
-    for part, link in sorted(parts.links.items()):
-        elements = np.flatnonzero(parts.labels == part).astype(np.int64)
+    found = propose_parts(session, progress=progress, known=known)
+    return _offer(workspace, found, category) if found.names else None
+
+
+def _offer(
+    workspace: Path, found: ProposedParts, category: str | None, folder: str = ""
+) -> LikeOffer:
+    regions = []
+    for part, name in enumerate(found.names, start=BASE + 1):
+        elements = np.flatnonzero(found.labels == part).astype(np.int64)
         ref = arrays_of(workspace).put(elements)
-        regions.append(RegionOffer(NEW_PART, ref, len(elements)))
-        names.append(of_link[link])
-    return LikeOffer(match.example.name, tuple(regions), tuple(names), match.example.category)
+        regions.append(RegionOffer(NEW_PART, ref, len(elements), name=name or None))
+    return LikeOffer(folder, tuple(regions), category, found.known)
 
 
 def _example(asset: Path) -> Example | None:

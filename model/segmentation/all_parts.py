@@ -23,9 +23,16 @@ from model.segmentation.graph import components
 from model.segmentation.mask_tools import first_elements
 from model.segmentation.models import Mlp, load_mlp
 from model.segmentation.object_features import MOVING_FEATURE_NAMES
-from model.segmentation.prompts import BASE, PartSegmentation
+from model.segmentation.prompts import BASE
 from model.segmentation.scores import shipped_moving_scorers, shipped_scorers
-from model.segmentation.similar import MaskExample, MaskTable, by_examples, telling
+from model.segmentation.similar import (
+    MaskExample,
+    MaskTable,
+    ProposedParts,
+    by_examples,
+    proposed,
+    telling,
+)
 from model.segmentation.solver import PartSolver, overlaps, solver_of
 
 PART_SCORER = "part_masks.npz"
@@ -302,19 +309,6 @@ def _rounded(values: Float64) -> tuple[float, float, float]:
     return x, y, z
 
 
-@dataclass(frozen=True)
-class ProposedParts(PartSegmentation):
-    """A proposal of all parts.
-
-    Attributes:
-        names: of the parts from 1 on, "" where no accepted object tells one.
-        known: accepted objects that it follows.
-    """
-
-    names: tuple[str, ...] = ()
-    known: int = 0
-
-
 def propose_parts(
     session: DefaultSession,
     seeds: int = 160,
@@ -332,24 +326,16 @@ def propose_parts(
         known: masks of accepted objects of its kind; see :func:`.telling`.
     """
     superpoints = session.encoding.superpoints
-    scored, followed, named = scored_masks(session, seeds, progress), list[MaskTable](), list[str]()
+    scored = scored_masks(session, seeds, progress)
     if scored is None:
-        chosen = _room_objects(session, spread(superpoints.center, seeds), progress)
-    else:
-        voted, table = scored
-        followed = telling(known)
-        worth, names = by_examples(table, followed)
-        rows = exclusive_parts(worth, voted.common, WORTH)
-        rows.sort(key=lambda row: -float(superpoints.size[voted.masks[row]].sum()))
-        chosen, named = voted.masks[rows], [names[row] for row in rows]
-    of_superpoint = np.zeros(len(superpoints), np.int16)
-    for part, mask in enumerate(chosen, start=BASE + 1):
-        of_superpoint[mask] = part
-    labels = session.finisher.without_prompts(of_superpoint)
-    kept, labels = np.unique(np.append(labels, BASE), return_inverse=True)  # some have merged
-    names = tuple(named[part - 1] if named else "" for part in kept[kept > BASE].tolist())
-    labels = labels[:-1].astype(np.int16)
-    return ProposedParts(labels, "default", names=names, known=len(followed))
+        masks = _room_objects(session, spread(superpoints.center, seeds), progress)
+        return proposed(session, masks, [""] * len(masks))
+    voted, table = scored
+    followed = telling(known)
+    worth, names = by_examples(table, followed)
+    rows = exclusive_parts(worth, voted.common, WORTH)
+    rows.sort(key=lambda row: -float(superpoints.size[voted.masks[row]].sum()))
+    return proposed(session, voted.masks[rows], [names[row] for row in rows], len(followed))
 
 
 def _room_objects(session: DefaultSession, voters: Int64, progress: Progress) -> list[Bool]:

@@ -9,8 +9,8 @@ which of its own are parts.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -18,60 +18,59 @@ from scipy.spatial import KDTree
 
 from model.core.errors import PromptError
 from model.geometry.like_object import Match, UprightBox, symmetries
-from model.segmentation.arrays import Bool, Float, Float64, Int16
+from model.segmentation.arrays import Bool, Float, Float64
 from model.segmentation.default import DefaultSession
 from model.segmentation.mask_tools import to_elements, to_nodes
-from model.segmentation.prompts import BASE
+from model.segmentation.prompts import BASE, PartSegmentation
 
 _AGREES = 0.7
 """Overlap (IoU) from which a proposal is taken for a carried part."""
 
 
-@dataclass(frozen=True, eq=False)
-class CarriedParts:
-    """Parts of an object that an example suggests.
+@dataclass(frozen=True)
+class ProposedParts(PartSegmentation):
+    """A proposal of all parts.
 
     Attributes:
-        labels: (E,) int16, 0 is the base.
-        links: part → link of the example.
-        agreement: 0..1, mean overlap of the example's parts with what the segmenter would answer
-            to a click on each: whether they are parts here, too.
+        names: of the parts from 1 on, "" where no accepted object tells one.
+        known: accepted objects that it follows.
+        agreement: 0..1, mean overlap of the parts of an object that was laid over this one with
+            the answers to a click on each: whether they are parts here, too.
     """
 
-    labels: Int16
-    links: dict[int, str]
-    agreement: float
+    names: tuple[str, ...] = ()
+    known: int = 0
+    agreement: float = 1.0
 
 
-def carry_over(session: DefaultSession, match: Match) -> CarriedParts:
+def proposed(
+    session: DefaultSession, masks: Iterable[Bool], names: Sequence[str], known: int = 0
+) -> ProposedParts:
+    """Parts of superpoints, (C,) a mask, later ones over earlier ones; the rest is the base."""
+    of_superpoint = np.full(len(session.encoding.superpoints), BASE, np.int16)
+    for part, mask in enumerate(masks, start=BASE + 1):
+        of_superpoint[mask] = part
+    labels = session.finisher.without_prompts(of_superpoint)
+    kept, labels = np.unique(np.append(labels, BASE), return_inverse=True)  # some have merged
+    kept_names = tuple(names[part - 1] for part in map(int, kept[kept > BASE]))
+    return ProposedParts(labels[:-1].astype(np.int16), "default", names=kept_names, known=known)
+
+
+def carry_over(session: DefaultSession, match: Match) -> ProposedParts:
     """Take over the parts of ``match`` but its root, which is the base."""
     nodes, superpoints = session.encoding.nodes, session.encoding.superpoints
     example = match.example
     nearest = example.part[example.tree.query(match.to_example(nodes.points))[1]]
-    of_superpoint = np.full(len(superpoints), BASE, np.int16)
-    links: dict[int, str] = {}
-    overlaps: list[float] = []
+    found: list[tuple[Bool, float, str]] = []
     wanted = np.bincount(example.part, minlength=len(example.links)) / len(example.part)
     moving = [k for k, link in enumerate(example.links) if link != example.root]
     # The large ones first: what lies on them is theirs only where no smaller one has it.
     for k in sorted(moving, key=lambda k: -wanted[k]):
         share = np.bincount(superpoints.of_node, nearest == k, len(superpoints)) / superpoints.size
-        if not (share > 0.5).any():
-            continue
-        mask, overlap = _proposal(session, share)
-        part = len(links) + 1
-        of_superpoint[mask] = part
-        links[part] = example.links[k]
-        overlaps.append(overlap)
-    labels = session.finisher.without_prompts(of_superpoint)
-    kept = [part for part in links if (labels == part).any()]
-    numbers = np.zeros(len(links) + 1, np.int16)
-    numbers[kept] = np.arange(1, len(kept) + 1)
-    return CarriedParts(
-        np.where(labels > BASE, numbers[np.maximum(labels, 0)], labels).astype(np.int16),
-        {int(numbers[part]): links[part] for part in kept},
-        float(np.mean(overlaps)) if overlaps else 0.0,
-    )
+        if (share > 0.5).any():
+            found.append((*_proposal(session, share), example.names[k] or ""))
+    parts = proposed(session, (mask for mask, *_ in found), [name for *_, name in found], 1)
+    return replace(parts, agreement=float(np.mean([overlap for _, overlap, _ in found] or [0.0])))
 
 
 def _proposal(session: DefaultSession, share: Float64) -> tuple[Bool, float]:

@@ -191,6 +191,10 @@ def test_all_parts_follows_accepted_objects_of_its_kind(chest, tmp_path):
         for offer in offers if known else ():
             found = np.asarray(tasks.arrays_of(tmp_path).get(offer.elements))
             assert labels[found].mean() > 0.9
+    offer = tool_tasks.find_alike(opened.folder, tmp_path, (), "chest")
+    assert offer is not None and (offer.folder, offer.known, offer.category) == ("", 3, "chest")
+    assert {region.name for region in offer.regions} == {"left"}
+    assert tool_tasks.find_alike(opened.folder, tmp_path, (), "Oven") is None
 
 
 def test_all_parts_says_how_far_it_is_and_can_be_stopped(chest):

@@ -8,7 +8,7 @@ from typing import Any
 import viser
 
 from app.server.open_object import OpenObject
-from app.server.tool_tasks import object_name
+from app.server.tool_tasks import LikeOffer, object_name
 from app.viewer.input.pointing import Pointing
 from app.viewer.panels.comments import Instructions
 from app.viewer.panels.extracting import SourcePanel
@@ -105,7 +105,7 @@ class AnnotateStep:
         if obj is None or offer is None:
             return
         count = obj.likeness.take(self._tab.user)
-        self._tab.notify(*words.alike_taken(count, object_name(offer.folder)), "green")
+        self._tab.notify(*words.alike_taken(count, _name_of(offer)), "green")
 
     @property
     def likely_category(self) -> str | None:
@@ -164,6 +164,8 @@ class AnnotateStep:
             self._category.show(doc.category, not picking)
             asked = doc.category is None and not picking and doc.review.state != "accepted"
             self._guess.show(asked)
+            obj.likeness.likely = obj.likeness.likely or self.likely_category
+            obj.likeness.update()
             self.parts.draw(doc, shares, self.likely_category)
             asset = obj.asset
             self._prompts.draw(doc, "face" if asset is None else asset.element_kind)
@@ -183,7 +185,7 @@ class AnnotateStep:
         put(self._to_prepare, visible=noticed is not None)
         alike = None if sure or noticed or selection.picking else obj.likeness.wanted
         if alike is not None:
-            put(self._alike, label=words.take_alike(len(alike.regions), object_name(alike.folder)))
+            put(self._alike, label=words.take_alike(len(alike.regions), _name_of(alike)))
         put(self._alike, visible=alike is not None)
         mine = [p for p in doc.prompts if p.part == selection.part]
         put(self._room, label=words.EXCLUDE_ROOM if whole else words.EXTRACT)
@@ -209,3 +211,7 @@ class AnnotateStep:
         else:
             text = f"{words.REFINE} {words.DELETE_PART}" if selection.part else words.REFINE
         put(self._hint, content=text)
+
+
+def _name_of(offer: LikeOffer) -> str:
+    return object_name(offer.folder) or words.of_a_kind(offer.known)

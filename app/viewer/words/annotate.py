@@ -63,15 +63,18 @@ def part_button(part: int, name: str, share: str, hidden: bool) -> str:
     return " · ".join(w for w in words if w) + (" (hidden)" if hidden else "")
 
 
+of_a_kind = Message("{known} accepted objects")
+
+
 def take_alike(count: int, name: str) -> str:
-    """The button that takes the parts of an accepted object."""
-    return f"Like {name}: use its {count} {plural('part', count)} (Enter)"
+    """The button that takes the parts that accepted objects have."""
+    return f"Like {name}: take {count} {plural('part', count)} (Enter)"
 
 
 def alike_taken(count: int, name: str) -> tuple[str, str]:
-    """Its parts were taken: title and text."""
-    text = f"{count} {plural('part', count)} with their names. P takes its joints; undo reverts"
-    return f"Like {name}", text
+    """Their parts were taken: title and text."""
+    text = f"{count} {plural('part', count)} with their names. P predicts joints as accepted ones"
+    return f"Like {name}", f"{text} have them; undo reverts"
 
 
 category_set = Message("Category: {category}")
