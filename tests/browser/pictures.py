@@ -301,7 +301,6 @@ def scene(taking: Taking) -> None:
     tab.button("Gallery or list").click()
     tab.page.locator(".aw-bulk button").first.click()
     tab.page.get_by_label("Minimum confidence in percent").fill("50")
-    tab.button("Check those that nobody has checked").click()
     tab.button("Accept those that passed the checks").click()
     tab.page.keyboard.press("Escape")
     wait_until(
