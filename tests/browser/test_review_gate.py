@@ -124,6 +124,7 @@ def test_see_the_worst_moment_mend_and_accept_with_a_reason(
     joint_button(tab, "Accept anyway").click()
     wait_until(lambda: obj.document.saved is not None, "saved")
     assert obj.document.review.override == "the shelf is soft"
+    tab.button("Flip").first.wait_for(state="hidden")  # what is accepted is reopened before
     record = json.loads((Path(obj.document.saved.folder) / "provenance.json").read_text())
     assert (record["gate"]["verdict"], record["gate"]["override"]) == (
         "broken",

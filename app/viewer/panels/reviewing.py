@@ -229,7 +229,8 @@ class ValidationList:
             # The joints have changed, and what was shown with them.
             self._shown = None
             self._motion.clear_moment()
-        key = None if report is None else (report, tuple(doc.part_names.items()))
+        edited = doc.review.state != "accepted"
+        key = None if report is None else (report, tuple(doc.part_names.items()), edited)
         if key == self._key:
             return
         self._key = key
@@ -259,7 +260,7 @@ class ValidationList:
         if len(group) > 2:
             lines.append(words.also(plain(", ".join(titles[2:]), 200)))
         self._rows += [button, gui.add_markdown("  \n".join(lines))]
-        if report.fixes:
+        if report.fixes and doc.review.state != "accepted":
             kinds: dict[str, FixKind] = {
                 f"{words.FIXES[f.kind]} {f.value}".strip(): f.kind for f in report.fixes
             }
