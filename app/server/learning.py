@@ -58,7 +58,11 @@ class Likeness:
         """Look for an object like it, as long as nobody worked on it, when it is encoded."""
         obj = self._obj
         asset, doc = obj.asset, obj.document
-        if asset is None or asset.folder != self._encoded or not _untouched(doc):
+        if asset is None or asset.folder != self._encoded:
+            return
+        if not _untouched(doc):
+            obj.jobs.cancel("like")
+            self._asked = self._asked if self.offer else ()
             return
         assets = self._accepted(doc)
         category = doc.category or self.likely
@@ -119,13 +123,8 @@ class Likeness:
 
     def _accepted(self, doc: Document) -> tuple[Path, ...]:
         obj = self._obj
-        records = [
-            r
-            for r in obj.services.queue.records()
-            if r.state == "accepted" and r.id != obj.record.id
-        ]
-        records.sort(key=lambda r: r.updated, reverse=True)
-        records.sort(key=lambda r: doc.category is None or r.category != doc.category)
+        records = [r for r in obj.services.queue.records() if r.state == "accepted"]
+        records.sort(key=lambda r: (r.category == (doc.category or ""), r.updated), reverse=True)
         folders = (asset_folder(obj.services.workspace, r) for r in records[:MOST])
         return tuple(folder for folder in folders if folder.is_dir())
 
