@@ -37,9 +37,9 @@ class Likeness:
     """Similarity of an open object to the workspace's accepted ones.
 
     Attributes:
-        offer: the parts of the most similar one, or by those of its kind; None where there are
-            none, or not yet.
-        likely: the category of an object that has none.
+        offer: the parts of the one of the same shape, or parts like those of its category; None
+            where there are none, or not yet.
+        likely: category that is guessed for an object without one.
     """
 
     def __init__(self, obj: ObjectContext) -> None:
@@ -61,8 +61,9 @@ class Likeness:
         if asset is None or asset.folder != self._encoded:
             return
         if not _untouched(doc):
-            obj.jobs.cancel("like")
-            self._asked = self._asked if self.offer else ()
+            if "like" in obj.jobs:
+                obj.jobs.cancel("like")
+                self._asked = ()  # again once that work is undone
             return
         assets = self._accepted(doc)
         category = doc.category or self.likely
@@ -122,10 +123,10 @@ class Likeness:
         return None
 
     def _accepted(self, doc: Document) -> tuple[Path, ...]:
-        obj = self._obj
-        records = [r for r in obj.services.queue.records() if r.state == "accepted"]
+        services, own = self._obj.services, self._obj.record.id
+        records = [r for r in services.queue.records() if r.state == "accepted" and r.id != own]
         records.sort(key=lambda r: (r.category == (doc.category or ""), r.updated), reverse=True)
-        folders = (asset_folder(obj.services.workspace, r) for r in records[:MOST])
+        folders = (asset_folder(services.workspace, r) for r in records[:MOST])
         return tuple(folder for folder in folders if folder.is_dir())
 
 

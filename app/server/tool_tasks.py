@@ -514,10 +514,10 @@ class LikeOffer:
     """Parts that accepted objects have where this one has them, too.
 
     Attributes:
-        folder: name of the accepted asset's folder whose shape it has; "" for a kind of objects.
+        folder: of the accepted asset of the same shape; "" where a category is followed.
         regions: of the parts, with their names.
         category: of the accepted objects.
-        known: accepted objects of that kind that it was compared with.
+        known: accepted objects that it was compared with.
     """
 
     folder: str
@@ -534,7 +534,7 @@ def find_alike(
     progress: Progress = no_progress,
 ) -> LikeOffer | None:
     """Return the parts of the accepted asset that fits best; where none fits well, those that *All
-    parts* finds by the accepted objects of the kind; None where neither tells any.
+    parts* finds by the accepted objects of the category; None where these don't help.
 
     Args:
         folder: of the working copy. assets: folders of accepted assets, likeliest first.

@@ -46,7 +46,7 @@ class ProposedParts(PartSegmentation):
 def proposed(
     session: DefaultSession, masks: Iterable[Bool], names: Sequence[str], known: int = 0
 ) -> ProposedParts:
-    """Parts of superpoints, (C,) a mask, later ones over earlier ones; the rest is the base."""
+    """Label elements by (C,) masks of superpoints: later ones win, the rest is the base."""
     of_superpoint = np.full(len(session.encoding.superpoints), BASE, np.int16)
     for part, mask in enumerate(masks, start=BASE + 1):
         of_superpoint[mask] = part

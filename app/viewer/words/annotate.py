@@ -73,8 +73,8 @@ def take_alike(count: int, name: str) -> str:
 
 def alike_taken(count: int, name: str) -> tuple[str, str]:
     """Their parts were taken: title and text."""
-    text = f"{count} {plural('part', count)} with their names. P predicts joints as accepted ones"
-    return f"Like {name}", f"{text} have them; undo reverts"
+    text = f"{count} {plural('part', count)} with names. P predicts their joints; undo reverts"
+    return f"Like {name}", text
 
 
 category_set = Message("Category: {category}")
