@@ -345,16 +345,18 @@ class OpenObject(ObjectContext):
 
     def _ended(self, what: str, job: Job[Any], keep: Callable[[Any], None]) -> None:
         newest = self.jobs.drop(what, job)
-        if what == "encode":
-            self._warm_up()
         if what == "open":
             self._worker_died = isinstance(job.error, JobFailed)
         error = self.jobs.deliver(what, job, keep)
+        if self.services.workers.closing:
+            return
+        if what == "encode":
+            self._warm_up()
         if what == "prepare" and error is None and not (self.is_shown or self.preparing.tilt):
             self.segmenting.prepare()
         if what == "encode" and error is None:
             self.likeness.encoded()
-        if what == "save" and not self.services.workers.closing:
+        if what == "save":
             self.services.acceptances.end(self.record.id)
         if isinstance(error, OutOfTimeError):
             self._failed(what, too_slow(self.record.name))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 from contextlib import nullcontext
 from types import SimpleNamespace
 from typing import Any
@@ -112,7 +113,12 @@ def test_handles_go_with_what_the_joint_hangs_on_and_give_the_axis_at_rest() -> 
     motion.q = {"lower": math.pi / 2}
     motion.handles.draw()
     np.testing.assert_allclose(handles.position, (0, -0.5, 0.1), atol=1e-9)
-    motion.set_q("lower", 0.0)
+    with selection.lock:  # as while the screen is drawn
+        posed = threading.Thread(target=motion.set_q, args=("lower", 0.0))
+        posed.start()
+        posed.join(0.1)
+        np.testing.assert_allclose(handles.position, (0, -0.5, 0.1), atol=1e-9)
+    posed.join()
     np.testing.assert_allclose(handles.position, UPPER.origin, atol=1e-9)
     motion.set_q("lower", math.pi / 2)
     handles.position = (0, -0.6, 0.1)  # a person pulls them on, by as far as the arm is long then

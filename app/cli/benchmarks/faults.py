@@ -197,10 +197,10 @@ def timed_click(browser: SimulatedBrowser, app: Any, rng: np.random.Generator) -
 
 
 def _open(server: Any, app: Any, worst: list[Path], end: float) -> Counter[str]:
-    """Open the worst files one after the other, each time as new; what became of them."""
+    """Open the worst files one after the other, each at least once and as new; their fates."""
     files: Counter[str] = Counter()
     for number, path in enumerate(itertools.cycle(worst)):
-        if time.perf_counter() > end:
+        if number >= len(worst) and time.perf_counter() > end:
             break
         again = path.with_name(f"{number}-{path.name}")
         os.link(path, again)

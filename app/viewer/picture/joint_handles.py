@@ -424,7 +424,7 @@ class LimitHandles:
         gauge = self.gauge
         assert gauge is not None and joint.lower is not None and joint.upper is not None
         q = joint.lower if side == "lower" else joint.upper
-        with self._tab.client.atomic():
+        with self._tab.selection.lock, self._tab.client.atomic():
             self._nodes["line"].points = gauge.line(joint.lower, joint.upper)
             self._nodes[side].position = gauge.place(q)
             self._nodes[f"{side} label"].text = limit_label(side, q, joint.rotates)

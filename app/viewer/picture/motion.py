@@ -198,7 +198,8 @@ class Motion:
         if self._moment is not None and self.q != self._moment:
             self.clear_moment()
         poses = tree.pose(self.q)
-        with self._tab.client.atomic():
+        # While the screen is drawn, handles come and go.
+        with self._tab.selection.lock, self._tab.client.atomic():
             self._picture.parts.pose(poses)
             self._picture.marks.pose(poses)
             self.handles.place(poses)
