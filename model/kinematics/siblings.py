@@ -9,8 +9,9 @@ Of 44 pairs of one name in scans there all 36 equal ones are found, and 4 of nea
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -20,7 +21,8 @@ from scipy.spatial import KDTree
 from model.core.articulated_object import Part
 from model.core.geometry import affine
 from model.core.joint import Joint
-from model.core.tree import moved_joint
+from model.core.names import words
+from model.core.tree import KinematicTree, moved_joint
 
 Float = npt.NDArray[np.float64]
 
@@ -38,8 +40,8 @@ HINGE = 0.2
 
 
 def namesakes(a: Part, b: Part) -> bool:
-    """True if two parts may be equal by their names: a drawer's front is no door."""
-    return a.name == b.name or not (a.name and b.name)
+    """True if two parts may be equal by their names, numbers aside: a drawer's front is no door."""
+    return words(a.name) == words(b.name) or not (a.name and b.name)
 
 
 def images(a: Float, b: Float, within: Tolerance = EXACT) -> Iterator[Float]:
@@ -104,3 +106,22 @@ def move_alike(joint: Joint, own: Joint, a: Float, b: Float) -> bool:
     """True if part ``b`` moves by ``own`` as ``a`` does by ``joint``; neither shape is compared."""
     size = float(np.linalg.norm(np.ptp(b, axis=0)))
     return any(alike(carried(joint, own, image), own, size) for image in images(a, b))
+
+
+def as_sure_as_siblings(
+    confidence: Mapping[str, float], tree: KinematicTree, parts: Iterable[Part]
+) -> dict[str, float]:
+    """Return child link → confidence, raised to that of the surest part of the same name and size
+    which moves in the same way: what one knob of a row shows more clearly holds for all of them."""
+    boxes = {p.link: (p, p.bounds) for p in parts}
+    joints = [j for j in tree.joints if j.moves and j.child in confidence and j.child in boxes]
+    out = dict(confidence)
+    for own, other in itertools.permutations(joints, 2):
+        (part, box), (sibling, there) = boxes[own.child], boxes[other.child]
+        surer = confidence[other.child] > out[own.child] and own.type == other.type
+        if surer and namesakes(part, sibling):
+            size = float(np.linalg.norm(np.ptp(box, axis=0)))
+            shift = next(images(there, box, SCANNED), None)
+            if shift is not None and alike(carried(other, own, shift), own, size):
+                out[own.child] = confidence[other.child]
+    return out

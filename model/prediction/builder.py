@@ -20,11 +20,12 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from model.core.articulated_object import Prediction
+from model.core.articulated_object import Part, Prediction
 from model.core.errors import InputFileError, KinematicsError
 from model.core.files import static_assets
 from model.core.joint import Joint
 from model.core.tree import KinematicTree
+from model.kinematics.siblings import as_sure_as_siblings
 
 SWITCHES = (
     *"network, names, front, contact with other parts, leaves of one front, chains".split(", "),
@@ -181,7 +182,7 @@ class PredictionBuilder:
     """Collects joints with their evidence and assembles the prediction.
 
     Attributes:
-        links: of the parts. locked: joints fixed by a person, kept unchanged.
+        parts: of the object. locked: joints fixed by a person, kept unchanged.
         confidence_model: of the predictor. problems: human-readable.
         evidence: child link → evidence of its joint.
         alternatives: see :class:`~model.core.articulated_object.Prediction`.
@@ -189,7 +190,7 @@ class PredictionBuilder:
             a confidence that is lower.
     """
 
-    links: tuple[str, ...]
+    parts: tuple[Part, ...]
     locked: tuple[Joint, ...]
     confidence_model: ConfidenceModel
     problems: list[str] = field(default_factory=list)
@@ -217,6 +218,8 @@ class PredictionBuilder:
         right, joints = self.checked
         own = {k: self.confidence_model.confidence(e) for k, e in self.evidence.items()}
         raised = {k: max(c, (BELIEF * c + right) / (BELIEF + joints)) for k, c in own.items()}
+        if tree is not None:
+            raised = as_sure_as_siblings(raised, tree, self.parts)
         confidence = {k: round(min(c, MAX_CONFIDENCE), 4) for k, c in raised.items()}
         confidence |= {j.child: 1.0 for j in self.locked}
         return Prediction(
@@ -232,9 +235,10 @@ class PredictionBuilder:
         )
 
     def _tree(self) -> KinematicTree | None:
-        known = {*self.links, *self._helpers}
+        links = tuple(p.link for p in self.parts)
+        known = {*links, *self._helpers}
         ends = (end for j in self.locked for end in (j.parent, j.child) if end not in known)
-        links = (*self.links, *self._helpers, *dict.fromkeys(ends))
+        links = (*links, *self._helpers, *dict.fromkeys(ends))
         taken = {j.name for j in self.locked}
         joints = (
             replace(j, name=f"{j.name}_predicted") if j.name in taken else j for j in self._joints

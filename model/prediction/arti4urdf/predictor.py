@@ -202,7 +202,7 @@ class Arti4UrdfPredictor:
         """
         links = tuple(p.link for p in segmented.parts)
         kind = "arti4urdf" if self.hybrid is None else "hybrid"
-        builder = PredictionBuilder(links, locked, load_confidence(kind))
+        builder = PredictionBuilder(segmented.parts, locked, load_confidence(kind))
         progress(0.0, "finding candidates")
         if structure is None:
             structure = read_structure(

@@ -61,7 +61,7 @@ class GeometricPredictor:
     ) -> tuple[Prediction, dict[str, Evidence]]:
         """The prediction, and the evidence for its confidences by child link."""
         links = tuple(p.link for p in segmented.parts)
-        builder = PredictionBuilder(links, locked, load_confidence(self.name))
+        builder = PredictionBuilder(segmented.parts, locked, load_confidence(self.name))
         progress(0.0, "sampling surfaces")
         sampled = sample_object(segmented, seed)
         progress(0.3, "finding contacts")

@@ -7,8 +7,17 @@ import numpy as np
 import pytest
 
 from model.core.errors import InputFileError
-from model.prediction.builder import MAX_CONFIDENCE, fit, least_certain, load_confidence, log_odds
+from model.core.joint import Joint
+from model.prediction.builder import (
+    MAX_CONFIDENCE,
+    PredictionBuilder,
+    fit,
+    least_certain,
+    load_confidence,
+    log_odds,
+)
 from model.prediction.registry import PREDICTORS
+from tests.builders import box, part, slide
 
 
 def test_the_fit_is_calibrated() -> None:
@@ -55,3 +64,20 @@ def test_the_least_certain_decision_is_named() -> None:
         least_certain(evidence | {"slot network": -1.0, "type rules": 0.5}) == "Least certain: axis"
     )
     assert log_odds(1.0) == -log_odds(0.0) == 6.0
+
+
+def test_what_one_of_a_row_shows_holds_for_its_equals() -> None:
+    """Two knobs in a row are equally sure; one that slides, and one that is larger, aren't."""
+    rows = {"knob 1": (0.0, 0.1), "knob 2": (0.3, 0.1), "knob 3": (0.6, 0.1), "knob 4": (0.9, 0.2)}
+    parts = [part("link_0", box((0, 0, 0), (1.2, 1, 1)), name="body")]
+    for k, (name, (x, size)) in enumerate(rows.items(), 1):
+        parts.append(part(f"link_{k}", box((x, -0.1, 0.5), (x + size, 0, 0.5 + size)), name=name))
+    builder = PredictionBuilder(tuple(parts), (), load_confidence("hybrid"))
+    for k, (x, size) in enumerate(rows.values(), 1):
+        middle = (x + size / 2, -0.05, 0.5 + size / 2)
+        turn = Joint(f"j{k}", "continuous", "link_0", f"link_{k}", (0.0, 1.0, 0.0), middle)
+        moves = slide(f"j{k}", f"link_{k}", 0.01) if k == 3 else turn
+        builder.add([moves], {"slot rules": (-5.0, 5.0, -3.0, -2.0)[k - 1]}, "")
+    found = builder.build("rules", 0).confidence
+    own = {k: builder.confidence_model.confidence(e) for k, e in builder.evidence.items()}
+    assert found == own | {"link_1": own["link_2"]} and own["link_1"] < own["link_2"]

@@ -88,8 +88,7 @@ def test_choices_that_follow_the_labels_are_usable(
 
     monkeypatch.setattr(batches, "Grammar", Recorded)
     teacher_forced(make_prompt(structure, segmented, 0), labels, np.random.default_rng(0))
-    links = tuple(s.link for s in structure.sampled.shapes)
-    builder = PredictionBuilder(links, (), load_confidence("hybrid"))
+    builder = PredictionBuilder(structure.sampled.parts, (), load_confidence("hybrid"))
     for i, decision in enumerate(grammars[0].decisions):
         if i != grammars[0].root:
             builder.add(joints_of_decision(structure, i, decision), {}, "")
