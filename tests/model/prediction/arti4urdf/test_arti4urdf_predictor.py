@@ -159,6 +159,7 @@ def test_what_a_confidence_is_made_of(tiny_model: ArtiModel, hybrid: HybridSetti
     found, known = predictor.predict_with_evidence(segmented)
     assert set(known) == set(found.confidence) == set(found.notes)
     confidence_model = load_confidence("arti4urdf" if hybrid is None else "hybrid")
-    for link, evidence in known.items():
-        assert set(confidence_model.names) <= set(evidence)
-        assert found.confidence[link] == confidence_model.confidence(evidence)
+    assert all(set(confidence_model.names) <= set(evidence) for evidence in known.values())
+    own = {link: confidence_model.confidence(evidence) for link, evidence in known.items()}
+    # Its own, or that of an equal part.
+    assert all(own[k] <= c and c in own.values() for k, c in found.confidence.items())
