@@ -38,7 +38,7 @@ from model.prediction.experience import Experience, ObjectExample, example_of, p
 from model.prediction.experience import kind_of as example_kind
 from model.segmentation.all_parts import mask_examples, propose_parts
 from model.segmentation.default import DefaultSegmenter
-from model.segmentation.similar import MaskExample
+from model.segmentation.similar import MaskTable
 
 SPLITS = {"choose": "train:0.5", "table": "test:0.5", "all": "all"}
 """Half → split, see :func:`model.data.registry.select`."""
@@ -261,7 +261,7 @@ def _predicted(
 
 
 def _parts(
-    truth: ArticulatedObject, how: Parts, masks: Sequence[Sequence[MaskExample]]
+    truth: ArticulatedObject, how: Parts, masks: Sequence[MaskTable]
 ) -> list[tuple[tuple[Part, ...], Counts]]:
     """The parts that are predicted alone and with examples, and how many were found, are right,
     and are there, the base aside.

@@ -27,7 +27,7 @@ from model.core.names import category_key
 from model.core.tree import moving_chain
 from model.prediction.geometric.sampled_object import SampledObject
 from model.prediction.geometric.shape import PartShape
-from model.segmentation.similar import MaskExample
+from model.segmentation.similar import MaskExample, MaskTable
 
 Array = npt.NDArray[np.float64]
 Vector = tuple[float, float, float]
@@ -135,11 +135,11 @@ class Experience:
         used = (o for o in self.objects if kind_of(o.category) not in self.unused)
         return tuple(o for o in used if not kind or kind_of(o.category) in (kind, ""))
 
-    def masks_of(self, category: str | None) -> tuple[tuple[MaskExample, ...], ...]:
+    def masks_of(self, category: str | None) -> tuple[MaskTable, ...]:
         """The masks of each object of a kind; none where the kind isn't known."""
         kind = kind_of(category)
-        own = (o.masks for o in self.objects if kind and kind_of(o.category) == kind)
-        return tuple(masks for masks in own if masks)
+        own = (o for o in self.objects if kind and kind_of(o.category) == kind and o.masks)
+        return tuple(MaskTable.of(o.masks or (), (p.name for p in o.parts)) for o in own)
 
 
 def kind_of(category: str | None) -> str:
@@ -273,7 +273,7 @@ def chosen_by_person(workspace: Path) -> bool:
         return False
 
 
-def masks_in_use(workspace: Path, category: str | None) -> tuple[tuple[MaskExample, ...], ...]:
+def masks_in_use(workspace: Path, category: str | None) -> tuple[MaskTable, ...]:
     """The masks of each accepted object of a kind in the version that a workspace uses.
 
     Raises:

@@ -30,6 +30,7 @@ from model.segmentation.similar import (
     MaskTable,
     ProposedParts,
     by_examples,
+    counted,
     proposed,
     telling,
 )
@@ -224,8 +225,9 @@ def exclusive_parts(worth: Float, common: Float, least: float) -> list[int]:
     return chosen
 
 
-WORTH = -1.0
-"""Log-odds below which a mask of an object is no part."""
+WORTH, FOLLOWED = -1.0, -1.5
+"""Log-odds below which a mask of an object is no part, also beside examples; chosen on Infinigen's
+choosing half."""
 _ROOM_VOTES = 8
 """Masks that each superpoint votes for in a room."""
 _LEAST = 0.3
@@ -313,7 +315,7 @@ def propose_parts(
     session: DefaultSession,
     seeds: int = 160,
     progress: Progress = no_progress,
-    known: Sequence[Sequence[MaskExample]] = (),
+    known: Sequence[MaskTable] = (),
 ) -> ProposedParts:
     """A first guess of all parts, to start from.
 
@@ -333,7 +335,9 @@ def propose_parts(
     voted, table = scored
     followed = telling(known)
     worth, names = by_examples(table, followed)
-    rows = exclusive_parts(worth, voted.common, WORTH)
+    rows = exclusive_parts(worth, voted.common, FOLLOWED if followed else WORTH)
+    if followed:
+        rows = counted(rows, worth, names, followed)
     rows.sort(key=lambda row: -float(superpoints.size[voted.masks[row]].sum()))
     return proposed(session, voted.masks[rows], [names[row] for row in rows], len(followed))
 

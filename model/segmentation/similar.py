@@ -9,8 +9,9 @@ which of its own are parts.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -333,19 +334,21 @@ class MaskTable:
 
     Attributes:
         worth: (M,). place, half: (M, 3). parts: of accepted objects, (M,) names or None.
+        counts: of their parts of each name.
     """
 
     worth: Float
     place: Float64
     half: Float64
     parts: tuple[str | None, ...] = ()
+    counts: Counter[str] = field(default_factory=Counter)
 
     @classmethod
-    def of(cls, masks: Sequence[MaskExample]) -> MaskTable:
-        """The masks of an accepted object."""
+    def of(cls, masks: Sequence[MaskExample], named: Iterable[str] = ()) -> MaskTable:
+        """The masks of an accepted object, and the names of its parts."""
         worth, place, half = zip(*((m.worth, m.place, m.half) for m in masks), strict=True)
         parts = tuple(m.part for m in masks)
-        return cls(np.array(worth), np.array(place), np.array(half), parts)
+        return cls(np.array(worth), np.array(place), np.array(half), parts, Counter(named))
 
     @cached_property
     def right(self) -> Bool:
@@ -353,16 +356,13 @@ class MaskTable:
         return np.array([part is not None for part in self.parts])
 
 
-def telling(known: Sequence[Sequence[MaskExample]]) -> list[MaskTable]:
+def telling(known: Sequence[MaskTable]) -> Sequence[MaskTable]:
     """The masks of accepted objects of a kind, where they tell the parts of each other.
 
     Each object's masks are sorted by themselves, and by those of the others; its parts have to come
     earlier in the mean (average precision).
-
-    Args:
-        known: masks of each object.
     """
-    tables = [MaskTable.of(masks) for masks in known[-_MOST:]]
+    tables = known[-_MOST:]
     gained = 0.0
     for one in tables:
         others = [t for t in tables if t is not one]
@@ -399,6 +399,26 @@ def by_examples(own: MaskTable, known: Sequence[MaskTable]) -> tuple[Float, list
             nearest[k], names[k] = cost[k, best], table.parts[best] or ""
     by_itself, by_likeness, summand = _BY_EXAMPLES
     return by_itself * own.worth + by_likeness * np.log(right / wrong) + summand, names
+
+
+def counted(
+    rows: Iterable[int], worth: Float, names: Sequence[str], known: Sequence[MaskTable]
+) -> list[int]:
+    """Masks of which an accepted object has as many parts of their name, the likeliest first, and
+    further ones that are likelier than not.
+
+    Args:
+        rows: of masks that exclude each other. worth, names: see :func:`by_examples`.
+    """
+    most, seen = Counter[str](), Counter[str]()
+    for table in known:
+        most |= table.counts
+    kept = []
+    for row in sorted(rows, key=lambda row: -worth[row]):
+        seen[names[row]] += 1
+        if seen[names[row]] <= most[names[row]] or worth[row] > 0:
+            kept.append(row)
+    return kept
 
 
 def _costs(own: MaskTable, known: MaskTable) -> Float64:

@@ -17,7 +17,7 @@ from model.segmentation.all_parts import (
 from model.segmentation.default import DefaultSession
 from model.segmentation.models import load_mlp
 from model.segmentation.object_features import HISTORY_FEATURES
-from model.segmentation.similar import MaskExample, MaskTable, by_examples, telling
+from model.segmentation.similar import MaskExample, MaskTable, by_examples, counted, telling
 from model.segmentation.solver import overlaps
 from model.training.segmentation.networks import PartMaskTraining, play_masks, train_part_masks
 from model.training.segmentation.visible_objects import MovingPartTraining
@@ -134,7 +134,7 @@ def masks_of(drawers: int, faults: int = 0) -> tuple[MaskExample, ...]:
 
 
 def test_masks_of_accepted_objects_tell_which_are_parts_whatever_their_count_and_turn() -> None:
-    known = telling([masks_of(n) for n in (3, 4, 5)])
+    known = telling([MaskTable.of(masks_of(n)) for n in (3, 4, 5)])
     assert len(known) == 3
     for turn in (np.eye(3), np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1.0]])):
         own = MaskTable.of(masks_of(4))
@@ -150,6 +150,15 @@ def test_accepted_objects_that_tell_nothing_about_each_other_are_not_followed() 
         return (right, *(replace(right, worth=0.0, part=None, place=(x, 0.0, 0.3)) for x in X))
 
     X = (0.4, 0.0, -0.4)
-    assert telling([elsewhere(k) for k in range(3)]) == [] == telling([masks_of(3)]) == telling([])
     own = MaskTable.of(masks_of(3))
+    assert telling([MaskTable.of(elsewhere(k)) for k in range(3)]) == [] == telling([own])
+    assert telling([]) == []
     assert by_examples(own, [])[0] is own.worth
+
+
+def test_there_are_as_many_of_a_name_as_accepted_objects_have_unless_more_are_likely() -> None:
+    known = [MaskTable.of(masks_of(3), names) for names in (["door"], ["door", "drawer", "drawer"])]
+    names = ["door", "drawer", "drawer", "drawer", "door", "lid"]
+    worth = np.array([-1.2, -0.5, -1.4, -0.2, -1.1, -0.1])
+    assert counted(range(6), worth, names, known) == [3, 1, 4]
+    assert counted(range(6), worth + 1.15, names, known) == [5, 3, 1, 4]
