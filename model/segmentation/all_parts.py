@@ -225,9 +225,8 @@ def exclusive_parts(worth: Float, common: Float, least: float) -> list[int]:
     return chosen
 
 
-WORTH, FOLLOWED = -1.0, -1.5
-"""Log-odds below which a mask of an object is no part, also beside examples; chosen on Infinigen's
-choosing half."""
+WORTH = -1.0
+"""Log-odds below which a mask of an object is no part."""
 _ROOM_VOTES = 8
 """Masks that each superpoint votes for in a room."""
 _LEAST = 0.3
@@ -335,7 +334,7 @@ def propose_parts(
     voted, table = scored
     followed = telling(known)
     worth, names = by_examples(table, followed)
-    rows = exclusive_parts(worth, voted.common, FOLLOWED if followed else WORTH)
+    rows = exclusive_parts(worth, voted.common, WORTH)
     if followed:
         rows = counted(rows, worth, names, followed)
     rows.sort(key=lambda row: -float(superpoints.size[voted.masks[row]].sum()))
