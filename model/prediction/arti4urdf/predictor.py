@@ -78,7 +78,12 @@ Array = npt.NDArray[np.float64]
 
 
 def joint_evidence(
-    structure: Structure, answer: Answer, part: int, rules: Array, same: npt.NDArray[np.bool_]
+    structure: Structure,
+    answer: Answer,
+    part: int,
+    rules: Array,
+    same: npt.NDArray[np.bool_],
+    votes: Array | None = None,
 ) -> Evidence:
     """Evidence for the joint of one part.
 
@@ -86,7 +91,11 @@ def joint_evidence(
         structure, answer: of the object. part: its index.
         rules: (P, SIZE) log-probabilities from geometry and names alone.
         same: (P, SLOTS, SLOTS) candidates with the same motion.
+        votes: (SLOTS,) log-shares of its candidates, see :func:`.motion_evidence`.
     """
+    own = rules[part].copy()
+    if votes is not None:
+        own[v.SLOT_IDS] += votes
     decision = answer.decisions[part]
     out = {"parent": log_odds(_parent_probability(answer, part))}
     for kind, chosen in (("type", decision.type), ("slot", decision.slot)):
@@ -94,7 +103,7 @@ def joint_evidence(
         for expert in ("network", "rules"):
             out[f"{kind} {expert}"] = MAX_LOG_ODDS
             if record is not None:
-                share = _share(record, rules[part], chosen, same[part], expert)
+                share = _share(record, own, own - rules[part], chosen, same[part], expert)
                 out[f"{kind} {expert}"] = log_odds(share)
     slot = decision.slot
     mechanism = MECHANISMS[slot // RANKS] if 0 <= slot < SLOTS else None
@@ -121,10 +130,15 @@ def _parent_probability(answer: Answer, part: int) -> float:
 
 
 def _share(
-    record: ChoiceRecord, rules: Array, chosen: int, same: npt.NDArray[np.bool_], expert: str
+    record: ChoiceRecord,
+    rules: Array,
+    votes: Array,
+    chosen: int,
+    same: npt.NDArray[np.bool_],
+    expert: str,
 ) -> float:
     """Probability, 0..1, that one of the two experts alone gives to the answer."""
-    values = record.plain
+    values = record.plain + votes
     if expert == "rules":
         values = np.where(np.isfinite(record.plain), rules, -np.inf)
     weights = softmax(values)
@@ -220,7 +234,7 @@ class Arti4UrdfPredictor:
             known = lessons(self.experience, structure.sampled)
             builder.checked = self.experience.checked.get(kind_of(segmented.category), (0, 0))
         answer = self.answer(prompt, structure, locks, self.prior(rules), known)
-        assembly = None
+        assembly, votes = None, dict[int, Array]()
         if self.hybrid is not None:
             votes = motion_evidence(structure, rules)
             rank = load_motion_ranker()
@@ -232,7 +246,7 @@ class Arti4UrdfPredictor:
             if i == answer.root or link in kept or answer.decisions[i].parent < 0:
                 continue
             joints = joints_of_decision(structure, i, answer.decisions[i], assembly)
-            evidence = joint_evidence(structure, answer, i, rules, same)
+            evidence = joint_evidence(structure, answer, i, rules, same, votes.get(i))
             note, others = _note(structure, answer, i), []
             if i in known:
                 joints, others, share = self.taught_joints(structure, answer, i, known[i], joints)

@@ -144,9 +144,13 @@ HAND, SLENDER_HAND = 0.1, 0.35
 """Least size (diagonals) and largest middle over long extent of a clock hand."""
 ACROSS, UPWARD, PARALLEL = 0.5, 0.9, 0.95
 """Cosines: below the first an axis is across another, above the last it is the same direction."""
-KNOB, EVEN, WHEELS = 0.2, 0.85, {"wheel", "roller", "tire", "caster"}
-"""Largest size (diagonals) of a knob; mean squared cosine between the normals of its panel and
-their mean; names of parts that turn about an axis of their own."""
+KNOB, WHEELS = 0.2, {"wheel", "roller", "tire", "caster"}
+"""Largest size (diagonals) of a knob; names of parts that turn about an axis of their own."""
+OF_PANEL, EVEN = 0.94, 0.5
+"""Cosine between normals of one panel, and their share of those beside a knob."""
+LIKE, EQUALS, BESIDE = 0.75, 8, 32
+"""Least ratio of the sizes of equal knobs; how many of them, and how many points beside each, tell
+their panel's normal."""
 FLAT = 0.35
 """Largest thickness of a front, without its handle, over its shorter side; a choice."""
 BAR = 0.2
@@ -305,6 +309,13 @@ class PartContext:
         return self.parent_shape.normals[np.asarray(index, int)]
 
     @cached_property
+    def _beside(self) -> npt.NDArray[np.int64]:
+        """(K,) the points of the parent that are nearest to the part."""
+        far = self.sampled.distances(self.parent, self.part)
+        nearest = np.argsort(far)[:BESIDE]
+        return nearest[far[nearest] < max(self.shape.size, 0.03)]
+
+    @cached_property
     def surface_normal(self) -> Array | None:
         """(3,) direction shared by most of :attr:`normals_around`; None if they don't agree."""
         normals = self.normals_around
@@ -315,14 +326,37 @@ class PartContext:
 
     @cached_property
     def knob_normal(self) -> Array | None:
-        """(3,) normal of the panel on which a small part sits; None for other parts and wheels."""
-        normal, low = self.surface_normal, self.shape.low[2] - self.sampled.low[2]
-        wheel = low < 0.5 * self.shape.size or WHEELS & set(self.words)
-        if normal is None or wheel or not self.in_contact or self.shape.size > KNOB:
+        """(3,) normal of the panel on which a small part, and those of its name and size, sit; None
+        for other parts, wheels, and those of a mesh that are round about another axis."""
+        if self.shape.size > KNOB or not len(self._beside):
             return None
-        if float(np.mean((self.normals_around @ normal) ** 2)) < EVEN:
+        normals = np.concatenate([self.parent_shape.normals[c._beside] for c in self._equals()])
+        alike = np.abs(normals @ normals.T) > OF_PANEL
+        near = normals[alike[alike.sum(1).argmax()]]
+        if len(normals) < BESIDE / 2 or len(near) < EVEN * len(normals):
+            return None
+        normal = np.linalg.eigh(near.T @ near)[1][:, 2]
+        round_about = None if self.shape.scanned else self.shape.roundest
+        if round_about is not None and abs(float(round_about.axis @ normal)) < PARALLEL:
+            return None
+        low = self.shape.low[2] - self.sampled.low[2]
+        up = self.shape.center - self.parent_shape.points[self._beside].mean(0)
+        on_top = abs(float(normal[2])) > ACROSS and up[2] > 0  # of something flat, as a hob
+        if WHEELS & set(self.words) or (low < 0.5 * self.shape.size and not on_top):
             return None
         return snapped(normal, np.eye(3), SQUARE)
+
+    def _equals(self) -> list[PartContext]:
+        """The part, and the nearest others on its parent of the same words and about its size."""
+        found = [
+            PartContext(self.assembly, j)
+            for j, s in enumerate(self.sampled.shapes)
+            if self.assembly.parent[j] == self.parent
+            and words(s.name) == self.words
+            and LIKE < s.size / max(self.shape.size, NOTHING) < 1 / LIKE
+        ]
+        found.sort(key=lambda c: float(np.linalg.norm(c.shape.center - self.shape.center)))
+        return found[:EQUALS]
 
     @cached_property
     def front_normal(self) -> Array | None:

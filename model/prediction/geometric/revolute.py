@@ -44,8 +44,9 @@ MIN_RANGE = 0.2
 """Collision-free range (rad) below which the pin is misplaced, so that its range is meaningless."""
 SPINDLE = 1.0
 """Score of a lever's axis across the leaf that holds it; chosen by us, not tuned."""
-ON_PANEL, ALONG = 2.0, 0.98
-"""Score of a knob's axis along its panel's normal, and cosine of an axis that is along it."""
+ON_PANEL, KNOB_AXIS, ALONG = 2.0, 5.5, 0.98
+"""What an axis of symmetry gains along the normal of a knob's panel; score of the normal itself, as
+of such an axis; cosine from which one is along the other."""
 OF_OBJECT, ROUGH = 0.9995, 0.11
 """Cosine to a direction of the object; spread of radii over their mean of what is barely round."""
 SWING_UP, SWING_DOWN, QUARTER, LEVER_TURN = (-1.5, 1.5), (-0.8, 2.4), 1.57, 1.571
@@ -297,17 +298,20 @@ def spin_proposals(context: PartContext) -> list[JointProposal]:
         zip(map(tuple, context.directions.round(6)), context.outwardness, strict=True)
     )
     rough = shape.scanned and shape.size < 60 * shape.noise
-    found, normal = [], context.knob_normal
-    if normal is not None and all(abs(r.axis @ normal) < ALONG for r in shape.roundnesses):
-        found.append(_continuous(normal, shape.center, ON_PANEL, "normal to its panel"))
-    for r in shape.roundnesses:
-        if rough and np.abs(r.axis).max() < OF_OBJECT:
-            continue  # too noisy for directions of its own
+    found, normal, axes = [], context.knob_normal, shape.roundnesses
+    least = KNOB_AXIS if shape.scanned else 0.0  # a mesh shows its own axis
+    if rough:  # too noisy for directions of its own
+        axes = [r for r in axes if np.abs(r.axis).max() >= OF_OBJECT]
+    if normal is not None and all(abs(r.axis @ normal) < ALONG for r in axes):
+        found.append(_continuous(normal, shape.center, max(ON_PANEL, least), "normal to its panel"))
+    for r in axes:
         score, origin = _spin_score(context, r, outwardness, wheel)
-        score += 0.0 if normal is None else ON_PANEL * abs(float(r.axis @ normal))
+        upright = 0.0 if normal is None else abs(float(r.axis @ normal))
+        score += ON_PANEL * upright
+        score = score if upright < ALONG else max(score, least)
         reason = SYMMETRY if r.round else "through its centre, barely round"
         found.append(_continuous(r.axis, origin, score, reason))
-    ball = shape.ball and shape.size > 25 * shape.noise
+    ball = normal is None and shape.ball and shape.size > 25 * shape.noise
     poles = _poles(context) if ball and not wheel else None
     if poles is not None:
         found.append(_continuous(poles, shape.center, 4.5, "between its two supports"))

@@ -112,3 +112,33 @@ def test_a_badly_cut_knob_turns_about_the_normal_of_its_panel(height, noise, cut
     assert found.tree is not None and len(found.tree.joints) == 3
     for joint in found.tree.joints:
         assert joint.type == "continuous" and abs(joint.axis[1]) > 0.98, joint
+
+
+@pytest.mark.parametrize(("tilt", "height"), [(30, 0.8), (45, 0.8), (90, 0.04)])
+def test_scanned_knobs_on_a_slope_or_a_flat_hob_turn_about_its_normal(tilt, height) -> None:
+    rng = np.random.default_rng(1)
+    normal, along = unit_yz(tilt - 90), unit_yz(tilt)
+    low, wide, up = np.array([0, 0, height]), (0.6, 0, 0), 0.14 * along
+    body = [sheet((0, 0, 0), wide, low, 5000, rng), sheet(low, wide, up, 1500, rng)]
+    body.append(sheet(low + up, wide, (0, 0.45, 0), 4000, rng))
+    parts = [Part("link_0", cloud=merged_clouds(tuple(body)))]
+    for k in range(3):
+        turn, cap = 2 * np.pi * rng.random(320), np.arange(320) < 220
+        radius = 0.018 * np.where(cap, np.sqrt(rng.random(320)), 1)
+        out = 0.016 * np.where(cap, 1, rng.random(320))
+        points = low + up / 2 + np.outer(out, normal) + np.outer(radius * np.sin(turn), along)
+        points[:, 0] += 0.15 * (k + 1) + radius * np.cos(turn)
+        points += rng.normal(0, 0.001, points.shape)
+        parts.append(
+            Part(f"link_{k + 1}", cloud=PointCloud(points.astype(np.float32)), name="knob")
+        )
+    found = load_predictor(DEFAULT).predict(SegmentedObject("stove", tuple(parts), "Oven"))
+    assert found.tree is not None
+    for joint in found.tree.joints:
+        assert joint.type == "continuous" and abs(joint.axis @ normal) > 0.98, joint
+    assert min(found.confidence.values()) > 0.5
+
+
+def unit_yz(degrees: float) -> np.ndarray:
+    """(3,) the direction so far from z towards y."""
+    return np.array([0, np.sin(np.radians(degrees)), np.cos(np.radians(degrees))])
