@@ -33,9 +33,9 @@ def test_a_limit_that_rises_is_told_and_one_that_falls_is_not():
 def test_an_allowance_raises_the_lines_by_what_was_used_and_no_more_than_it_says():
     used = tomllib.loads(TEXT)["allowances"]["real scans and their waiting"]["used"]
     entry = '"real scans and their waiting" = { most = 900, used = '
-    spent = TEXT.replace(f"{entry}{used}", f"{entry}{used + 40}")
-    assert limits_of(spent)["house"]["lines"] == limits_of(TEXT)["house"]["lines"] + 40
-    assert limits_of(spent)["packages"]["app"] == limits_of(TEXT)["packages"]["app"] + 40
+    spent = TEXT.replace(f"{entry}{used}", f"{entry}{used + 1}")
+    assert limits_of(spent)["house"]["lines"] == limits_of(TEXT)["house"]["lines"] + 1
+    assert limits_of(spent)["packages"]["app"] == limits_of(TEXT)["packages"]["app"] + 1
     with pytest.raises(ValueError, match="used 9999 of 900"):
         limits_of(TEXT.replace(f"{entry}{used}", f"{entry}9999"))
 
