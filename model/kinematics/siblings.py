@@ -113,7 +113,12 @@ def as_sure_as_siblings(
 ) -> dict[str, float]:
     """Return child link → confidence, raised to that of the surest part of the same name and size
     which moves in the same way: what one knob of a row shows more clearly holds for all of them."""
-    boxes = {p.link: (p, p.bounds) for p in parts}
+    sides = (SCANNED[0], 100 - SCANNED[0])  # a few points of a scan lie far off
+    boxes: dict[str, tuple[Part, Float]] = {}
+    for each in parts:
+        cloud = each.cloud
+        box = each.bounds if cloud is None else np.percentile(cloud.points, sides, axis=0)
+        boxes[each.link] = each, np.asarray(box, np.float64)
     joints = [j for j in tree.joints if j.moves and j.child in confidence and j.child in boxes]
     out = dict(confidence)
     for own, other in itertools.permutations(joints, 2):

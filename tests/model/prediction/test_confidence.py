@@ -6,7 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from model.core.articulated_object import Part
 from model.core.errors import InputFileError
+from model.core.geometry import PointCloud
 from model.core.joint import Joint
 from model.prediction.builder import (
     MAX_CONFIDENCE,
@@ -66,12 +68,17 @@ def test_the_least_certain_decision_is_named() -> None:
     assert log_odds(1.0) == -log_odds(0.0) == 6.0
 
 
-def test_what_one_of_a_row_shows_holds_for_its_equals() -> None:
+@pytest.mark.parametrize("scanned", [False, True])
+def test_what_one_of_a_row_shows_holds_for_its_equals(scanned: bool) -> None:
     """Two knobs in a row are equally sure; one that slides, and one that is larger, aren't."""
     rows = {"knob 1": (0.0, 0.1), "knob 2": (0.3, 0.1), "knob 3": (0.6, 0.1), "knob 4": (0.9, 0.2)}
     parts = [part("link_0", box((0, 0, 0), (1.2, 1, 1)), name="body")]
     for k, (name, (x, size)) in enumerate(rows.items(), 1):
         parts.append(part(f"link_{k}", box((x, -0.1, 0.5), (x + size, 0, 0.5 + size)), name=name))
+    for k, knob in enumerate(parts if scanned else ()):
+        points = np.repeat(knob.mesh.vertices, 20, axis=0).astype(np.float32)  # type: ignore[union-attr]
+        points[0] = (0.1 * k, -3.0, 0.0)  # on no surface
+        parts[k] = Part(knob.link, cloud=PointCloud(points), name=knob.name)
     builder = PredictionBuilder(tuple(parts), (), load_confidence("hybrid"))
     for k, (x, size) in enumerate(rows.values(), 1):
         middle = (x + size / 2, -0.05, 0.5 + size / 2)
