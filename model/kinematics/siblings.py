@@ -9,7 +9,6 @@ Of 44 pairs of one name in scans there all 36 equal ones are found, and 4 of nea
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
@@ -108,25 +107,29 @@ def move_alike(joint: Joint, own: Joint, a: Float, b: Float) -> bool:
     return any(alike(carried(joint, own, image), own, size) for image in images(a, b))
 
 
-def as_sure_as_siblings(
+def share_confidence(
     confidence: Mapping[str, float], tree: KinematicTree, parts: Iterable[Part]
 ) -> dict[str, float]:
-    """Return child link → confidence, raised to that of the surest part of the same name and size
-    which moves in the same way: what one knob of a row shows more clearly holds for all of them."""
-    sides = (SCANNED[0], 100 - SCANNED[0])  # a few points of a scan lie far off
+    """Return child link → confidence, 0..1: the highest among the parts of one name and size that
+    move in the same way, since one knob of a row may show more clearly how all of them move."""
     boxes: dict[str, tuple[Part, Float]] = {}
-    for each in parts:
-        cloud = each.cloud
-        box = each.bounds if cloud is None else np.percentile(cloud.points, sides, axis=0)
-        boxes[each.link] = each, np.asarray(box, np.float64)
+    for part in parts:  # a few points of a scan lie far off
+        points, outside = (
+            (part.bounds, 0.0) if part.cloud is None else (part.cloud.points, SCANNED[0])
+        )
+        box = np.percentile(points, (outside, 100 - outside), axis=0)
+        boxes[part.link] = part, np.asarray(box, np.float64)
     joints = [j for j in tree.joints if j.moves and j.child in confidence and j.child in boxes]
+    joints.sort(key=lambda j: -confidence[j.child])
     out = dict(confidence)
-    for own, other in itertools.permutations(joints, 2):
-        (part, box), (sibling, there) = boxes[own.child], boxes[other.child]
-        surer = confidence[other.child] > out[own.child] and own.type == other.type
-        if surer and namesakes(part, sibling):
-            size = float(np.linalg.norm(np.ptp(box, axis=0)))
-            shift = next(images(there, box, SCANNED), None)
-            if shift is not None and alike(carried(other, own, shift), own, size):
-                out[own.child] = confidence[other.child]
+    for rank, own in enumerate(joints):
+        part, box = boxes[own.child]
+        size = float(np.linalg.norm(np.ptp(box, axis=0)))
+        for other in joints[:rank]:  # those of a higher confidence
+            sibling, there = boxes[other.child]
+            if own.type == other.type and namesakes(part, sibling):
+                shift = next(images(there, box, SCANNED), None)
+                if shift is not None and alike(carried(other, own, shift), own, size):
+                    out[own.child] = confidence[other.child]
+                    break
     return out

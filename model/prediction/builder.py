@@ -25,7 +25,7 @@ from model.core.errors import InputFileError, KinematicsError
 from model.core.files import static_assets
 from model.core.joint import Joint
 from model.core.tree import KinematicTree
-from model.kinematics.siblings import as_sure_as_siblings
+from model.kinematics.siblings import share_confidence
 
 SWITCHES = (
     *"network, names, front, contact with other parts, leaves of one front, chains".split(", "),
@@ -219,7 +219,7 @@ class PredictionBuilder:
         own = {k: self.confidence_model.confidence(e) for k, e in self.evidence.items()}
         raised = {k: max(c, (BELIEF * c + right) / (BELIEF + joints)) for k, c in own.items()}
         if tree is not None:
-            raised = as_sure_as_siblings(raised, tree, self.parts)
+            raised = share_confidence(raised, tree, self.parts)
         confidence = {k: round(min(c, MAX_CONFIDENCE), 4) for k, c in raised.items()}
         confidence |= {j.child: 1.0 for j in self.locked}
         return Prediction(

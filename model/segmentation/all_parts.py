@@ -30,9 +30,9 @@ from model.segmentation.similar import (
     MaskTable,
     ProposedParts,
     by_examples,
-    counted,
     proposed,
     telling,
+    within_counts,
 )
 from model.segmentation.solver import PartSolver, overlaps, solver_of
 
@@ -336,7 +336,7 @@ def propose_parts(
     worth, names = by_examples(table, followed)
     rows = exclusive_parts(worth, voted.common, WORTH)
     if followed:
-        rows = counted(rows, worth, names, followed)
+        rows = within_counts(rows, worth, names, followed)
     rows.sort(key=lambda row: -float(superpoints.size[voted.masks[row]].sum()))
     return proposed(session, voted.masks[rows], [names[row] for row in rows], len(followed))
 

@@ -344,11 +344,11 @@ class MaskTable:
     counts: Counter[str] = field(default_factory=Counter)
 
     @classmethod
-    def of(cls, masks: Sequence[MaskExample], named: Iterable[str] = ()) -> MaskTable:
+    def of(cls, masks: Sequence[MaskExample], part_names: Iterable[str] = ()) -> MaskTable:
         """The masks of an accepted object, and the names of its parts."""
         worth, place, half = zip(*((m.worth, m.place, m.half) for m in masks), strict=True)
         parts = tuple(m.part for m in masks)
-        return cls(np.array(worth), np.array(place), np.array(half), parts, Counter(named))
+        return cls(np.array(worth), np.array(place), np.array(half), parts, Counter(part_names))
 
     @cached_property
     def right(self) -> Bool:
@@ -401,11 +401,11 @@ def by_examples(own: MaskTable, known: Sequence[MaskTable]) -> tuple[Float, list
     return by_itself * own.worth + by_likeness * np.log(right / wrong) + summand, names
 
 
-def counted(
+def within_counts(
     rows: Iterable[int], worth: Float, names: Sequence[str], known: Sequence[MaskTable]
 ) -> list[int]:
-    """Masks of which an accepted object has as many parts of their name, the likeliest first, and
-    further ones that are likelier than not.
+    """Keep as many masks of a name as an accepted object has parts of it, the likeliest first;
+    further ones only where they are likelier than not.
 
     Args:
         rows: of masks that exclude each other. worth, names: see :func:`by_examples`.

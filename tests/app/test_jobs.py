@@ -385,7 +385,8 @@ def test_a_preempted_job_has_its_turn_however_many_clicks_come(worker):
         worker.submit(functions.steps, 4, 0.05, priority=10, preempted_by=9) for _ in range(40)
     ]
     assert slow.result(60) == 20
-    assert not all(click.done for click in clicks)
+    # At most as long as it ran itself, a second, and a bit: not for all eight seconds of them.
+    assert sum(click.done for click in clicks) <= 12
     assert [click.result(60) for click in clicks] == [4] * 40
 
 

@@ -197,7 +197,7 @@ def timed_click(browser: SimulatedBrowser, app: Any, rng: np.random.Generator) -
 
 
 def _open(server: Any, app: Any, worst: list[Path], end: float) -> Counter[str]:
-    """Open the worst files one after the other, each at least once and as new; their fates."""
+    """Open the worst files one after the other, each at least once, as new; count results."""
     files: Counter[str] = Counter()
     for number, path in enumerate(itertools.cycle(worst)):
         if number >= len(worst) and time.perf_counter() > end:

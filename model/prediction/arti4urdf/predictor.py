@@ -93,9 +93,9 @@ def joint_evidence(
         same: (P, SLOTS, SLOTS) candidates with the same motion.
         votes: (SLOTS,) log-shares of its candidates, see :func:`.motion_evidence`.
     """
-    own = rules[part].copy()
+    excluded = np.zeros_like(rules[part])
     if votes is not None:
-        own[v.SLOT_IDS] += votes
+        excluded[v.SLOT_IDS] = votes
     decision = answer.decisions[part]
     out = {"parent": log_odds(_parent_probability(answer, part))}
     for kind, chosen in (("type", decision.type), ("slot", decision.slot)):
@@ -103,7 +103,7 @@ def joint_evidence(
         for expert in ("network", "rules"):
             out[f"{kind} {expert}"] = MAX_LOG_ODDS
             if record is not None:
-                share = _share(record, own, own - rules[part], chosen, same[part], expert)
+                share = _share(record, rules[part], excluded, chosen, same[part], expert)
                 out[f"{kind} {expert}"] = log_odds(share)
     slot = decision.slot
     mechanism = MECHANISMS[slot // RANKS] if 0 <= slot < SLOTS else None
@@ -132,16 +132,16 @@ def _parent_probability(answer: Answer, part: int) -> float:
 def _share(
     record: ChoiceRecord,
     rules: Array,
-    votes: Array,
+    excluded: Array,
     chosen: int,
     same: npt.NDArray[np.bool_],
     expert: str,
 ) -> float:
     """Probability, 0..1, that one of the two experts alone gives to the answer."""
-    values = record.plain + votes
+    values = record.plain
     if expert == "rules":
         values = np.where(np.isfinite(record.plain), rules, -np.inf)
-    weights = softmax(values)
+    weights = softmax(values + excluded)
     if record.kind == "type":
         return float(weights[v.TYPE_IDS[chosen]])
     slots = weights[v.SLOT_IDS]

@@ -306,9 +306,9 @@ def spin_proposals(context: PartContext) -> list[JointProposal]:
         found.append(_continuous(normal, shape.center, max(ON_PANEL, least), "normal to its panel"))
     for r in axes:
         score, origin = _spin_score(context, r, outwardness, wheel)
-        upright = 0.0 if normal is None else abs(float(r.axis @ normal))
-        score += ON_PANEL * upright
-        score = score if upright < ALONG else max(score, least)
+        cosine = 0.0 if normal is None else abs(float(r.axis @ normal))
+        score += ON_PANEL * cosine
+        score = score if cosine < ALONG else max(score, least)
         reason = SYMMETRY if r.round else "through its centre, barely round"
         found.append(_continuous(r.axis, origin, score, reason))
     ball = normal is None and shape.ball and shape.size > 25 * shape.noise

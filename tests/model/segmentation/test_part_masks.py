@@ -17,7 +17,7 @@ from model.segmentation.all_parts import (
 from model.segmentation.default import DefaultSession
 from model.segmentation.models import load_mlp
 from model.segmentation.object_features import HISTORY_FEATURES
-from model.segmentation.similar import MaskExample, MaskTable, by_examples, counted, telling
+from model.segmentation.similar import MaskExample, MaskTable, by_examples, telling, within_counts
 from model.segmentation.solver import overlaps
 from model.training.segmentation.networks import PartMaskTraining, play_masks, train_part_masks
 from model.training.segmentation.visible_objects import MovingPartTraining
@@ -160,5 +160,5 @@ def test_there_are_as_many_of_a_name_as_accepted_objects_have_unless_more_are_li
     known = [MaskTable.of(masks_of(3), names) for names in (["door"], ["door", "drawer", "drawer"])]
     names = ["door", "drawer", "drawer", "drawer", "door", "lid"]
     worth = np.array([-1.2, -0.5, -1.4, -0.2, -1.1, -0.1])
-    assert counted(range(6), worth, names, known) == [3, 1, 4]
-    assert counted(range(6), worth + 1.15, names, known) == [5, 3, 1, 4]
+    assert within_counts(range(6), worth, names, known) == [3, 1, 4]
+    assert within_counts(range(6), worth + 1.15, names, known) == [5, 3, 1, 4]

@@ -13,6 +13,7 @@ from model.core.joint import Joint
 from model.core.progress import BY_DEFAULT, NAMES, with_threads
 from model.data.procedural.generate import make
 from model.evaluation.joint_metrics import parents
+from model.kinematics.siblings import share_confidence
 from model.prediction.arti4urdf import decoding
 from model.prediction.arti4urdf.answer import parse_answer
 from model.prediction.arti4urdf.choosing import HybridSettings
@@ -161,5 +162,5 @@ def test_what_a_confidence_is_made_of(tiny_model: ArtiModel, hybrid: HybridSetti
     confidence_model = load_confidence("arti4urdf" if hybrid is None else "hybrid")
     assert all(set(confidence_model.names) <= set(evidence) for evidence in known.values())
     own = {link: confidence_model.confidence(evidence) for link, evidence in known.items()}
-    # Its own, or that of an equal part.
-    assert all(own[k] <= c and c in own.values() for k, c in found.confidence.items())
+    assert found.tree is not None
+    assert found.confidence == share_confidence(own, found.tree, segmented.parts)
