@@ -263,7 +263,7 @@ class WorkerProcess:
         """Return the queued job that may run now."""
         if not self._running:
             return self._queue[0][2] if self._queue else None
-        self._tally()
+        self._tally(time.monotonic())
         levels = [
             job._preempted_by
             for job in self._running
@@ -278,9 +278,8 @@ class WorkerProcess:
         urgent = [e for e in self._queue if -e[0] >= max(levels) and e[2]._works_on not in in_use]
         return min(urgent)[2] if urgent else None
 
-    def _tally(self) -> None:
+    def _tally(self, now: float) -> None:
         """Add the time since the last call to what the begun jobs ran and waited."""
-        now = time.monotonic()
         spent, self._tallied = now - self._tallied, now
         active = self._active
         for job in self._running:
@@ -324,8 +323,7 @@ class WorkerProcess:
     def _listen(self, child: Child, has_message: bool) -> None:
         try:
             while has_message:
-                kind, number, chunks = receive(child.connection)
-                self._handle(child, kind, number, chunks)
+                self._handle(child, *receive(child.connection))
                 if self._child is not child:
                     return
                 has_message = child.connection.poll()
@@ -334,12 +332,12 @@ class WorkerProcess:
         except (EOFError, OSError):
             self._died(child)
 
-    def _handle(self, child: Child, kind: str, number: int, chunks: list[Any]) -> None:
+    def _handle(self, child: Child, kind: str, number: int, chunks: list[Any], sent: float) -> None:
         if kind == "ready":
             child.ready = True
             return
         if kind not in ("progress", "found"):
-            self._tally()
+            self._tally(sent)  # not when it is read, which may be late on a busy machine
         job = next((j for j in self._running if j._number == number), None)
         if number == 0:
             self._start_failed(child, unpack(chunks)[1])

@@ -62,26 +62,26 @@ def unpack(chunks: list[Any]) -> Any:
 def send(connection: Connection, kind: str, number: int, chunks: list[Any] | None = None) -> None:
     """Send one message; ``chunks`` come from :func:`pack`."""
     sizes = [(memoryview(c).nbytes, memoryview(c).readonly) for c in chunks or []]
-    connection.send_bytes(pickle.dumps((kind, number, sizes), protocol=5))
+    connection.send_bytes(pickle.dumps((kind, number, sizes, time.monotonic()), protocol=5))
     for chunk, (size, _) in zip(chunks or [], sizes, strict=True):
         if size:
             connection.send_bytes(chunk)
 
 
-def receive(connection: Connection) -> tuple[str, int, list[Any]]:
-    """Receive one message: kind, job number, chunks for :func:`unpack`.
+def receive(connection: Connection) -> tuple[str, int, list[Any], float]:
+    """Receive one message: kind, job number, chunks for :func:`unpack`, when it was sent.
 
     Raises:
         EOFError, OSError: where the other side is gone.
     """
-    kind, number, sizes = pickle.loads(connection.recv_bytes())
+    kind, number, sizes, sent = pickle.loads(connection.recv_bytes())
     chunks: list[Any] = []
     for size, readonly in sizes:
         buffer = bytearray(size)
         if size:
             connection.recv_bytes_into(buffer)
         chunks.append(memoryview(buffer).toreadonly() if readonly else buffer)
-    return kind, number, chunks
+    return kind, number, chunks, sent
 
 
 def describe_error(error: BaseException) -> dict[str, Any]:
@@ -146,7 +146,7 @@ class _Worker:
     def _read(self) -> None:
         while True:
             try:
-                kind, number, chunks = receive(self._connection)
+                kind, number, chunks, _ = receive(self._connection)
             except (EOFError, OSError):
                 os._exit(0)  # the parent is gone
             if kind == "cancel":

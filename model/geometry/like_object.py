@@ -7,7 +7,7 @@ by its own factor; the best of them is fitted closer by matching nearest points.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
@@ -140,7 +140,12 @@ def example_of(obj: ArticulatedObject, name: str | None = None, seed: int = 0) -
     Raises:
         GeometryError: where no part has a surface or a point.
     """
-    points = _sampled_parts(obj.parts, _LEAST_POINTS, seed)
+    rng, sizes = np.random.default_rng(seed), [_size(p) for p in obj.parts]
+    density = POINTS / max(sum(sizes), 1e-12)
+    points = [
+        _sampled(part, max(int(density * size), _LEAST_POINTS), rng)
+        for part, size in zip(obj.parts, sizes, strict=True)
+    ]
     if not sum(map(len, points)):
         raise GeometryError(f"{obj.name!r} has no surface to compare")
     return Example(
@@ -169,22 +174,6 @@ def _sampled(part: Part, count: int, rng: np.random.Generator) -> Points:
     if part.mesh is None or not float(part.mesh.face_areas.sum()) > 0:
         return np.zeros((0, 3))
     return sample_surface(part.mesh, count, rng)[0].points.astype(float)
-
-
-def surface_points(parts: Sequence[Part], seed: int = 0) -> Points:
-    """(N, 3) points on the surfaces of an object's parts, as :func:`best_match` takes them."""
-    return np.concatenate(_sampled_parts(parts, 1, seed))
-
-
-def _sampled_parts(parts: Sequence[Part], least: int, seed: int) -> list[Points]:
-    """Points of each part in proportion to its size, and ``least`` at least."""
-    rng = np.random.default_rng(seed)
-    sizes = [_size(part) for part in parts]
-    whole = max(sum(sizes), 1e-12)
-    return [
-        _sampled(part, max(int(POINTS * size / whole), least), rng)
-        for part, size in zip(parts, sizes, strict=True)
-    ]
 
 
 def best_match(examples: Iterable[Example], points: npt.ArrayLike, seed: int = 0) -> Match | None:

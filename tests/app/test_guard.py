@@ -404,22 +404,26 @@ def uploads(open_server, client):
     arrived: list[tuple[str, bytes]] = []
     button.on_upload(lambda _: arrived.append((button.value.name, button.value.content)))
     with client.websocket() as websocket:
-        # viser knows a client from its first camera message on
-        send(
-            websocket,
-            "ViewerCameraMessage",
-            wxyz=(1.0, 0.0, 0.0, 0.0),
-            position=(0.0, 0.0, 1.0),
-            fov=1.0,
-            near=0.1,
-            far=10.0,
-            image_height=10,
-            image_width=10,
-            look_at=(0.0, 0.0, 0.0),
-            up_direction=(0.0, 0.0, 1.0),
-        )
+        send_camera(websocket)
         yield websocket, button_named(websocket, "Upload"), arrived
     button.remove()
+
+
+def send_camera(websocket) -> None:
+    """viser knows a client from its first camera message on."""
+    send(
+        websocket,
+        "ViewerCameraMessage",
+        wxyz=(1.0, 0.0, 0.0, 0.0),
+        position=(0.0, 0.0, 1.0),
+        fov=1.0,
+        near=0.1,
+        far=10.0,
+        image_height=10,
+        image_width=10,
+        look_at=(0.0, 0.0, 0.0),
+        up_direction=(0.0, 0.0, 1.0),
+    )
 
 
 def button_named(websocket, label: str) -> str:
@@ -547,19 +551,7 @@ def test_an_upload_into_one_clients_own_panel_is_guarded_too(open_server, client
 
     open_server.on_client_connect(welcome)
     with client.websocket() as websocket:
-        send(
-            websocket,
-            "ViewerCameraMessage",
-            wxyz=(1.0, 0.0, 0.0, 0.0),
-            position=(0.0, 0.0, 1.0),
-            fov=1.0,
-            near=0.1,
-            far=10.0,
-            image_height=10,
-            image_width=10,
-            look_at=(0.0, 0.0, 0.0),
-            up_direction=(0.0, 0.0, 1.0),
-        )
+        send_camera(websocket)
         wait_until(lambda: set(made) - before)
         button, uuid = made[max(set(made) - before)], button_named(websocket, "Mine")
         announce(websocket, uuid, LIMIT + 1, 7)

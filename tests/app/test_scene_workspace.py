@@ -69,6 +69,12 @@ class World:
         self.app_state: AppState | None = None
         self.open()
 
+    def having(self, *names: str) -> tuple[Any, ...]:
+        """The scene's workspace and the work on some of its objects."""
+        works = [self.scene_workspace.work(name) for name in names]
+        assert None not in works
+        return self.scene_workspace, *works
+
     def open(self) -> SceneWorkspace:
         workspace = self.folder / "workspace"
         config = ServeConfig(workspace=workspace, predictor="geometric", scene=self.scene)
@@ -126,18 +132,13 @@ def statuses(scene_workspace: SceneWorkspace) -> dict[str, str]:
 
 
 def test_objects_are_predicted_once_for_all_their_twins(world: World) -> None:
-    scene_workspace = world.scene_workspace
+    scene_workspace, twins = world.scene_workspace, world.scene_workspace.twins
     now = dict.fromkeys(("first", "twin", "small"), "predicted")
     now |= {EVIL: "static", "lost": "missing", "bad": "failed", "slab": "static"}
     assert statuses(scene_workspace) == now
-    assert scene_workspace.twins("first") == ["first", "twin"] and scene_workspace.twins(
-        "small"
-    ) == ["small"]
-    assert (
-        scene_workspace.work("first")
-        is scene_workspace.work("twin")
-        is not scene_workspace.work("small")
-    )
+    assert (twins("first"), twins("small")) == (["first", "twin"], ["small"])
+    _, first, twin, small = world.having("first", "twin", "small")
+    assert first is twin is not small
     assert "nowhere" in scene_workspace.missing_reason(scene_workspace.items["lost"])
     assert "broken.glb" in scene_workspace.missing_reason(scene_workspace.items["bad"])
     work = scene_workspace.work("small")
@@ -258,8 +259,7 @@ def test_a_person_decides_what_is_articulable(world: World) -> None:
 
 
 def test_rejecting_and_taking_it_back(world: World) -> None:
-    scene_workspace, small = world.scene_workspace, world.scene_workspace.work("small")
-    assert small is not None
+    scene_workspace, small = world.having("small")
     scene_workspace.do(DecideObjects("reject", (small.id,), reason="axis"), "ann")
     assert statuses(scene_workspace)["small"] == "rejected"
     assert small.document.review.reason == "axis" and small.document.review.by == "ann"
@@ -271,12 +271,7 @@ def test_rejecting_and_taking_it_back(world: World) -> None:
 def test_undo_leaves_alone_what_was_accepted_inside_after_a_refusal(
     world: World, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    scene_workspace, first, small = (
-        world.scene_workspace,
-        world.scene_workspace.work("first"),
-        world.scene_workspace.work("small"),
-    )
-    assert first is not None and small is not None
+    scene_workspace, first, small = world.having("first", "small")
     gate = Slow(scene_workspace, monkeypatch)
     scene_workspace.do(DecideObjects("accept", (small.id,)), "ann")
     gate.answer("broken")
@@ -333,8 +328,7 @@ class Slow:
 def test_what_the_gate_objects_to_waits_for_who_asked(
     world: World, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    scene_workspace, small = world.scene_workspace, world.scene_workspace.work("small")
-    assert small is not None
+    scene_workspace, small = world.having("small")
     gate = Slow(scene_workspace, monkeypatch)
     mine: list[str] = []
     others: list[str] = []
@@ -411,12 +405,7 @@ def test_what_the_gate_objects_to_waits_for_who_asked(
 def test_what_was_held_back_and_decided_anew_meanwhile_is_told_once(
     world: World, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    scene_workspace, first, small = (
-        world.scene_workspace,
-        world.scene_workspace.work("first"),
-        world.scene_workspace.work("small"),
-    )
-    assert first is not None and small is not None
+    scene_workspace, first, small = world.having("first", "small")
     gate, mine = Slow(scene_workspace, monkeypatch), list[str]()
     both = (small.id, first.id)
     scene_workspace.do(DecideObjects("accept", both), "ann", lambda *n: mine.append(n[1]))
@@ -440,8 +429,7 @@ def test_what_was_held_back_and_decided_anew_meanwhile_is_told_once(
 def test_what_is_decided_or_named_inside_meanwhile_counts(
     world: World, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    scene_workspace, small = world.scene_workspace, world.scene_workspace.work("small")
-    assert small is not None
+    scene_workspace, small = world.having("small")
     gate, mine = Slow(scene_workspace, monkeypatch), list[str]()
     scene_workspace.do(DecideObjects("accept", (small.id,)), "ann", lambda *n: mine.append(n[1]))
     wait_until(lambda: gate.asked, "the gate is asked")
@@ -478,8 +466,8 @@ def test_what_was_asked_for_inside_is_held_back_in_the_scene(
     world: World, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Whoever asked needn't wait there for the gate."""
-    scene_workspace, small = world.scene_workspace, world.scene_workspace.work("small")
-    assert small is not None and world.app_state is not None
+    scene_workspace, small = world.having("small")
+    assert world.app_state is not None
     gate, refused = Slow(scene_workspace, monkeypatch), list[CommandError]()
     obj = world.app_state.object(small.id)
     wait_until(lambda: obj.asset is not None and gate.asked, "it is open, and the gate is asked")
@@ -509,8 +497,8 @@ def test_what_was_asked_for_inside_is_held_back_in_the_scene(
 def test_what_another_server_decides_is_seen_and_left_to_it(
     world: World, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    scene_workspace, small = world.scene_workspace, world.scene_workspace.work("small")
-    assert small is not None and world.app_state is not None
+    scene_workspace, small = world.having("small")
+    assert world.app_state is not None
     monkeypatch.setattr("app.server.app_state.SYNC_SECONDS", 1e6)
     store = Store(world.folder / "workspace")
     app_state = AppState(world.app_state.config, store, [])
@@ -554,8 +542,7 @@ def test_what_another_server_decides_is_seen_and_left_to_it(
 def test_undo_while_the_asset_takes_its_place_takes_it_back(
     world: World, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    scene_workspace, small = world.scene_workspace, world.scene_workspace.work("small")
-    assert small is not None
+    scene_workspace, small = world.having("small")
     gate, publish = Slow(scene_workspace, monkeypatch), AssetStorage.publish
     before = scene_workspace.document.decided
     undoing = threading.Thread(target=lambda: scene_workspace.undo("ann"))

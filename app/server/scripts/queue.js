@@ -7,7 +7,8 @@
   let sure = new Set(), unchecked = [];  // predicted with at least the confidence of the box
   const picked = new Set(), cards = new Map(), pieces = new Map(), asked = new Set();
   let words = null, answer = { total: 0, all: 0, states: {}, today: 0, at: -1 };
-  let current = null, followed = null, serial = 0, counted = 0, timer = 0, root = null, parts = {};
+  let current = null, followed = null, serial = 0, counted = 0, root = null, parts = {};
+  const timers = new Map();  // of what begins soon
   const page = Math.random().toString(36).slice(2);
   let looks = 0;  // while one lasts, results that come in don't change the order
 
@@ -52,7 +53,10 @@
     draw();
   };
   const anew = () => { looks++; pieces.clear(); parts.scroll.scrollTop = 0; again(); };
-  const soon = (action) => { clearTimeout(timer); timer = setTimeout(action, LATER_MS); };
+  const soon = (action) => {
+    clearTimeout(timers.get(action));
+    timers.set(action, setTimeout(action, LATER_MS));
+  };
 
   // --- the frame around the cards
 
@@ -67,10 +71,10 @@
     control(name, label, make("button", `aw-button ${className}`, { type: "button" }, text), on);
   const build = () => {
     const search = control("search", words.search, make("input", "aw-input",
-      { type: "search", placeholder: words.search }), () => soon(() => {
+      { type: "search", placeholder: words.search }), () => {
       view.search = parts.search.value;
-      anew();
-    }));
+      soon(anew);
+    });
     const filter = control("filter", words.filter, make("select", "aw-input"), () => {
       view.state = filter.value;
       anew();

@@ -316,6 +316,8 @@ class Exporting(Dialog):
 
     def ask(self, ids: Sequence[int]) -> None:
         """Show the dialog for objects."""
+        if not ids:
+            raise CommandError(queue_words.NOTHING_TO_EXPORT)
         gui, tab = self._tab.client.gui, self._tab
         author, license = remembered(self._workspace)
         settings = self._project.settings

@@ -10,11 +10,8 @@ from model.core.errors import GeometryError
 from model.core.geometry import Mesh
 from model.core.joint import Joint
 from model.core.tree import KinematicTree
-from model.geometry.like_object import (
-    best_match,
-    example_of,
-    surface_points,
-)
+from model.geometry.like_object import POINTS, best_match, example_of
+from model.geometry.sampling import sample_surface
 from tests.builders import box, linked, part
 
 DOOR = Joint(
@@ -43,6 +40,15 @@ def moved(parts: tuple[Part, ...], linear: np.ndarray) -> tuple[Part, ...]:
         faces = p.mesh.faces if np.linalg.det(linear) > 0 else p.mesh.faces[:, ::-1]
         out.append(Part(f"link_{k}", Mesh(p.mesh.vertices @ linear.T + (3, -2, 0), faces)))
     return tuple(out)
+
+
+def surface_points(parts: tuple[Part, ...]) -> np.ndarray:
+    rng, meshes = np.random.default_rng(0), [p.mesh for p in parts if p.mesh is not None]
+    areas = [float(m.face_areas.sum()) for m in meshes]
+    counts = [int(POINTS * area / sum(areas)) for area in areas]
+    return np.concatenate(
+        [sample_surface(*m, rng)[0].points for m in zip(meshes, counts, strict=True)]
+    )
 
 
 def turn(degrees: float) -> np.ndarray:

@@ -152,6 +152,7 @@ def sdf(path: Path, body: str) -> Path:
 
 
 DOOR = LINK.format("door", "1 0 0 0 0 0", "")
+HUNG = HINGE.format("h", "revolute", "base", "door", RANGE)
 BASE = LINK.format("base", "0 0 0 0 0 0", "")
 
 
@@ -180,13 +181,12 @@ BASE = LINK.format("base", "0 0 0 0 0 0", "")
         ),
         (
             f"{BASE}<include merge='true'><uri>model://lib</uri><pose>0 4 0 0 0 0</pose></include>"
-            + HINGE.format("h", "revolute", "base", "door", RANGE),
+            f"{HUNG}",
             (1, 4, 0),
             "",
         ),
         (
-            f"{BASE}<include><uri>model://gone</uri></include>{DOOR}"
-            + HINGE.format("h", "revolute", "base", "door", RANGE),
+            f"{BASE}<include><uri>model://gone</uri></include>{DOOR}{HUNG}",
             (1, 0, 0),
             "'model://gone' is left out",
         ),
@@ -197,10 +197,7 @@ BASE = LINK.format("base", "0 0 0 0 0 0", "")
             "has one limit alone (0): read as none",
         ),
         (
-            BASE
-            + DOOR
-            + HINGE.format("h", "revolute", "base", "door", RANGE)
-            + HINGE.format("g", "gearbox", "base", "door", RANGE),
+            BASE + DOOR + HUNG + HINGE.format("g", "gearbox", "base", "door", RANGE),
             (1, 0, 0),
             "gearbox joints are not supported; it was left out",
         ),
@@ -222,16 +219,15 @@ def test_models_as_gazebo_composes_them(tmp_path: Path, body: str, place, notes:
 
 
 def test_worlds_hold_models_inline_and_place_others_by_their_frames(tmp_path: Path) -> None:
-    hinge = HINGE.format("h", "revolute", "base", "door", RANGE)
     sdf(
         tmp_path / "lib" / "model.sdf",
-        f"{BASE}{DOOR}{hinge}<frame name='edge' attached_to='door'/>",
+        BASE + DOOR + HUNG + "<frame name='edge' attached_to='door'/>",
     )
     (tmp_path / "lib" / "model.config").write_text("<model><sdf>model.sdf</sdf></model>")
     path = tmp_path / "w.sdf"
     path.write_text(
         "<sdf version='1.9'><world name='w'>"
-        f"<model name='cabinet_inline'><pose>2 1 0 0 0 0</pose>{BASE}{DOOR}{hinge}</model>"
+        f"<model name='cabinet_inline'><pose>2 1 0 0 0 0</pose>{BASE}{DOOR}{HUNG}</model>"
         "<include><uri>model://lib</uri><name>cabinet_b</name><pose>5 0 0 0 0 0</pose>"
         "<placement_frame>edge</placement_frame></include></world></sdf>"
     )
