@@ -33,15 +33,14 @@
     const canvas = window.__viserMutable?.canvas;
     const box = canvas && canvas.getBoundingClientRect();
     if (!box || !box.width) return;
-    const steps = document.querySelector('[data-press="step"]');  // a scene's list is worked with
-    const now = `${box.left},${box.width},${!!steps}`;
+    const now = `${box.left},${box.width}`;
     if (now === before) return;
     before = now;
     document.documentElement.style.setProperty("--aw-left", `${box.left}px`);
     document.documentElement.style.setProperty("--aw-width", `${box.width}px`);
     document.documentElement.classList.toggle("aw-narrow", box.width < NARROW);
     // The queue comes back with its own button; on a small screen the picture comes first.
-    const fold = !stepped && box.width < (steps ? SHARE * window.innerWidth : NARROW) &&
+    const fold = !stepped && box.width < SHARE * window.innerWidth &&
       document.querySelector("[aria-label]:has(> .tabler-icon-chevrons-left)");
     if (fold) {
       stepped = true;

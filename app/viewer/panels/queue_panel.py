@@ -14,7 +14,6 @@ from app.server.app_state import AppState
 from app.server.names import clipped
 from app.server.page import call_page
 from app.viewer.panels.project_page import ProjectPage
-from app.viewer.panels.scene_panels import SceneSaving
 from app.viewer.panels.widgets import Presses, UserName, icon, offered, put
 from app.viewer.picture import palette
 from app.viewer.tab import Tab
@@ -84,9 +83,7 @@ class QueuePanel:
                 "", icon=viser.Icon.ARROW_BACK_UP, color="gray", visible=False
             )
             navigate = gui.add_button_group(common.NAVIGATE, common.PREVIOUS_NEXT)
-            scene = app_state.scene
-            self._saving = None if scene is None else SceneSaving(tab, scene)
-            if scene is None:
+            if app_state.scene is None:
                 upload = gui.add_upload_button(
                     words.UPLOAD, icon=viser.Icon.UPLOAD, color="gray", hint=words.UPLOAD_HINT
                 )
@@ -177,8 +174,6 @@ class QueuePanel:
 
     def draw(self) -> None:
         """Bring the panel up to date; nothing is sent where nothing changed."""
-        if self._saving is not None:
-            self._saving.draw()
         app_state, current, gallery = self._app_state, self._current(), self._app_state.gallery
         records = gallery.records()
         shown = tuple((r.id, r.state, r.category, gallery.passed(r)) for r in records)

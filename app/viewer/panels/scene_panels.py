@@ -1,4 +1,4 @@
-"""The screen at the right of a scene's picture, and what saves it, below its list."""
+"""The screen at the right of a scene's picture."""
 
 from __future__ import annotations
 
@@ -66,13 +66,15 @@ class SceneCard:
         self._again = button(
             common.RETRY, workspace.try_again, viser.Icon.REFRESH, color="gray", visible=False
         )
+        self._save = button(words.SAVE, self._save_clicked, viser.Icon.DEVICE_FLOPPY)
+        self._loose = gui.add_checkbox(words.INCLUDE, False, hint=words.INCLUDE_HINT)
         push_buttons(
             tab,
             common.EDIT,
             common.HISTORY_ACTIONS,
             lambda name: review.undo() if name == common.HISTORY_ACTIONS[0] else review.redo(),
         )
-        self._play = button(words.PLAY, lambda: play(None), viser.Icon.PLAYER_PLAY)
+        self._play = button(words.PLAY, lambda: play(None), viser.Icon.PLAYER_PLAY, color="gray")
         with gui.add_folder(words.SELECTED):
             self._about = gui.add_markdown("")
             kinds = (words.ARTICULABLE, words.STATIC)
@@ -87,6 +89,18 @@ class SceneCard:
             self._accept.on_click(lambda _: host.accept())
             self._reject = RejectButtons(tab, rejecting, host.reject)
             self._joints = JointRows(tab, presses, play)
+        self._report = button(
+            words.REPORT, self._report_clicked, viser.Icon.FILE_REPORT, color="gray"
+        )
+
+    def _save_clicked(self) -> None:
+        self._workspace.saving.save(self._loose.value, self._tab.user)
+
+    def _report_clicked(self) -> None:
+        send = self._tab.client.send_file_download
+        self._workspace.saving.report(
+            lambda path: send(path.name, path.read_bytes(), save_immediately=True)
+        )
 
     def _pause_clicked(self) -> None:
         self._workspace.pause(not self._workspace.paused)
@@ -99,9 +113,11 @@ class SceneCard:
         workspace = self._workspace
         self._draw_status(remarks_text(workspace, rows))
         put(self._play, label=words.STOP if moving else words.PLAY)
-        joints = any(w.document.tree is not None for w in workspace.wanted())
-        put(self._play, color="blue" if joints else "gray")
         put(self._play, icon=viser.Icon.PLAYER_STOP if moving else viser.Icon.PLAYER_PLAY)
+        busy, unread = workspace.busy, workspace.scene is None
+        saving = "save" in busy
+        put(self._save, disabled=saving or unread, label=words.SAVING if saving else words.SAVE)
+        put(self._report, disabled="report" in busy or unread)
         self._draw_chosen(selected)
 
     def _draw_status(self, remarks: str) -> None:
@@ -183,33 +199,6 @@ class SceneCard:
             lines.append(words.instances(twins))
         lines += _about_work(work, workspace.accepting.refusal(work), item.decision.parts)
         return "\n\n".join(lines)
-
-
-class SceneSaving:
-    """Widgets that save the scene."""
-
-    def __init__(self, tab: Tab, workspace: SceneWorkspace) -> None:
-        self._tab, self._workspace, gui = tab, workspace, tab.client.gui
-        self._loose = gui.add_checkbox(words.INCLUDE, False, hint=words.INCLUDE_HINT)
-        self._save = push_button(tab, words.SAVE, self._save_clicked, icon=viser.Icon.DEVICE_FLOPPY)
-        icon = viser.Icon.FILE_REPORT
-        self._report = push_button(tab, words.REPORT, self._report_clicked, icon=icon, color="gray")
-
-    def _save_clicked(self) -> None:
-        self._workspace.saving.save(self._loose.value, self._tab.user)
-
-    def _report_clicked(self) -> None:
-        send = self._tab.client.send_file_download
-        self._workspace.saving.report(
-            lambda path: send(path.name, path.read_bytes(), save_immediately=True)
-        )
-
-    def draw(self) -> None:
-        """Bring the widgets up to date."""
-        busy, unread = self._workspace.busy, self._workspace.scene is None
-        saving = "save" in busy
-        put(self._save, disabled=saving or unread, label=words.SAVING if saving else words.SAVE)
-        put(self._report, disabled="report" in busy or unread)
 
 
 def _about_work(work: Work, refusal: Refusal | None, expected: tuple[str, ...]) -> list[str]:
