@@ -10,12 +10,12 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 from zipfile import BadZipFile
 
 import numpy as np
 import numpy.typing as npt
 from PIL import Image
+from scipy.stats import binned_statistic_2d
 
 from app.server.part_tasks import PartSource
 from app.server.prepare_tasks import removed_of
@@ -33,7 +33,7 @@ from model.geometry.crop import crop
 from model.geometry.display import display_asset, thin
 from model.geometry.levelling import box_yaw
 from model.geometry.prepare import moved
-from model.geometry.sampling import face_colors
+from model.geometry.sampling import face_colors, sample_surface
 from model.io.masks import read_masks, with_masks
 from model.io.model_files import is_model, model_of
 from model.io.open_asset import open_asset as read_asset
@@ -41,6 +41,10 @@ from model.io.write import face_order, mesh_to_glb
 from sessions.checks import NAME_LIMIT, clipped
 from sessions.provenance import MASKS
 
+_FRONT_POINTS, _FRONT_CELLS = 20_000, 32
+_STANDING = 0.1
+"""Most that counts as standing out of a side, a share of the object's size: beyond it, one looks
+through the open back of a scan."""
 _FILE = "light-1.npz"
 """In the folder of the asset's arrays; another number where the light is computed otherwise."""
 
@@ -289,7 +293,7 @@ def _opened(asset: Asset, folder: Path, path: Path) -> OpenedAsset:
         warnings=(*asset.warnings, *warnings),
         display_confidence=None if cloud is None else cloud.confidence,
         heavy=asset.element_count > HEAVY_ELEMENTS or pixels_of(asset) > HEAVY_PIXELS,
-        front=front_direction(mesh.triangles.mean(1) if mesh is not None else cloud.points),  # type: ignore[union-attr]
+        front=_front_of(mesh, cloud),
     )
 
 
@@ -304,24 +308,44 @@ def _short_names(asset: Asset) -> tuple[tuple[str, ...], str | None, tuple[str, 
     return names, category, (warning,)
 
 
-def front_direction(points: npt.NDArray[np.floating[Any]]) -> tuple[float, float, float]:
-    """Return the horizontal direction of the front: the broad side with the most detail.
+def _front_of(mesh: Mesh | None, cloud: PointCloud | None) -> tuple[float, float, float]:
+    if mesh is not None:
+        return front_direction(mesh.vertices, mesh.faces)
+    return front_direction(np.zeros((1, 3)) if cloud is None else cloud.points)
 
-    Handles and knobs are small faces, and a one-sided scan has points where the camera stood, so
-    the side whose outer layer holds the most elements is the front. Near ties go to -y, glTF's
-    front. The sides are those of the tightest upright box.
+
+def front_direction(
+    points: npt.ArrayLike, faces: npt.ArrayLike | None = None
+) -> tuple[float, float, float]:
+    """Return the horizontal direction of the front: the broad side out of which the most stands.
+
+    Handles, knobs and frames stand out of a front, and a scan has points where the camera stood.
+    The sides are those of the tightest upright box; a near tie goes to -y, glTF's front.
+
+    Args:
+        points: (N, 3) of a cloud, or the vertices of a mesh; +z up.
+        faces: (F, 3) of the mesh.
     """
-    flat = np.asarray(points, np.float64)[:: max(1, len(points) // 20_000), :2]
+    points = np.asarray(points, np.float64)
+    if faces is not None and (mesh := Mesh(points, np.asarray(faces))).face_areas.any():
+        points = sample_surface(mesh, _FRONT_POINTS, np.random.default_rng(0))[0].points
+    points = points[:: max(1, len(points) // _FRONT_POINTS)]
     best, score = (0.0, -1.0, 0.0), 0.0
-    turn = box_yaw(flat)
-    for quarter in np.array([-0.5, 0.0, 1.0, 0.5]) * np.pi:
-        direction = np.array([np.cos(turn + quarter), np.sin(turn + quarter)])
-        along, across = flat @ direction, flat @ np.array([-direction[1], direction[0]])
-        low, high = np.percentile(along, (1, 99))  # a scan's outliers don't count
-        broad = float(np.ptp(np.percentile(across, (1, 99))))
-        share = float(np.mean(high - along < 0.15 * max(high - low, 1e-9))) * broad
-        if share > score * 1.4:
-            best, score = (float(direction[0]), float(direction[1]), 0.0), share
+    turn = box_yaw(points[:, :2])
+    for angle in turn + np.array([-0.5, 0.0, 1.0, 0.5]) * np.pi:
+        x, y = float(np.cos(angle)), float(np.sin(angle))
+        seen = points @ np.array([[x, -y, 0], [y, x, 0], [0, 0, 1]])  # outwards, aside, upwards
+        low, high = np.percentile(seen, (1, 99), axis=0)  # a scan's outliers don't count
+        size = np.maximum(high - low, 1e-9)
+        cells = np.ceil(_FRONT_CELLS * size[1:] / size.max()).astype(int)
+        (out, across, up), area = seen.T, np.stack([low, high], 1)[1:]
+        outer = binned_statistic_2d(across, up, out, "max", cells, area).statistic
+        known = outer[np.isfinite(outer)]
+        standing = np.ptp(np.percentile(known, (50, 99.5))) / size.max() if len(known) else 0.0
+        share = float(np.mean(high[0] - out < 0.15 * size[0]))
+        now = share * float(size[1]) * min(float(standing), _STANDING)
+        if now > 1.05 * score:
+            best, score = (x, y, 0.0), now
     return best
 
 
@@ -368,7 +392,9 @@ def part_payloads(
 
 SIZE = (208, 156)
 """Pixels of a thumbnail: a card of the gallery on a sharp screen."""
-_VIEW = drawing.View(azimuth=-math.pi / 2 - 0.6, width=3 * SIZE[0] // 2, height=3 * SIZE[1] // 2)
+_VIEW = drawing.View(width=3 * SIZE[0] // 2, height=3 * SIZE[1] // 2)
+_ASIDE = 0.6
+"""Radians from the front to where it is drawn from."""
 
 
 def draw_thumbnail(path: Path, workspace: Path, options: ReadOptions) -> Path:
@@ -381,7 +407,7 @@ def draw_thumbnail(path: Path, workspace: Path, options: ReadOptions) -> Path:
         ArtiworldError: where the file can't be read.
     """
     frame, left_out = options.frame, options.left_out
-    shown = (options.up_axis, options.unit_scale, frame, left_out, _content(path))
+    shown = ("front", options.up_axis, options.unit_scale, frame, left_out, _content(path))
     key = hashlib.sha256(repr(shown).encode()).hexdigest()[:24]
     target = workspace / "thumbnails" / f"{key}.webp"
     if target.exists():
@@ -393,7 +419,9 @@ def draw_thumbnail(path: Path, workspace: Path, options: ReadOptions) -> Path:
     asset = moved(asset, frame.object_from_read)
     whole = Part("link_0", asset.mesh, asset.cloud)
     obj = ArticulatedObject("thumbnail", (whole,), KinematicTree(("link_0",), ()))
-    image = drawing.draw(obj, view=_VIEW).resize(SIZE, Image.Resampling.LANCZOS)
+    x, y, _ = _front_of(asset.mesh, asset.cloud)
+    view = replace(_VIEW, azimuth=math.atan2(y, x) - _ASIDE)
+    image = drawing.draw(obj, view=view).resize(SIZE, Image.Resampling.LANCZOS)
     with draft_of(target) as draft:
         image.save(draft, "WEBP", quality=80)
     return target

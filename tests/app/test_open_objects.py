@@ -12,8 +12,10 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 import trimesh
+from scipy.spatial.transform import Rotation
 
 from app.server import app_state as workbench
 from app.server import display_tasks, segmenting_tasks
@@ -24,6 +26,8 @@ from app.server.job import Job
 from app.server.open_object import OpenObject
 from app.server.workers import READ_CANCELLED
 from model.core.errors import CommandError
+from model.core.geometry import Mesh
+from model.geometry.sampling import sample_surface
 from model.segmentation.prompts import Click
 from sessions import commands as cmd
 from sessions.live import LiveSession
@@ -34,7 +38,7 @@ from tests.app.job_functions import (
     reads_for_ever,
     segment_and_die_of_two,
 )
-from tests.builders import wait_until
+from tests.builders import boxes, wait_until
 from tests.raw_scans import raw_scan
 
 GOOD = trimesh.creation.box((1, 0.5, 0.7))
@@ -418,3 +422,20 @@ def test_a_read_without_end_holds_nobody_up_and_can_be_ended(
     else:
         app_state.object(worst)
     wait_until(lambda: obj.asset, "it opens")
+
+
+@pytest.mark.parametrize("degrees", [0, 90, 217])
+@pytest.mark.parametrize("scanned", [False, True])
+def test_an_object_is_first_seen_from_where_its_handles_stand_out(
+    degrees: float, scanned: bool
+) -> None:
+    handles = [((x, -0.28, 0.4), (x + 0.02, -0.25, 0.5)) for x in (-0.1, 0.1)]
+    cupboard = boxes(((-0.4, -0.25, 0.0), (0.4, 0.25, 0.8)), *handles)
+    turn = Rotation.from_euler("z", degrees, degrees=True).as_matrix()
+    points, faces = cupboard.vertices @ turn.T, cupboard.faces
+    if scanned:  # all round, the back as well as the front
+        rng = np.random.default_rng(0)
+        points = sample_surface(Mesh(points, faces), 30_000, rng)[0].points
+        points, faces = points + rng.normal(0, 0.001, points.shape), None
+    front = display_tasks.front_direction(points, faces)
+    assert np.dot(front, turn @ np.array((0.0, -1.0, 0.0))) > 0.9

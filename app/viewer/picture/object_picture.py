@@ -167,7 +167,9 @@ class ObjectPicture:
         bounds = self._framed(asset)
         front = asset.front
         if bounds is not asset.bounds:
-            front = front_direction(asset.display_centers @ self._frame[:3, :3].T)
+            faces, points = asset.display_faces, asset.display_vertices
+            points = asset.display_centers if points is None else points
+            front = front_direction(points @ self._frame[:3, :3].T, faces)
         # Into a room one looks from above: its walls are in the way.
         above = 1.2 if may_be_a_room(bounds) else 0.45
         direction = view_direction(front, above=above)

@@ -345,8 +345,7 @@ class ScenePicture:
         shape, placement = found
         key = id, shape.bounds.tobytes()
         if self._front is None or self._front[0] != key:
-            at = shape.vertices if shape.faces is None else shape.vertices[shape.faces].mean(1)
-            self._front = key, np.asarray(front_direction(at))
+            self._front = key, np.asarray(front_direction(shape.vertices, shape.faces))
         facing = placement.world[:3, :3] @ self._front[1]
         best, most = otherwise, -1
         places = center + 0.6 * (corners_of(shape, placement) - center)
