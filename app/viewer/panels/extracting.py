@@ -12,6 +12,7 @@ import viser
 from app.server.open_object import OpenObject
 from app.server.preparing import cut_out, leave_out
 from app.viewer.panels.widgets import put
+from app.viewer.picture.stage import may_be_a_room
 from app.viewer.tab import Tab, plain
 from app.viewer.words import annotate as words
 from app.viewer.words import scene as scene_words
@@ -27,19 +28,15 @@ class SourcePanel:
         self._tab, self._open = tab, open_object
         self._drawn: Any = None
         gui = tab.client.gui
-        with gui.add_folder(words.EXTRACT_FOLDER, expand_by_default=False):
+        self._folder = gui.add_folder(words.EXTRACT_FOLDER, expand_by_default=False)
+        with self._folder:
             self._room_note = gui.add_markdown("")
             self._leave_out = gui.add_button_group(
-                words.EXCLUDE,
-                words.EXCLUDE_ACTIONS,
-                hint=words.EXCLUDE_HINT,
+                words.EXCLUDE, words.EXCLUDE_ACTIONS, hint=words.EXCLUDE_HINT
             )
             self._back = gui.add_button(words.RESTORE_ALL, color="gray", visible=False)
             self._cut_out = gui.add_button(
-                words.EXTRACT,
-                color="gray",
-                hint=words.EXTRACT_HINT,
-                visible=not tab.in_scene,
+                words.EXTRACT, color="gray", hint=words.EXTRACT_HINT, visible=not tab.in_scene
             )
         self._leave_out.on_click(lambda e: tab.act(lambda: self.leave_out(e.target.value)))
         self._back.on_click(lambda _: tab.act(self.restore))
@@ -73,11 +70,14 @@ class SourcePanel:
 
     def draw(self, obj: OpenObject) -> None:
         """Bring the folder up to date."""
-        doc = obj.document
-        now = (obj.record.id, doc.left_out, doc.crops, doc.placement)
+        doc, asset = obj.document, obj.asset
+        history = doc.left_out, doc.crops, doc.placement
+        scan = asset is not None and (asset.element_kind == "point" or may_be_a_room(asset.bounds))
+        now = (obj.record.id, scan, *history)
         if now == self._drawn:
             return
         self._drawn = now
+        put(self._folder, visible=scan or any(history))
         put(self._room_note, content=_room_note(obj, self._tab.in_scene))
         put(self._back, visible=doc.left_out is not None)
 
