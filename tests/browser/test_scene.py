@@ -67,13 +67,15 @@ def play_one_joint(tab: SceneTab) -> None:
 
 def check_a_small_window(tab: SceneTab) -> None:
     """The list folds for the picture; *Save scene* stays in sight."""
-    share = "() => window.__viserMutable.canvas.getBoundingClientRect().width / innerWidth"
+    share = "window.__viserMutable.canvas.getBoundingClientRect().width / innerWidth"
     tab.page.set_viewport_size({"width": 1024, "height": 700})
+    unfold = tab.button("Expand column")
+    unfold.wait_for()
     wait_until(lambda: tab.page.evaluate(share) >= 0.6, "the picture has most of it")
     box = tab.button("Save scene").bounding_box()
     assert box["y"] + box["height"] <= 700
     tab.page.set_viewport_size({"width": 1280, "height": 800})
-    tab.button("Expand column").click()
+    unfold.click()
     tab.page.locator(".aw-open b").first.wait_for()
 
 
