@@ -43,8 +43,8 @@ from sessions.provenance import MASKS
 
 _FRONT_POINTS, _FRONT_CELLS = 20_000, 32
 _STANDING = 0.1
-"""Most that counts as standing out of a side, a share of the object's size: beyond it, one looks
-through the open back of a scan."""
+"""Most that counts as standing out of a side of a scan, a share of the object's size: beyond it,
+one looks through the back that nobody scanned."""
 _FILE = "light-1.npz"
 """In the folder of the asset's arrays; another number where the light is computed otherwise."""
 
@@ -326,7 +326,7 @@ def front_direction(
         points: (N, 3) of a cloud, or the vertices of a mesh; +z up.
         faces: (F, 3) of the mesh.
     """
-    points = np.asarray(points, np.float64)
+    points, most = np.asarray(points, np.float64), _STANDING if faces is None else math.inf
     if faces is not None and (mesh := Mesh(points, np.asarray(faces))).face_areas.any():
         points = sample_surface(mesh, _FRONT_POINTS, np.random.default_rng(0))[0].points
     points = points[:: max(1, len(points) // _FRONT_POINTS)]
@@ -343,7 +343,7 @@ def front_direction(
         known = outer[np.isfinite(outer)]
         standing = np.ptp(np.percentile(known, (50, 99.5))) / size.max() if len(known) else 0.0
         share = float(np.mean(high[0] - out < 0.15 * size[0]))
-        now = share * float(size[1]) * min(float(standing), _STANDING)
+        now = share * float(size[1]) * min(float(standing), most)
         if now > 1.05 * score:
             best, score = (x, y, 0.0), now
     return best
