@@ -42,9 +42,9 @@ from sessions.checks import NAME_LIMIT, clipped
 from sessions.provenance import MASKS
 
 _FRONT_POINTS, _FRONT_CELLS = 20_000, 32
-_STANDING = 0.1
-"""Most that counts as standing out of a side of a scan, a share of the object's size: beyond it,
-one looks through the back that nobody scanned."""
+"""Points in which a front is looked for, and cells along the longest side of a side's picture."""
+_MOST_PROTRUSION = 0.1
+"""Largest protrusion of a scan that counts, a share of its size: what is deeper is its inside."""
 _FILE = "light-1.npz"
 """In the folder of the asset's arrays; another number where the light is computed otherwise."""
 
@@ -311,22 +311,23 @@ def _short_names(asset: Asset) -> tuple[tuple[str, ...], str | None, tuple[str, 
 def _front_of(mesh: Mesh | None, cloud: PointCloud | None) -> tuple[float, float, float]:
     if mesh is not None:
         return front_direction(mesh.vertices, mesh.faces)
-    return front_direction(np.zeros((1, 3)) if cloud is None else cloud.points)
+    assert cloud is not None
+    return front_direction(cloud.points)
 
 
 def front_direction(
     points: npt.ArrayLike, faces: npt.ArrayLike | None = None
 ) -> tuple[float, float, float]:
-    """Return the horizontal direction of the front: the broad side out of which the most stands.
+    """Return the horizontal direction of the front: the broad side with the most protrusions.
 
-    Handles, knobs and frames stand out of a front, and a scan has points where the camera stood.
+    Handles, knobs and frames protrude from a front, and a scan has points where the camera stood.
     The sides are those of the tightest upright box; a near tie goes to -y, glTF's front.
 
     Args:
         points: (N, 3) of a cloud, or the vertices of a mesh; +z up.
         faces: (F, 3) of the mesh.
     """
-    points, most = np.asarray(points, np.float64), _STANDING if faces is None else math.inf
+    points, most = np.asarray(points, np.float64), _MOST_PROTRUSION if faces is None else math.inf
     if faces is not None and (mesh := Mesh(points, np.asarray(faces))).face_areas.any():
         points = sample_surface(mesh, _FRONT_POINTS, np.random.default_rng(0))[0].points
     points = points[:: max(1, len(points) // _FRONT_POINTS)]
@@ -341,9 +342,9 @@ def front_direction(
         (out, across, up), area = seen.T, np.stack([low, high], 1)[1:]
         outer = binned_statistic_2d(across, up, out, "max", cells, area).statistic
         known = outer[np.isfinite(outer)]
-        standing = np.ptp(np.percentile(known, (50, 99.5))) / size.max() if len(known) else 0.0
+        protrusion = np.ptp(np.percentile(known, (50, 99.5))) / size.max() if len(known) else 0.0
         share = float(np.mean(high[0] - out < 0.15 * size[0]))
-        now = share * float(size[1]) * min(float(standing), most)
+        now = share * float(size[1]) * min(float(protrusion), most)
         if now > 1.05 * score:
             best, score = (x, y, 0.0), now
     return best
@@ -394,7 +395,7 @@ SIZE = (208, 156)
 """Pixels of a thumbnail: a card of the gallery on a sharp screen."""
 _VIEW = drawing.View(width=3 * SIZE[0] // 2, height=3 * SIZE[1] // 2)
 _ASIDE = 0.6
-"""Radians from the front to where it is drawn from."""
+"""Radians from an object's front to the camera."""
 
 
 def draw_thumbnail(path: Path, workspace: Path, options: ReadOptions) -> Path:

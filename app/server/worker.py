@@ -69,7 +69,7 @@ def send(connection: Connection, kind: str, number: int, chunks: list[Any] | Non
 
 
 def receive(connection: Connection) -> tuple[str, int, list[Any], float]:
-    """Receive one message: kind, job number, chunks for :func:`unpack`, when it was sent.
+    """Receive one message: kind, job number, chunks for :func:`unpack`, monotonic time of sending.
 
     Raises:
         EOFError, OSError: where the other side is gone.

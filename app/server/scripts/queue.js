@@ -8,7 +8,7 @@
   const picked = new Set(), cards = new Map(), pieces = new Map(), asked = new Set();
   let words = null, answer = { total: 0, all: 0, states: {}, today: 0, at: -1 };
   let current = null, followed = null, serial = 0, counted = 0, root = null, parts = {};
-  const timers = new Map();  // of what begins soon
+  const timers = new Map();  // action -> its delay
   const page = Math.random().toString(36).slice(2);
   let looks = 0;  // while one lasts, results that come in don't change the order
 

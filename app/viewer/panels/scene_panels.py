@@ -114,10 +114,9 @@ class SceneCard:
         self._draw_status(remarks_text(workspace, rows))
         put(self._play, label=words.STOP if moving else words.PLAY)
         put(self._play, icon=viser.Icon.PLAYER_STOP if moving else viser.Icon.PLAYER_PLAY)
-        busy, unread = workspace.busy, workspace.scene is None
-        saving = "save" in busy
+        saving, unread = "save" in workspace.busy, workspace.scene is None
         put(self._save, disabled=saving or unread, label=words.SAVING if saving else words.SAVE)
-        put(self._report, disabled="report" in busy or unread)
+        put(self._report, disabled="report" in workspace.busy or unread)
         self._draw_chosen(selected)
 
     def _draw_status(self, remarks: str) -> None:
