@@ -102,6 +102,12 @@ def steps(count: int, seconds: float, *, progress: Progress) -> int:
     return count
 
 
+def span(count: int, seconds: float, *, progress: Progress) -> tuple[float, float]:
+    began = time.monotonic()
+    steps(count, seconds, progress=progress)
+    return began, time.monotonic()
+
+
 def deaf(seconds: float, began: Path | None = None) -> None:
     if began is not None:
         began.touch()
