@@ -1,6 +1,7 @@
 """What all tests share."""
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -178,3 +179,12 @@ def shared_data() -> Path:
     if not folder.is_dir():
         pytest.skip(f"no shared data at {folder} (set ARTIWORLD_SHARED_DATA to its folder)")
     return folder
+
+
+@pytest.fixture(scope="session")
+def workers_of_all_servers() -> Iterator[None]:
+    """Processes that the servers of all tests share."""
+    from tests.app.shared_workers import shared_workers
+
+    with shared_workers():
+        yield

@@ -18,8 +18,9 @@ from model.core.progress import own_threads
 class SharedWorker:
     """One server's use of a worker process: stands in for a :class:`WorkerProcess` of its own."""
 
-    def __init__(self, worker: WorkerProcess) -> None:
-        self._worker = worker
+    def __init__(self, worker: WorkerProcess, lazy: bool) -> None:
+        self._worker, self._lazy = worker, lazy
+        worker.rest(False)
         self._jobs: weakref.WeakSet[Job[Any]] = weakref.WeakSet()
         self._closed = False
 
@@ -69,6 +70,7 @@ class SharedWorker:
         for job in list(self._jobs):
             with contextlib.suppress(Exception):
                 job.result(timeout=20.0)
+        self._worker.rest(self._lazy)  # fifty idle processes would leave no memory to the rest
 
 
 @contextlib.contextmanager
@@ -80,10 +82,9 @@ def shared_workers() -> Iterator[None]:
     def worker(name: str, **settings: Any) -> SharedWorker:
         if name not in processes:
             processes[name] = WorkerProcess(name, **settings | {"template": template})
-        return SharedWorker(processes[name])
+        return SharedWorker(processes[name], settings.get("lazy", False))
 
     with (
-        mock.patch.object(workers, "WorkerProcess", worker),
         mock.patch.object(workers, "WorkerProcess", worker),
         mock.patch.object(workers.WorkerTemplate, "possible", return_value=False),
     ):

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.app.shared_workers import shared_workers
 from tests.browser.browsing import (
     CHROMIUM_FLAGS,
     COARSE,
@@ -20,9 +19,7 @@ from tests.browser.objects import write_cabinet
 
 
 @pytest.fixture(scope="session", autouse=True)
-def _shared_workers() -> Iterator[None]:
-    with shared_workers():
-        yield
+def _shared_workers(workers_of_all_servers: None) -> None: ...
 
 
 @pytest.fixture(scope="session")
