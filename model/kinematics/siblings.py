@@ -26,7 +26,7 @@ from model.core.tree import KinematicTree, moved_joint
 Float = npt.NDArray[np.float64]
 
 Tolerance = tuple[float, float, float, float]
-EXACT, SCANNED = (0.0, 0.05, 0.04, 0.9), (2.0, 0.1, 0.08, 0.8)
+EXACT, SCANNED, SIMILAR = (0.0, 0.05, 0.04, 0.9), (2.0, 0.1, 0.08, 0.8), (2.0, 0.3, 0.08, 0.8)
 """Percent of the points beyond each side of a part's box; largest difference of the sides of equal
 parts and distance to the other's points, in the diagonal; and the share of points within that."""
 ASIDE = 0.3
@@ -110,12 +110,12 @@ def move_alike(joint: Joint, own: Joint, a: Float, b: Float) -> bool:
 def share_confidence(
     confidence: Mapping[str, float], tree: KinematicTree, parts: Iterable[Part]
 ) -> dict[str, float]:
-    """Return child link → confidence, 0..1: the highest among the parts of one name and size that
-    move in the same way, since one knob of a row may show more clearly how all of them move."""
+    """Return child link → confidence, 0..1: the highest among parts of one name and similar size
+    that move in the same way, since one knob of a row may show more clearly how all move."""
     boxes: dict[str, tuple[Part, Float]] = {}
     for part in parts:  # a few points of a scan lie far off
         points, outside = (
-            (part.bounds, 0.0) if part.cloud is None else (part.cloud.points, SCANNED[0])
+            (part.bounds, 0.0) if part.cloud is None else (part.cloud.points, SIMILAR[0])
         )
         box = np.percentile(points, (outside, 100 - outside), axis=0)
         boxes[part.link] = part, np.asarray(box, np.float64)
@@ -128,7 +128,7 @@ def share_confidence(
         for other in joints[:rank]:  # those of a higher confidence
             sibling, there = boxes[other.child]
             if own.type == other.type and namesakes(part, sibling):
-                shift = next(images(there, box, SCANNED), None)
+                shift = next(images(there, box, SIMILAR), None)
                 if shift is not None and alike(carried(other, own, shift), own, size):
                     out[own.child] = confidence[other.child]
                     break

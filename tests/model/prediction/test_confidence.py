@@ -70,8 +70,8 @@ def test_the_least_certain_decision_is_named() -> None:
 
 @pytest.mark.parametrize("scanned", [False, True])
 def test_what_one_of_a_row_shows_holds_for_its_equals(scanned: bool) -> None:
-    """Two knobs in a row get one confidence; those that slide or are larger keep theirs."""
-    rows = {"knob 1": (0.0, 0.1), "knob 2": (0.3, 0.1), "knob 3": (0.6, 0.1), "knob 4": (0.9, 0.2)}
+    """Two knobs in a row get one confidence; those that slide or are far larger keep theirs."""
+    rows = {"knob 1": (0.0, 0.1), "knob 2": (0.3, 0.13), "knob 3": (0.6, 0.1), "knob 4": (0.8, 0.4)}
     parts = [part("link_0", box((0, 0, 0), (1.2, 1, 1)), name="body")]
     for k, (name, (x, size)) in enumerate(rows.items(), 1):
         parts.append(part(f"link_{k}", box((x, -0.1, 0.5), (x + size, 0, 0.5 + size)), name=name))
