@@ -177,6 +177,9 @@ _CELL_NEIGHBOR, _SPARSE = 6, 90
 cell of an even surface, and where it is sampled a tenth as densely, its cells still touch."""
 _OUTLIER_SHARE = 0.002
 """A connected piece with fewer points than this share of the scan is no surface."""
+_BORDER = 0.1
+"""Width around all but the outermost points in which these have cells of their own, in the longest
+side; farther ones share the cells of its edge."""
 _MOST_POINTS = 1_000_000
 """Points that outlines are measured on, against the time."""
 _BESIDE = 0.02
@@ -271,6 +274,8 @@ def _grid(points: Points) -> _Grid:
     low, high = np.percentile(sample, [0.1, 99.9], axis=0).astype(np.float64)
     longest = max(float((high - low).max()), 1e-12)
     size = min(max(longest / CELLS, connecting_distance(points)), longest / 16)
+    low = np.maximum(low - _BORDER * longest, points.min(0))
+    high = np.minimum(high + _BORDER * longest, points.max(0))
     shape = tuple(int(n) + 3 for n in np.ceil((high - low) / size))
     at = np.floor((points - low) / size).astype(np.int64) + 1
     at = np.clip(at, 0, np.array(shape) - 1)

@@ -286,7 +286,7 @@ def describe(points: Array, normals: Array, up: Array) -> Described:
     if rest.sum() <= 50:  # what lies there is thinner than the bands: scissors
         fine = np.abs(height - support) < max(6 * scatter, 1e-3 * size)
         rest = (height > support) & ~fine
-        lies = rest.sum() > max(50, 2 * ((height < support) & ~fine).sum())
+        lies = on.any() and rest.sum() > max(50, 2 * ((height < support) & ~fine).sum())
         reach = _reach(flat[on & fine], flat[rest]) if lies else 0.0
     supported = below < 0.03 and reach > 0.1 and on.mean() > 0.04 and not slab
     return Described(features, support if supported else None, on)

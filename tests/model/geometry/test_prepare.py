@@ -206,15 +206,16 @@ def test_what_is_thin_is_kept_without_its_table() -> None:
     assert kept.mean() > 0.98 and kept.sum() > 0.9 * len(blade)
 
 
-def test_what_lies_on_a_table_is_told_apart_from_it() -> None:
+def test_an_object_on_a_table_is_told_apart_from_that_and_from_points_in_the_air() -> None:
     rng = np.random.default_rng(0)
     table = np.column_stack([rng.uniform(-1, 1, (8000, 2)), rng.normal(0, 0.002, 8000)])
     box, _ = trimesh.sample.sample_surface(trimesh.creation.box((0.6, 0.4, 0.5)), 8000, seed=1)
     box = box + [0, 0, 0.25]
     box = box[box[:, 2] > 0.02]
-    kinds = classify(np.concatenate([table, box]), 0.0)
-    assert (kinds[:8000] == SUPPORT).mean() > 0.98
-    assert (kinds[8000:] == OBJECT).mean() > 0.99
+    air = np.array([(0.1, 0.1, 0.65), (0.0, 0.1, 0.8), (0.2, -0.1, 3.0)])
+    kinds = classify(np.concatenate([table, air, box]), 0.0)
+    assert (kinds[:8000] == SUPPORT).mean() > 0.98 and (kinds[8000:8003] == OUTLIER).all()
+    assert (kinds[8003:] == OBJECT).mean() > 0.99
 
 
 def test_a_dense_scan_is_levelled_among_its_outliers() -> None:
