@@ -114,11 +114,8 @@ def share_confidence(
     that move in the same way, since one knob of a row may show more clearly how all move."""
     boxes: dict[str, tuple[Part, Float]] = {}
     for part in parts:  # a few points of a scan lie far off
-        points, outside = (
-            (part.bounds, 0.0) if part.cloud is None else (part.cloud.points, SIMILAR[0])
-        )
-        box = np.percentile(points, (outside, 100 - outside), axis=0)
-        boxes[part.link] = part, np.asarray(box, np.float64)
+        points = part.bounds if part.cloud is None else np.float64(part.cloud.points)
+        boxes[part.link] = part, np.percentile(points, (2, 98), axis=0)
     joints = [j for j in tree.joints if j.moves and j.child in confidence and j.child in boxes]
     joints.sort(key=lambda j: -confidence[j.child])
     out = dict(confidence)

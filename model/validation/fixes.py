@@ -14,10 +14,11 @@ from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial.transform import Rotation
 
 from model.core.articulated_object import Prediction
 from model.core.errors import ArtiworldError
-from model.core.joint import Joint
+from model.core.joint import Joint, JointType
 from model.kinematics.contact import contact_between
 from model.kinematics.siblings import carried, fitting, move_alike, namesakes
 from model.kinematics.snapping import box_of
@@ -55,9 +56,8 @@ def unlike_findings(scene: Scene, found: Mapping[str, list[Finding]]) -> dict[st
     }
 
     def rank(link: str) -> tuple[int, int]:
-        return like[link], -max(
-            (f.severity.rank for f in found.get(joints[link].name, ())), default=0
-        )
+        worst = max((f.severity.rank for f in found.get(joints[link].name, ())), default=0)
+        return like[link], -worst
 
     out: dict[str, Finding] = {}
     for link, own in joints.items():
@@ -106,6 +106,8 @@ LEAST_ANGLE, LEAST_SLIDE = math.radians(3.0), 0.01
 """Smallest range that is offered: radians, and diagonals."""
 MOST = 0.5
 """Share of a predicted range that is left after it is cut; less says that the axis is wrong."""
+ASIDE = 0.015
+"""Distance over which a predicted hinge's line may be moved, in the object's diagonal."""
 INSET = 0.01
 """Limits end this share of the range before the contact."""
 ALONG_CONTACT = 0.9
@@ -228,8 +230,8 @@ def _contact_edges(
 
 
 def checked_ranges(prediction: Prediction, scene: Scene, locked: Container[str]) -> Prediction:
-    """Cut predicted limits to what the checks accept, where that is most of the range; the notes
-    say so, or that the checks object.
+    """Make the checks accept predicted limits: move a hinge's line a little, or cut the limits
+    where most of the range is left; the notes say so, or that the checks object.
 
     Args:
         prediction: of the tree in ``scene``.
@@ -237,19 +239,30 @@ def checked_ranges(prediction: Prediction, scene: Scene, locked: Container[str])
     """
     notes = dict(prediction.notes)
     for joint in scene.obj.tree.joints:
-        if not joint.moves or joint.mimic is not None or joint.child in locked:
+        stays = not joint.moves or joint.mimic is not None or joint.child in locked
+        if stays or _is_fixed(scene, joint):
             continue
-        found = examine_motion(scene, joint)
-        if all(f.severity == Severity.OK for f in found):
-            continue
-        was, fix = np.ptp(joint.motion_range), next(iter(_limits(scene, joint)), None)
-        less = 0.0 if fix is None or fix.joint is None else np.ptp(fix.joint.motion_range)
-        if fix is not None and fix.joint is not None and MOST * was <= less < was:
-            scene, text = scene.with_joint(fix.joint), messages.RANGE_CUT
+        near = next((n for n in _nearby(scene, joint) if _is_fixed(scene, n)), None)
+        cut = next((fix.joint for fix in _limits(scene, joint) if fix.joint is not None), None)
+        was = np.ptp(joint.motion_range)
+        if near is not None:
+            scene, text = scene.with_joint(near), messages.LINE_MOVED
+        elif cut is not None and MOST * was <= np.ptp(cut.motion_range) < was:
+            scene, text = scene.with_joint(cut), messages.RANGE_CUT
         else:
             text = messages.RANGE_REFUSED
         notes[joint.child] = f"{notes.get(joint.child, '').rstrip('.')}. {text}".lstrip(". ")
     return replace(prediction, tree=scene.obj.tree, notes=notes)
+
+
+def _nearby(scene: Scene, joint: Joint) -> Iterator[Joint]:
+    """The hinge with its line a little to each side; nothing for other joints."""
+    axis = np.asarray(joint.axis)
+    side = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
+    step = ASIDE * scene.diagonal * side / np.linalg.norm(side)
+    for turn in 2 * np.pi * np.arange(8) / 8 if joint.rotates and joint.limited else ():
+        place = joint.origin + Rotation.from_rotvec(turn * axis).apply(step)
+        yield replace(joint, origin=tuple(place.tolist()))
 
 
 def _limits(scene: Scene, joint: Joint) -> list[Fix]:
@@ -264,12 +277,8 @@ def _limits(scene: Scene, joint: Joint) -> list[Fix]:
         lower, upper = max(lower, -2 * math.pi), min(upper, 2 * math.pi)
     else:
         lower, upper = max(lower, -wide), min(upper, wide)
-    tried = replace(
-        joint,
-        type="revolute" if joint.rotates else "prismatic",
-        lower=min(lower, 0.0),
-        upper=max(upper, 0.0),
-    )
+    kind: JointType = "revolute" if joint.rotates else "prismatic"
+    tried = replace(joint, type=kind, lower=min(lower, 0.0), upper=max(upper, 0.0))
     sweep = sweep_joint(scene.obj, tried, 9, tolerance=scene.tolerance, points=scene.points)
     low, high = attached_range(scene.with_joint(tried), tried)
     low, high = max(low, sweep.free[0]), min(high, sweep.free[1])
@@ -282,10 +291,5 @@ def _limits(scene: Scene, joint: Joint) -> list[Fix]:
     changed = replace(tried, lower=float(low), upper=float(high))
     if changed == joint or not _is_fixed(scene, changed):
         return []
-    return [
-        Fix(
-            "limits",
-            changed,
-            messages.FIX_RANGE.format(range=messages.interval(changed, low, high)),
-        )
-    ]
+    text = messages.FIX_RANGE.format(range=messages.interval(changed, low, high))
+    return [Fix("limits", changed, text)]

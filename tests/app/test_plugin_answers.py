@@ -16,10 +16,11 @@ from model.core.errors import ConfigurationError
 from model.core.geometry import PointCloud
 from model.core.tree import KinematicTree
 from model.validation import messages
+from model.validation.fixes import checked_ranges
 from model.validation.report import Severity
-from model.validation.runner import validate
+from model.validation.runner import scene_of, validate
 from tests.builders import linked, part
-from tests.model.validation.cabinets import DRAWER, carcass, drawer_part
+from tests.model.validation.cabinets import DOOR, DRAWER, carcass, door_part, drawer_part
 
 PARTS = SegmentedObject("box", (Part("link_0", cloud=PointCloud(np.zeros((1, 3), np.float32))),))
 
@@ -65,3 +66,13 @@ def test_a_predicted_range_has_been_through_the_checks(
     assert report.severity == severity
     kept = part_tasks.predict(source, "theirs", (drawer,), 0)
     assert kept == answer, "what a person locked stays"
+
+
+def test_a_predicted_hinge_is_moved_aside_where_its_door_would_hit() -> None:
+    door = replace(DOOR, origin=(-0.38, -0.002, 0.3))
+    scene, _ = scene_of(linked((door,), part("link_0", *carcass(), name="body"), door_part()))
+    assert scene is not None
+    found = checked_ranges(Prediction(scene.obj.tree), scene, ())
+    assert found.tree is not None and found.notes == {"link_1": messages.LINE_MOVED}
+    moved = found.tree.joint_of["link_1"]
+    assert moved == replace(door, origin=moved.origin) and moved.origin[0] < -0.39

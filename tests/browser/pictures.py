@@ -327,7 +327,7 @@ def demo(taking: Taking) -> None:
     if not taking.wanted("demo"):
         return
     scan = Path(tempfile.mkdtemp()) / "stove.ply"
-    scanned = raw_scan(scan, seed=3, scale=1.0)
+    scanned = raw_scan(scan, scale=1.0)
     tab = taking.open(scan, size=FILM_SIZE, reflections=False)  # many frames: each is drawn faster
     film = Film(tab.page)
     wait_until(lambda: tab.selection.step == "Prepare", "a tilted scan is noticed", LONG)
