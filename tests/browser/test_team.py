@@ -85,7 +85,7 @@ def test_three_people_make_one_asset(server: Any, come: Callable[[str], PersonTa
     bob.says("Also here: ann")
     rob.step("Review")
     rob.field("Comment").fill("opens too far")
-    rob.choose("The comment is about", "part 1")
+    rob.choose("Comment on", "part 1")
     rob.drawn()
     rob.wait_seen()
     rob.key("Escape")
@@ -202,7 +202,7 @@ def test_a_reviewer_pins_a_comment_which_the_annotator_finds_in_3d(
     (comment,) = rob.document.comments
     assert (comment.text, comment.by, comment.done) == ("a scratch", "rob", False)
     assert all(bounds[0] - 0.01 <= comment.place) and all(comment.place <= bounds[1] + 0.01)
-    rob.choose("The comment is about", "part 1")
+    rob.choose("Comment on", "part 1")
     rob.field("Comment").fill("too far")
     rob.drawn()
     rob.wait_seen()

@@ -39,7 +39,7 @@ ASSET_MISSING: Final = "the asset isn't on this server's disk: accept again"
 
 SUBMIT: Final = "Submit (Y)"
 SUBMITTED: Final = "Submitted"
-ABOUT: Final = "The comment is about"
+ABOUT: Final = "Comment on"
 NO_COMMENTS: Final = "No comment is open"
 NEXT_COMMENT: Final = "Next (Shift+C)"
 PIN, ADD_COMMENT = "Pin in 3D", "Add comment"
