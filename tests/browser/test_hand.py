@@ -66,6 +66,9 @@ def drag_numbers(tab: Tab) -> None:
     """One drag is one change, with Shift a tenth of it."""
     page, before = tab.page, tab.selection.joint.origin
     for keys, share in (((), 1.0), (("Shift",), 0.1)):
+        wait_until(lambda: not tab.object.busy, "the checks, which move the panel's rows")
+        tab.drawn()
+        page.evaluate("() => document.activeElement?.blur()")  # a field with the caret is typed in
         field = tab.field("Origin [mm]")
         value = float(field.input_value())
         per = 10.0 ** np.floor(np.log10(abs(value) or 1.0)) / 50
@@ -84,7 +87,6 @@ def drag_numbers(tab: Tab) -> None:
         wait_until(
             lambda wanted=wanted: abs(tab.selection.joint.origin[0] - wanted) < 2e-5, "it moved", 60
         )
-        tab.drawn()
     for _ in range(2):
         tab.app.tab.act(tab.app.commands.undo)
     wait_until(lambda: tab.selection.joint.origin == before, "two steps of the history")
