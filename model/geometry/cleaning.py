@@ -178,8 +178,8 @@ cell of an even surface, and where it is sampled a tenth as densely, its cells s
 _OUTLIER_SHARE = 0.002
 """A connected piece with fewer points than this share of the scan is no surface."""
 _BORDER = 0.1
-"""Width around all but the outermost points in which these have cells of their own, in the longest
-side; farther ones share the cells of its edge."""
+"""Margin of the grid round all but the outermost points, in their longest side: points beyond it
+share the cells of the grid's edge, which must not touch the object."""
 _MOST_POINTS = 1_000_000
 """Points that outlines are measured on, against the time."""
 _BESIDE = 0.02
@@ -269,7 +269,7 @@ def _belonging(points: Points, piece: npt.NDArray[np.int32], count: Index, large
 
 
 def _grid(points: Points) -> _Grid:
-    """Cells over all but the outermost points, which fall into the border's cells."""
+    """Cells over all but the outermost points and a margin; points beyond fall into its edge."""
     sample = points[:: max(len(points) // 100_000, 1)]
     low, high = np.percentile(sample, [0.1, 99.9], axis=0).astype(np.float64)
     longest = max(float((high - low).max()), 1e-12)

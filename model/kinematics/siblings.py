@@ -28,7 +28,8 @@ Float = npt.NDArray[np.float64]
 Tolerance = tuple[float, float, float, float]
 EXACT, SCANNED, SIMILAR = (0.0, 0.05, 0.04, 0.9), (2.0, 0.1, 0.08, 0.8), (2.0, 0.3, 0.08, 0.8)
 """Percent of the points beyond each side of a part's box; largest difference of the sides of equal
-parts and distance to the other's points, in the diagonal; and the share of points within that."""
+parts and distance to the other's points, in the diagonal; and the share of points within that.
+Of clean parts, of scanned ones, and of those that share a confidence."""
 ASIDE = 0.3
 """Share of the way from one part to the other in a direction from which they may be mirrored."""
 LEAST = 0.02
@@ -115,7 +116,7 @@ def share_confidence(
     boxes: dict[str, tuple[Part, Float]] = {}
     for part in parts:  # a few points of a scan lie far off
         points = part.bounds if part.cloud is None else np.float64(part.cloud.points)
-        boxes[part.link] = part, np.percentile(points, (2, 98), axis=0)
+        boxes[part.link] = part, np.percentile(points, (SIMILAR[0], 100 - SIMILAR[0]), axis=0)
     joints = [j for j in tree.joints if j.moves and j.child in confidence and j.child in boxes]
     joints.sort(key=lambda j: -confidence[j.child])
     out = dict(confidence)

@@ -14,10 +14,10 @@ from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import Rotation
 
 from model.core.articulated_object import Prediction
 from model.core.errors import ArtiworldError
+from model.core.geometry import x_onto
 from model.core.joint import Joint, JointType
 from model.kinematics.contact import contact_between
 from model.kinematics.siblings import carried, fitting, move_alike, namesakes
@@ -107,7 +107,7 @@ LEAST_ANGLE, LEAST_SLIDE = math.radians(3.0), 0.01
 MOST = 0.5
 """Share of a predicted range that is left after it is cut; less says that the axis is wrong."""
 ASIDE = 0.015
-"""Distance over which a predicted hinge's line may be moved, in the object's diagonal."""
+"""Distance by which a predicted hinge's axis may be shifted, in the object's diagonal."""
 INSET = 0.01
 """Limits end this share of the range before the contact."""
 ALONG_CONTACT = 0.9
@@ -230,7 +230,7 @@ def _contact_edges(
 
 
 def checked_ranges(prediction: Prediction, scene: Scene, locked: Container[str]) -> Prediction:
-    """Make the checks accept predicted limits: move a hinge's line a little, or cut the limits
+    """Make the checks accept predicted motions: shift a hinge's axis slightly, or cut the limits
     where most of the range is left; the notes say so, or that the checks object.
 
     Args:
@@ -243,10 +243,10 @@ def checked_ranges(prediction: Prediction, scene: Scene, locked: Container[str])
         if stays or _is_fixed(scene, joint):
             continue
         near = next((n for n in _nearby(scene, joint) if _is_fixed(scene, n)), None)
-        cut = next((fix.joint for fix in _limits(scene, joint) if fix.joint is not None), None)
+        cut = None if near else next((f.joint for f in _limits(scene, joint) if f.joint), None)
         was = np.ptp(joint.motion_range)
         if near is not None:
-            scene, text = scene.with_joint(near), messages.LINE_MOVED
+            scene, text = scene.with_joint(near), messages.AXIS_SHIFTED
         elif cut is not None and MOST * was <= np.ptp(cut.motion_range) < was:
             scene, text = scene.with_joint(cut), messages.RANGE_CUT
         else:
@@ -256,12 +256,10 @@ def checked_ranges(prediction: Prediction, scene: Scene, locked: Container[str])
 
 
 def _nearby(scene: Scene, joint: Joint) -> Iterator[Joint]:
-    """The hinge with its line a little to each side; nothing for other joints."""
-    axis = np.asarray(joint.axis)
-    side = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
-    step = ASIDE * scene.diagonal * side / np.linalg.norm(side)
-    for turn in 2 * np.pi * np.arange(8) / 8 if joint.rotates and joint.limited else ():
-        place = joint.origin + Rotation.from_rotvec(turn * axis).apply(step)
+    """Yield the hinge with its axis shifted to eight sides; nothing for other joints."""
+    across = ASIDE * scene.diagonal * x_onto(np.asarray(joint.axis))[:, 1:]
+    for turn in np.pi / 4 * np.arange(8) if joint.rotates and joint.limited else ():
+        place = joint.origin + across @ (math.cos(turn), math.sin(turn))
         yield replace(joint, origin=tuple(place.tolist()))
 
 

@@ -68,11 +68,11 @@ def test_a_predicted_range_has_been_through_the_checks(
     assert kept == answer, "what a person locked stays"
 
 
-def test_a_predicted_hinge_is_moved_aside_where_its_door_would_hit() -> None:
+def test_the_axis_of_a_predicted_hinge_is_shifted_where_its_door_would_hit() -> None:
     door = replace(DOOR, origin=(-0.38, -0.002, 0.3))
     scene, _ = scene_of(linked((door,), part("link_0", *carcass(), name="body"), door_part()))
     assert scene is not None
     found = checked_ranges(Prediction(scene.obj.tree), scene, ())
-    assert found.tree is not None and found.notes == {"link_1": messages.LINE_MOVED}
+    assert found.tree is not None and found.notes == {"link_1": messages.AXIS_SHIFTED}
     moved = found.tree.joint_of["link_1"]
     assert moved == replace(door, origin=moved.origin) and moved.origin[0] < -0.39
